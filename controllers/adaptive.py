@@ -1,12 +1,14 @@
 """As hard as needed: grip as lightly as the load lets, and learn load and friction in the hand.
 
 - **Load.** A finger feels along its membrane what it carries. The grip follows the largest shear of
-  the last second: what is filled is gripped harder, what is emptied more lightly.
+  the last second, and what may be pushed carries that as well, from any side.
 - **Friction.** Coulomb: a finger holds as long as shear < mu * normal force. It begins with a low
-  `mu`. A hold at a ratio shows that mu is at least that; a slip at a ratio shows what mu is.
+  `mu`. A hold at a ratio shows that mu is at least that; a slip at a ratio shows what mu is. Signs
+  of slip may be wrong: shear that does not grow with the grip is carried by what sticks.
 - **Margin.** The grip is MARGIN times what load and friction ask for. While nothing slips the
-  belief in friction grows slowly, so that the grip loosens, down to where the ratio itself is the
-  proof; a slip takes it back at once.
+  belief in friction grows slowly, so that the grip loosens; a slip takes it back at once.
+- **Jaws.** Two membranes over air are a spring, SOFT + STIFF * force N/m: the jaws go at once to
+  where a larger grip is, and what is left after DELAY is regulated.
 - **The table and other hands.** Shear that goes, and comes again from the other side, is the
   table: the thing stands, let go. Shear that changes otherwise and stays so is somebody who pulls.
 
@@ -15,26 +17,25 @@
 """
 
 from dataclasses import asdict, replace
-from math import exp, isfinite
+from math import hypot, isfinite
 from typing import Any
 
 import numpy as np
 
-from mjtactile.hold import Belief, downward, load_vector, shear, weigh
+from mjtactile.hold import Belief, Load, weigh
 from mjtactile.types import Command, Observation
 
-# N on each finger: what it closes to, the most that it ever asks for, and the least
-FIRST_FORCE = 0.25
+# N on each finger: the most that it ever asks for, and the least, which it closes to
 FORCE_MOST = 2.2
 FORCE_LEAST = 0.25
 TOUCH_FORCE = 0.08  # N: several times the noise of the estimate
 SERVO_FORCE_LIMIT = 5.0  # N: the most that the servo may push, whatever is felt
-MARGIN = 1.35  # grip over what load and friction ask for
-FRICTION_FIRST = 0.7  # a slip at lift-off costs nothing, and teaches
+MARGIN = 1.3  # grip over what load and friction ask for
+FRICTION_FIRST = 0.55  # a slip at lift-off costs nothing, and teaches
 SLIP_WAIT = 0.3  # s after a slip in which the hand waits
-KICK = 0.0008  # m that the jaws close at once at a slip: about 0.12 N of two soft membranes
-LOAD_TIME = 1.5  # s in which a load that has gone is forgotten
-LOAD_SPARE = 0.01  # N of shear beside what is felt: its noise
+SOFT, STIFF = 110.0, 260.0  # N/m of opening, and N/m for each N of force: at 1 kPa
+DELAY = 0.12  # s from a command to its force in an image
+SETTLING = 0.3  # s in which what is left of an error goes: longer than twice DELAY
 # m/s
 CLOSING_SPEED = 0.020
 OPENING_SPEED = 0.040
@@ -42,8 +43,7 @@ LIFT_SPEED = 0.030
 WEIGH_SPEED = 0.003
 PLACE_SPEED = 0.020
 WEIGH_HEIGHT = 0.003  # m, over which it lifts slowly: what hangs on the fingers comes on by itself
-# m/s of opening for each N of error, as in gentle.py; m/s, faster where it must hold than to spare
-REGULATION_GAIN = 0.04
+# m/s, faster where it must hold than to spare
 TIGHTEN_SPEED = 0.015
 LOOSEN_SPEED = 0.003
 FORCE_TOLERANCE = 0.06  # N around the target that counts as settled
@@ -54,15 +54,14 @@ BLIND_TIME_MAX = 0.5  # s without a usable image before giving up
 LOST_TIME = 0.3  # s without a touch: the object stays behind
 TABLE_FORCE = 0.03  # N, upward, over all fingers: it stands
 SEARCH = 0.030  # m below where it shall be set down that the table is looked for
-# N over all fingers that somebody pulls with, and s for how long: a bump is shorter
-PULL_FORCE = 0.30
-PULL_TIME = 0.13
+PULL_FORCE, PULL_TIME = 0.30, 0.13  # N over all fingers, s: who pulls; a bump is shorter
 RELEASE_OPENING = 0.012  # m to open beyond the grip before the run ends
 CLOCKS = ("phase_time", "settled_time", "blind_time", "lost_time", "stuck_time", "pull_time")
 START = dict.fromkeys(CLOCKS, 0.0) | {
     "narrowest": 1.0,
-    "target": FIRST_FORCE,
-    "load": 0.0,
+    "target": FORCE_LEAST,
+    "due": FORCE_LEAST,
+    "load": asdict(Load()),
     "belief": asdict(Belief(FRICTION_FIRST)),
 }
 
@@ -86,7 +85,7 @@ def step(observation: Observation) -> Command:
         if lost_time > LOST_TIME:
             command = replace(command, reason="what was gripped stayed behind")
             return _release_now(command, lost=1.0)
-        command = _grip_as_needed(observation, command)
+        command = grip_as_needed(observation, command)
     return _PHASES[command.phase](observation, command, felt)
 
 
@@ -112,35 +111,36 @@ def _belief(command: Command) -> Belief:
     return Belief(**kept)
 
 
-def _load(observation: Observation, command: Command) -> np.ndarray:
-    """(3,) N, down, across and through, on what hangs on the fingers."""
-    return load_vector(observation.touch, np.asarray(command.memory["down"]))
+def _load(command: Command) -> Load:
+    kept: Any = command.memory["load"]
+    return Load(**kept)
 
 
-def _grip_as_needed(observation: Observation, command: Command) -> Command:
+def grip_as_needed(observation: Observation, command: Command) -> Command:
     """Learn load and friction from this moment, and ask for the grip that they need."""
-    memory = command.memory
-    if "down" in memory:
-        now = float(np.linalg.norm(_load(observation, command)[:2])) / len(observation.touch)
-    else:
-        now = float(np.linalg.norm(shear(observation.touch), axis=1).mean())
-    # at once when it grows, slowly when it goes: half of a shake is light
-    load = max(now + LOAD_SPARE, memory["load"] * exp(-observation.period / LOAD_TIME))
-    belief = _belief(command).after(observation.touch, observation.period)
-    target = min(FORCE_MOST, max(FORCE_LEAST, MARGIN * load / belief.friction))
-    if belief.has_slipped and target > memory["target"]:
-        command = replace(command, opening=command.opening - KICK)
-    return _remember(command, load=load, target=target, belief=asdict(belief))
+    touch = observation.touch
+    load = _load(command).after(touch, observation.period)
+    belief = _belief(command).after(touch, observation.period)
+    worst = hypot(load.worst, observation.told.push / len(touch))
+    target = min(FORCE_MOST, max(FORCE_LEAST, MARGIN * worst / belief.friction))
+    found = {"target": target, "load": asdict(load), "belief": asdict(belief)}
+    return _remember(command, **found, mass=load.mass, mass_sd=weigh(touch).sd)
 
 
 def _regulated(observation: Observation, command: Command, felt: list[float]) -> Command:
-    """Move the opening so that the mean felt force goes to the target; stay within reach of the
-    real opening."""
-    error = command.memory["target"] - sum(felt) / len(felt)
-    speed = max(-LOOSEN_SPEED, min(TIGHTEN_SPEED, REGULATION_GAIN * error))
+    """Close at once by what a larger target takes; then move the opening so that the mean felt
+    force goes to the target of a delay ago. Stay within reach of the real opening."""
+    memory = command.memory
+    force = sum(felt) / len(felt)
+    stiffness = SOFT + STIFF * max(force, 0.0)
+    step = max(memory["target"] - observation.command.memory.get("target", FORCE_LEAST), 0.0)
+    due = memory["due"] + min(1.0, observation.period / DELAY) * (memory["target"] - memory["due"])
+    speed = (due - force) / (stiffness * SETTLING)
+    speed = step / (stiffness * observation.period) + max(-LOOSEN_SPEED, min(TIGHTEN_SPEED, speed))
     actual = observation.gripper.opening
     opening = command.opening - speed * observation.period
-    return replace(command, opening=max(actual - 0.006, min(actual + 0.004, opening)))
+    opening = max(actual - 0.006, min(actual + 0.004, opening))
+    return _remember(replace(command, opening=opening), due=due)
 
 
 def _approach(observation: Observation, command: Command, felt: list[float]) -> Command:
@@ -181,10 +181,9 @@ def _lift(observation: Observation, command: Command, felt: list[float]) -> Comm
     if _belief(command).since_slip < SLIP_WAIT or behind > FORCE_TOLERANCE:
         return command  # grip first
     told = observation.told
-    if "down" not in command.memory and command.lift_height >= WEIGH_HEIGHT:
-        found = weigh(observation.touch)
-        down = downward(observation.touch).tolist()
-        command = _remember(command, mass=found.mass, mass_sd=found.sd, down=down)
+    load = _load(command)
+    if not load.down and command.lift_height >= WEIGH_HEIGHT:
+        command = _remember(command, load=asdict(load.hanging(observation.touch)))
     if observation.gripper.lift_height > told.lift_height - 0.001:
         return _go(command, "hold")
     slow = command.lift_height < WEIGH_HEIGHT
@@ -195,7 +194,7 @@ def _lift(observation: Observation, command: Command, felt: list[float]) -> Comm
 def _hold(observation: Observation, command: Command, felt: list[float]) -> Command:
     """Hold; let go where somebody who was announced pulls for longer than a bump lasts."""
     command = _regulated(observation, command, felt)
-    now = _load(observation, command)
+    now = _load(command).vector(observation.touch)
     held = np.asarray(command.memory.get("held", now))
     pulls = float(np.linalg.norm(now - held)) > PULL_FORCE
     if observation.told.hand_over and pulls:
@@ -217,7 +216,7 @@ def _lower(observation: Observation, command: Command, felt: list[float]) -> Com
     height = max(goal, command.lift_height - speed * observation.period)
     # the table carries four fifths of it, and a little more where that is nothing
     weight = float(np.asarray(command.memory["held"])[0])
-    stands = float(_load(observation, command)[0]) < 0.2 * weight - TABLE_FORCE
+    stands = float(_load(command).vector(observation.touch)[0]) < 0.2 * weight - TABLE_FORCE
     if stands or (height == goal and observation.gripper.lift_height < goal + 0.001):
         return _release_now(command)
     return replace(command, lift_height=height)

@@ -91,9 +91,11 @@ def watch(
     rest: ChainState,
     case: SlipCase,
     mesh: tuple[int, int] = DEFAULT_MESH,
+    test: bool = False,
 ) -> Watched:
-    """Grip and load the case's body. Raises SimulationError where that cannot be simulated."""
-    world = SlipWorld(design, case, mesh=mesh)
+    """Grip and load the case's body; with `test` the grip is changed a little meanwhile. Raises
+    SimulationError where that cannot be simulated."""
+    world = SlipWorld(design, case, mesh=mesh, test=test)
     world.inflate(design.chamber.supply_gauge)
     renderers = [Renderer(design, seed=2 * case.seed + k) for k in range(2)]
     states = [rest, rest]

@@ -33,6 +33,12 @@ _QUATS = {
 _SETTLE = 0.25
 _CLOSING = 0.02
 _CLEARANCE = 1e-3
+# The test: the grip is changed by a twentieth at this rate, Hz. N/m of a finger's way and N/m for
+# each N, of two membranes over 1 kPa that press on something hard
+_TEST_SHARE = 0.05
+_TEST_RATE = 4.0
+_SOFT_GRIP = 220.0
+_STIFF_GRIP = 520.0
 
 
 class SlipWorld(World):
@@ -46,7 +52,9 @@ class SlipWorld(World):
         *,
         mesh: tuple[int, int] = MESH,
         timestep: float = 1 / 240,
+        test: bool = False,
     ):
+        """`test`: the grip is changed a little all the while, to see what follows it."""
         spec = mujoco.MjSpec()
         recommend_options(spec, timestep)
         spec.option.gravity = [0, 0, 0]
@@ -68,6 +76,9 @@ class SlipWorld(World):
         for sensor, friction in zip(self.sensors, case.friction, strict=True):
             self.model.geom_friction[sensor.vertex_geom_ids, 0] = friction
         self._reach = reach
+        self._test = test
+        self._test_way = 0.0
+        self._test_begin = 0.0
 
     def _add_jaw(
         self, spec: mujoco.MjSpec, design: SensorDesign, prefix: str, mesh: tuple[int, int]
@@ -139,7 +150,12 @@ class SlipWorld(World):
         self.model.dof_damping[self._dofs[:3]] = drag
         self.model.dof_damping[self._dofs[3:]] = drag * _TURNING**2
         begin = self.time
+        if self._test:
+            grip = float(normal.mean())
+            self._test_way = _TEST_SHARE * grip / (_SOFT_GRIP + _STIFF_GRIP * grip)
+            self._test_begin = begin
         for _ in range(round(seconds / self.timestep)):
+            self._squeeze(self._travel)
             self._apply(self.time - begin, limit, seconds)
             self.step()
             yield
@@ -176,6 +192,8 @@ class SlipWorld(World):
         self.data.xfrc_applied[self._body, :3] = force * self.direction
 
     def _squeeze(self, goal: float) -> None:
+        turned = 2 * np.pi * _TEST_RATE * (self.time - self._test_begin)
+        goal += self._test_way * float(np.sin(turned))
         for name in ("left/x", "right/x"):
             self.set_control(self._drives[name], goal)
 

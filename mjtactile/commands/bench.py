@@ -70,7 +70,7 @@ BENCHMARKS = {
     "trust": "trust.run",
     "attacks": "attacks",
     "settings": "sensitivity",
-    "tasks": "tasks",
+    "tasks": "tasks.run",
     "numbers": "numbers",
     "headline": "headline",
 }

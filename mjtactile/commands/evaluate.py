@@ -32,6 +32,9 @@ examples:
       `mjtactile new variation my_world` writes one
   mjtactile evaluate --episodes 800 --shard 2/8 --out runs/part2  one of eight machines
   mjtactile evaluate --episodes 4000 --backend dask --scheduler tcp://head:8786 --out runs/big
+  mjtactile evaluate --against v1 --controller mine.py --episodes 50 --out runs/mine
+      all tasks, against what shipped controllers came to (docs/what_touch_buys.md)
+  mjtactile evaluate --against v1 --resume --out runs/mine    compares what is there again
   mjtactile evaluate --merge runs/part1 runs/part2 --out runs/all
 """
 _OBJECTS = "egg,strawberry,vial"
@@ -91,6 +94,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="keep each episode's recording in DIR/recordings, for `export` (100 MB an episode; 1 "
         "without images)",
+    )
+    parser.add_argument(
+        "--against",
+        metavar="SUITE",
+        help="run a suite of tasks with fixed seeds (v1, or FILE.json) and compare with the "
+        "results that it comes with; with --resume, what is in the folder",
     )
     parser.add_argument(
         "--worst",
@@ -155,6 +164,8 @@ def run(options: argparse.Namespace) -> int:
 
     if options.partial and not options.merge:
         raise InputError("is for --merge", field="--partial")
+    if options.against is not None:
+        return _against(options)
     if options.out is None and options.resume:
         raise InputError("which folder?", field="--resume", choices=["--resume --out DIR"])
     if options.out is None:
@@ -173,6 +184,52 @@ def run(options: argparse.Namespace) -> int:
         print_json(summary)
     else:
         print(f"{table(summary)}\nwritten to {out}; look at {out / 'report.html'}")
+    return 0
+
+
+_FIXED = ("task", "objects", "scenario", "sensor", "rig", "seed", "accuracy", "effects", "vary")
+"""Options that a suite says itself."""
+
+
+def _against(options: argparse.Namespace) -> int:
+    """Run a suite, and compare."""
+    from mjtactile.evaluate import suite as suites
+    from mjtactile.run.progress import Progress
+
+    for name in _FIXED:
+        if getattr(options, name) is not None:
+            raise InputError(f"the suite {options.against!r} says that itself", field=f"--{name}")
+    if options.out is None and options.resume:
+        raise InputError("which folder?", field="--resume", choices=["--resume --out DIR"])
+    suite = suites.load_suite(options.against)
+
+    def compare(out: Path) -> dict[str, Any]:
+        with stdout_to_stderr():
+            if options.controller or not options.resume:
+                suites.run_suite(
+                    suite,
+                    out,
+                    controllers=options.controller or [_DEFAULT.controller],
+                    count=options.episodes,
+                    resume=options.resume,
+                    workers=options.workers,
+                    say=Progress().message,
+                )
+            return suites.compare(suite, out)
+
+    if options.out is None:
+        with new_run_folder("evaluate") as out:
+            result = compare(out)
+    else:
+        out = options.out
+        result = compare(out)
+    table = suites.table(suite, result)
+    write_json(out / f"{suite.name}.json", result)
+    (out / f"{suite.name}.md").write_text(table, encoding="utf-8")
+    if options.json:
+        print_json(result)
+    else:
+        print(f"{table}\nwritten to {out}")
     return 0
 
 

@@ -58,6 +58,7 @@ class Orders:
         "place_height_mm", 0, 150, MM, default=0.0, about="of the place it sets down on"
     )
     hand_over: bool = flag("hand_over", default=False, about="somebody will take it")
+    push: float = number("push_N", 0, 20, default=0.0, about="somebody may push it so hard")
 
     def told(self) -> Told:
         """The value that controllers see."""
@@ -163,10 +164,14 @@ class DrawnTask:
         return math.nan
 
     def need(self, mass: float, friction: float, fingers: int) -> float:
-        """N that each finger must press with to hold `mass` kg through all of it (Coulomb)."""
+        """N that each finger must press with to hold `mass` kg through all of it (Coulomb): pushes
+        come from any side, and at worst from above."""
         heaviest = max([mass, *(event.values.get("mass", 0.0) for event in self.events)])
         shaken = max((event.values.get("acceleration", 0.0) for event in self.events), default=0.0)
-        return heaviest * (GRAVITY + shaken) / (fingers * friction)
+        pushed = max(
+            (event.values.get("impulse", 0.0) / event.last for event in self.events), default=0.0
+        )
+        return (heaviest * (GRAVITY + shaken) + pushed) / (fingers * friction)
 
 
 @dataclass(frozen=True)

@@ -585,12 +585,14 @@ class Told:
         place_height: m of the hand over where it gripped, where the thing shall be set down; the
             place may be higher or lower than that.
         hand_over: Whether somebody will take the thing out of the hand.
+        push: N, as hard as somebody may push it, from any side.
     """
 
     lift_height: float = 0.040
     hold_time: float = 2.0
     place_height: float = 0.0
     hand_over: bool = False
+    push: float = 0.0
 
 
 TOLD = Told()

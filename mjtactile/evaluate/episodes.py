@@ -24,6 +24,7 @@ from mjtactile.recording.observer import Observer
 from mjtactile.recording.writer import Recorder
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.variation import draw
+from mjtactile.run.controller import Stepper
 from mjtactile.run.cycle import Cycle
 from mjtactile.run.grasp import run_grasp
 from mjtactile.run.session import Session
@@ -111,13 +112,28 @@ def plan(
     return episodes
 
 
-def run_episode(episode: Episode) -> dict[str, Any]:
-    """The episode's line; whatever fails is an error of this episode. Raises Interrupted where it
-    was told to end: then it has no line, and is run when the evaluation goes on."""
+def run_episode(
+    episode: Episode, *, controller: Stepper | None = None, watching: Sequence[Observer] = ()
+) -> dict[str, Any]:
+    """Run one episode.
+
+    Args:
+        episode: What to run.
+        controller: In place of the file of its scenario; its line has the file's name.
+        watching: Are told what happens.
+
+    Returns:
+        The episode's line; whatever fails is an error of this episode.
+
+    Raises:
+        Interrupted: It was told to end: then it has no line, and is run when the evaluation goes
+            on.
+    """
     scenario = episode.scenario
     facts = _Facts()
     with _recorder(episode) as recorder:
-        summary = _run(scenario, [facts] if recorder is None else [facts, recorder])
+        observers = [*watching, facts] if recorder is None else [*watching, facts, recorder]
+        summary = _run(scenario, observers, controller)
         if summary["outcome"] == "error" and facts.is_crushed:
             summary["outcome"] = "crushed"  # whatever came of it then
         if recorder is not None and recorder.cycles:
@@ -156,10 +172,12 @@ def _drawn_values(scenario: Scenario) -> dict[str, Any]:
     return thing | dict(draw(scenario.vary, scenario.seed, scenario.design(), file).values)
 
 
-def _run(scenario: Scenario, observers: Sequence[Observer]) -> dict[str, Any]:
+def _run(
+    scenario: Scenario, observers: Sequence[Observer], controller: Stepper | None
+) -> dict[str, Any]:
     """The grasp's summary, or that of an error. Raises Interrupted."""
     try:
-        return run_grasp(scenario, observers, workers=0).summary()
+        return run_grasp(scenario, observers, controller=controller, workers=0).summary()
     except Interrupted:
         raise
     except MjtactileError as error:

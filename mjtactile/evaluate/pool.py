@@ -20,6 +20,7 @@ BACKENDS = (PROCESSES, DASK)
 _CONNECT_TIME = 10.0  # s for a scheduler to answer
 
 Say = Callable[[str], None]
+RunOne = Callable[[Episode], dict[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -75,10 +76,10 @@ def _dask(scheduler: str) -> Iterator[int]:
             yield threads
 
 
-def _line(episode: Episode) -> dict[str, Any] | None:
+def _line(episode: Episode, run: RunOne) -> dict[str, Any] | None:
     """Of one episode; None where its worker was told to end."""
     try:
-        return run_episode(episode)
+        return run(episode)
     except Interrupted:
         return None
 
@@ -90,8 +91,11 @@ def _progress(line: dict[str, Any], done: int, of: int, rate: float) -> str:
     )
 
 
-def run_all(missing: Sequence[Episode], kept: Store, pool: Pool, say: Say) -> None:
-    """Run what is `missing`; each line is kept when its episode ends.
+def run_all(
+    missing: Sequence[Episode], kept: Store, pool: Pool, say: Say, run: RunOne = run_episode
+) -> None:
+    """Run what is `missing`; each line is kept when its episode ends. `run` gives it, in another
+    process.
 
     Raises InputError for a cluster that is not there, DeviceError when a worker was killed or told
     to end, or the disk is full: what had ended is kept.
@@ -110,7 +114,7 @@ def run_all(missing: Sequence[Episode], kept: Store, pool: Pool, say: Say) -> No
             warnings.filterwarnings("ignore", ".*could benefit from adjusting", UserWarning)
             lines = cast(
                 Generator[dict[str, Any] | None, None, None],
-                jobs(delayed(_line)(episode) for episode in missing),
+                jobs(delayed(_line)(episode, run) for episode in missing),
             )
             with contextlib.closing(lines):
                 for k, line in enumerate(lines, 1):

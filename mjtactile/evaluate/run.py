@@ -12,8 +12,8 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.task import load_task
 from mjtactile.evaluate import report, store, worst
-from mjtactile.evaluate.episodes import RANDOM, Episode, name_of, plan
-from mjtactile.evaluate.pool import PROCESSES, Pool, Say, run_all
+from mjtactile.evaluate.episodes import RANDOM, Episode, name_of, plan, run_episode
+from mjtactile.evaluate.pool import PROCESSES, Pool, RunOne, Say, run_all
 from mjtactile.evaluate.statistics import summarise
 from mjtactile.recording.files import RECORDINGS
 from mjtactile.rig.file import load_sim_rig
@@ -38,6 +38,7 @@ def evaluate(
     resume: bool = False,
     record: bool = False,
     say: Say = lambda _: None,
+    run_one: RunOne = run_episode,
 ) -> dict[str, Any]:
     """Run many grasps, and say how often they hold.
 
@@ -54,6 +55,7 @@ def evaluate(
         resume: Go on with what is in the folder.
         record: Keep each episode's recording in `folder`/recordings.
         say: Is given a line an episode.
+        run_one: Makes an episode's line, in another process.
 
     Returns:
         The summary of all episodes that are there when they have ended.
@@ -87,6 +89,7 @@ def evaluate(
         kept,
         Pool(backend, system.processors() if workers is None else workers, scheduler),
         say,
+        run_one,
     )
     kept.finish()
     return summarise(kept.lines)

@@ -21,6 +21,8 @@ from mjtactile.rig.finger import Rig
 from mjtactile.sim import truth
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 
+VERSION = "1"
+"""Goes up with every change of what counts or of how it is measured."""
 _EVERY = 0.02  # s between two looks at the need
 _IN_AIR = 0.01  # m of the hand, from where on the fingers alone carry the object
 _LET_GO = 0.02  # N on each finger, below which nothing is held
@@ -61,10 +63,10 @@ class Judge:
 
     def after_step(self, forces: Sequence[float], phase: str) -> None:
         """Look at the truth after a physics step; `forces` N press on the fingers."""
-        height = float(truth.hand_position(self.world)[2]) - self._hand_start
+        height = self._height()
         time = self.world.time
         if math.isnan(self._up_since):
-            if height > 0.9 * self.task.orders.lift_height:
+            if self.is_up():
                 self._up_since = time
         elif math.isnan(self.let_go_at) and max(forces) < _LET_GO:
             self.let_go_at = time - self._up_since
@@ -76,6 +78,18 @@ class Judge:
             need = self.need()
             if need > 0 and max(forces) > _LET_GO:
                 self.margins.append(float(np.mean(forces)) / need)
+
+    def is_up(self) -> bool:
+        """Whether the hand is as high as what happens waits for."""
+        return self._height() > 0.9 * self.task.orders.lift_height
+
+    def in_the_air(self) -> bool:
+        """Whether the fingers alone carry what they hold."""
+        return self._height() > _IN_AIR
+
+    def friction_sum(self) -> float:
+        """Of all fingers' coefficients: n mu."""
+        return sum(self._friction)
 
     def need(self) -> float:
         """N that each finger must press with at least, now; 0 where nothing touches."""
@@ -159,6 +173,10 @@ class Judge:
             data.xmat[sensor.body_id].reshape(3, 3)[:, 2] for sensor in self.world.sensors
         )
         return (first - second) / np.linalg.norm(first - second)
+
+    def _height(self) -> float:
+        """m of the hand over where it began."""
+        return float(truth.hand_position(self.world)[2]) - self._hand_start
 
     def _weight(self) -> float:
         model = self.world.model

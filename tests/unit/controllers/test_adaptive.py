@@ -83,7 +83,7 @@ def test_a_slip_that_all_fingers_say_teaches_friction():
     command, told = holding(0.2)
     belief = {**command.memory["belief"], "proven": 0.0}
     command = replace(command, memory={**command.memory, "belief": belief})
-    assert believed(command) > 0.6
+    assert believed(command) > 0.5
 
     def one(k, now):
         return finger(0.2, normal=0.5, state="slipping"), finger(0.2, normal=0.5)
@@ -91,11 +91,13 @@ def test_a_slip_that_all_fingers_say_teaches_friction():
     def both(k, now):
         return (finger(0.2, normal=0.5, state="slipping"),) * 2
 
-    assert believed(run(command, one, 3, told)) > 0.6  # it may roll
+    assert believed(run(command, one, 3, told)) > 0.5  # it may roll
     told_once = run(command, both, 1, told)
-    # it slipped at a ratio of 0.4, or had at a little more just before
-    assert 0.3 < believed(told_once) < 0.5
-    assert told_once.opening < command.opening - 5e-4  # it closes at once
+    assert believed(told_once) == pytest.approx(0.8 * believed(command), rel=0.01)
+    # it closes at once, by what a quarter more takes of two membranes
+    more = told_once.memory["target"] - command.memory["target"]
+    stiffness = 110 + 260 * 0.5
+    assert told_once.opening == pytest.approx(command.opening - more / stiffness, abs=1.2e-4)
     again = run(told_once, both, 5, told)
     assert believed(again) == believed(told_once)  # the same slip, not another
 

@@ -1,0 +1,43 @@
+"""What touch buys, at a glance: who holds how many, whole."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from mjtactile.report.figures import new_figure
+
+_LOOKS = {
+    "oracle": ("#999999", "knows weight and friction"),
+    "adaptive": ("#1f5fa8", "adaptive: by touch, as hard as needed"),
+    "slip_aware": ("#5fa05f", "slip_aware: by touch, harder at a slip"),
+    "gentle": ("#d08020", "gentle: by touch, always 0.6 N"),
+    "touchless": ("#c0221c", "touchless: by the servos' current"),
+}
+_STEP = 0.15  # of a task's row
+
+
+def draw(result: Mapping[str, Any], path: Path) -> None:
+    """A row a task, a dot a controller, with its 95 % interval."""
+    if (figure := new_figure(path.name, (8.0, 5.2))) is None:
+        return
+    axes = figure.subplots()
+    tasks = list(result["tasks"])
+    for rank, (name, (color, label)) in enumerate(_LOOKS.items()):
+        for row, task in enumerate(tasks):
+            group = result["tasks"][task]["controllers"].get(name)
+            if group is None or group["episodes"] == group["error"]:
+                continue
+            low, high = (100 * bound for bound in group["success_interval"])
+            at = row + _STEP * (rank - 2)
+            axes.plot([low, high], [at, at], color=color, linewidth=2, alpha=0.45)
+            axes.plot(
+                100 * group["success"], at, "o", color=color, ms=6, label="" if row else label
+            )
+    axes.set_yticks(range(len(tasks)), tasks)
+    axes.invert_yaxis()
+    axes.set(xlim=(-2, 102), xlabel="held and whole, % of episodes, with 95 % intervals")
+    axes.grid(axis="x", alpha=0.3)
+    axes.legend(loc="lower center", bbox_to_anchor=(0.45, 1.0), ncol=2, frameon=False)
+    figure.savefig(path)

@@ -1,0 +1,309 @@
+"""`Suite`: tasks, seeds and judge that stay as they are, and what shipped controllers come to in
+them: `mjtactile evaluate --against v1`.
+
+A suite is a file, `models/suites/NAME.json`; the benchmark that writes it is `mjtactile bench
+tasks`. It names the files that its results rest on by their SHA-256, and the judge's version: where
+one of them is another now, nothing is compared.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from mjtactile.core import resources
+from mjtactile.core.errors import InputError
+from mjtactile.core.scenario import Scenario
+from mjtactile.evaluate import store
+from mjtactile.evaluate.episodes import run_episode
+from mjtactile.evaluate.pool import RunOne, Say
+from mjtactile.evaluate.run import evaluate
+from mjtactile.evaluate.statistics import paired, summarise
+from mjtactile.evaluate.wilson import Line, wilson
+from mjtactile.run.judge import VERSION
+
+FOLDER = "models/suites"
+_LETTERS = {
+    "held": "h",
+    "dropped": "d",
+    "crushed": "c",
+    "unsafe": "u",
+    "hung": "w",
+    "raised": "r",
+    "error": "e",
+}
+_NONE = "."
+_MEASURES = ("margin", "slip_mm", "bump_N_s", "let_go_s")
+
+
+@dataclass(frozen=True)
+class Suite:
+    """What is asked, and what others came to.
+
+    Attributes:
+        name: Of the file.
+        judge: Version of who judges (`mjtactile.run.judge`).
+        tasks: Names of tasks.
+        objects: Grasped in turn.
+        seed: Of the first episode. Nothing is tuned on these seeds; `develop` are for that.
+        develop: First seed of those.
+        vary, effects: As an evaluation takes them.
+        files: SHA-256 of each task's file and of the variation's, by its name.
+        results: By task and controller: its "outcomes", a letter an episode, and the medians of
+            what was measured.
+    """
+
+    name: str
+    judge: str
+    tasks: Sequence[str]
+    objects: Sequence[str]
+    seed: int
+    develop: int
+    vary: str
+    effects: str
+    files: Mapping[str, str]
+    results: Mapping[str, Mapping[str, Mapping[str, Any]]]
+
+    def scenario(self, task: str) -> Scenario:
+        """What all episodes of a task share."""
+        return Scenario(task=task, effects=self.effects, vary=self.vary, seed=self.seed)
+
+    def lines(self, task: str, controller: str) -> list[Line]:
+        """What a shipped controller came to: episodes and outcomes."""
+        words = {letter: word for word, letter in _LETTERS.items()}
+        outcomes = self.results[task][controller]["outcomes"]
+        return [
+            {"episode": k, "outcome": words[letter]}
+            for k, letter in enumerate(outcomes)
+            if letter != _NONE
+        ]
+
+    def with_results(self, folder: Path) -> Suite:
+        """This suite with what lies in `folder`, a folder a task, in place of its results."""
+        found = {task: _results(read(self, folder, task)) for task in self.tasks}
+        return replace(self, results=found)
+
+    def write(self, path: Path) -> None:
+        """Write the file."""
+        path.write_text(json.dumps(asdict(self), indent=1) + "\n", encoding="utf-8")
+
+
+def new_suite(
+    name: str,
+    tasks: Sequence[str],
+    *,
+    objects: Sequence[str],
+    seed: int,
+    develop: int,
+    vary: str = "default",
+    effects: str = "-images",
+) -> Suite:
+    """A suite of the files as they are now, without results."""
+    files = _hashes(tasks, vary)
+    return Suite(name, VERSION, tasks, objects, seed, develop, vary, effects, files, {})
+
+
+def load_suite(name_or_path: str | Path) -> Suite:
+    """Read a suite, and see that its files and its judge are still those of its results.
+
+    Args:
+        name_or_path: A shipped name, or a file.
+
+    Returns:
+        The suite.
+
+    Raises:
+        InputError: There is none, it cannot be read, or what it rests on has changed.
+    """
+    path = resources.find(name_or_path, FOLDER, ".json")
+    try:
+        suite = Suite(**json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(f"no suite of tasks: {error}", source=path) from error
+    if suite.judge != VERSION:
+        raise InputError(f"was judged by version {suite.judge}, this is {VERSION}", source=path)
+    now = _hashes(suite.tasks, suite.vary)
+    changed = [name for name, known in suite.files.items() if now.get(name) != known]
+    if changed:
+        raise InputError(
+            f"its results are of other files than these: {', '.join(changed)}", source=path
+        )
+    return suite
+
+
+def run_suite(
+    suite: Suite,
+    folder: Path,
+    *,
+    controllers: Sequence[str],
+    count: int,
+    resume: bool = False,
+    workers: int | None = None,
+    say: Say = lambda _: None,
+    run_one: RunOne = run_episode,
+) -> None:
+    """Run a suite's tasks, each into a folder of its own.
+
+    Args:
+        suite: What to run.
+        folder: Gets a folder a task.
+        controllers: Names and files.
+        count: Episodes of each task for each controller.
+        resume: Go on with what is there.
+        workers: Processes (None: one a processor).
+        say: Is given a line an episode.
+        run_one: Makes an episode's line.
+
+    Raises:
+        InputError: As `evaluate` does.
+        DeviceError: As `evaluate` does.
+    """
+    for task in suite.tasks:
+        say(task)
+        evaluate(
+            folder / task,
+            suite.scenario(task),
+            count=count,
+            controllers=controllers,
+            objects=suite.objects,
+            workers=workers,
+            resume=resume,
+            say=say,
+            run_one=run_one,
+        )
+
+
+def read(suite: Suite, folder: Path, task: str) -> list[dict[str, Any]]:
+    """The lines of one task in `folder`; none where it was not run.
+
+    Raises InputError where they are of another scenario, or of other files, than the suite's.
+    """
+    own = folder / task
+    if not (own / store.MANIFEST).exists():
+        return []
+    known = store.read_manifest(own)
+    options = known["options"]
+    wanted = {
+        key: value
+        for key, value in suite.scenario(task).to_dict().items()
+        if key not in ("object", "controller")
+    }
+    if options["scenario"] != wanted or options["objects"] != list(suite.objects):
+        raise InputError(f"is not of {suite.name}'s {task}", source=own / store.MANIFEST)
+    changed = [
+        name
+        for name, known_hash in suite.files.items()
+        if known["files"].get(name, known_hash) != known_hash
+    ]
+    if changed:
+        raise InputError(f"was run with another {', '.join(changed)}", source=own / store.MANIFEST)
+    return store.read_lines(own)
+
+
+def compare(suite: Suite, folder: Path) -> dict[str, Any]:
+    """Compare what lies in `folder` with the suite's results.
+
+    Args:
+        suite: What was run.
+        folder: Of `run_suite`.
+
+    Returns:
+        By task and controller: `held` of `episodes`, its interval, the medians of what was
+        measured, and "against": for each shipped controller the difference over the same episodes
+        (`mjtactile.evaluate.statistics.paired`; positive: the new one holds more).
+
+    Raises:
+        InputError: There is nothing, or it is of something else.
+    """
+    tasks: dict[str, Any] = {}
+    for task in suite.tasks:
+        lines = read(suite, folder, task)
+        for controller in dict.fromkeys(line["controller"] for line in lines):
+            mine = [line for line in lines if line["controller"] == controller]
+            summary = summarise(mine)["controllers"][controller]
+            tasks.setdefault(task, {})[controller] = {
+                "held": summary["held"],
+                "episodes": summary["episodes"] - summary["error"],
+                "interval": summary["success_interval"],
+                **{name: summary[name]["median"] for name in _MEASURES if name in summary},
+                "against": {
+                    other: paired(suite.lines(task, other), mine)
+                    for other in suite.results.get(task, {})
+                },
+            }
+    if not tasks:
+        raise InputError(f"no results of {suite.name}", source=folder, field="--against")
+    return {"suite": suite.name, "judge": suite.judge, "tasks": tasks}
+
+
+def table(suite: Suite, result: Mapping[str, Any]) -> str:
+    """A comparison as Markdown."""
+    others = list(dict.fromkeys(name for own in suite.results.values() for name in own))
+    lines = [
+        f"| {suite.name} | controller | held and whole | grip over need | "
+        + " | ".join(f"against `{name}`" for name in others)
+        + " |",
+        "|---" * (4 + len(others)) + "|",
+    ]
+    for task, own in result["tasks"].items():
+        for controller, found in own.items():
+            margin = found.get("margin")
+            cells = [
+                task,
+                controller,
+                share(found["held"], found["episodes"]),
+                "" if margin is None else f"{margin:.1f}",
+                *(_difference(found["against"].get(name)) for name in others),
+            ]
+            lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def share(held: int, of: int) -> str:
+    """ "26 of 33 (62-89 %)"."""
+    low, high = wilson(held, of)
+    return f"{held} of {of} ({100 * low:.0f}-{100 * high:.0f} %)"
+
+
+def _difference(pair: Mapping[str, Any] | None) -> str:
+    """In points, with its interval, over the episodes that both came to the end of."""
+    if pair is None or not pair["episodes"]:
+        return ""
+    low, high = pair["difference_interval"]
+    return (
+        f"{100 * pair['difference']:+.0f} ({100 * low:+.0f} to {100 * high:+.0f}) "
+        f"of {pair['episodes']}"
+    )
+
+
+def _results(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """What a suite keeps of one task."""
+    summary = summarise(list(lines))["controllers"]
+    found = {}
+    for controller, group in summary.items():
+        own = {
+            line["episode"]: line["outcome"] for line in lines if line["controller"] == controller
+        }
+        letters = [_LETTERS[own[k]] if k in own else _NONE for k in range(max(own) + 1)]
+        medians = {name: group[name]["median"] for name in _MEASURES if name in group}
+        found[controller] = {
+            "outcomes": "".join(letters),
+            **{
+                name: float(f"{value:.3g}")
+                for name, value in medians.items()
+                if value is not None and math.isfinite(value)
+            },
+        }
+    return found
+
+
+def _hashes(tasks: Sequence[str], vary: str) -> dict[str, str]:
+    """Of each file that results rest on."""
+    paths = [resources.find(task, "models/tasks", ".toml") for task in tasks]
+    paths.append(resources.find(vary, "models/variations", ".toml"))
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}

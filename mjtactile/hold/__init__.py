@@ -1,0 +1,40 @@
+"""What a hand can know of the thing that it holds, from what its fingers feel; for any controller
+(`felt`: of one moment; `follow`: the test for slip; `belief`
+and `load`: friction and load, from image to image)."""
+
+from mjtactile.hold.belief import Belief
+from mjtactile.hold.felt import (
+    GAIN_SD,
+    GRAVITY,
+    Friction,
+    Weight,
+    downward,
+    friction,
+    least_grip,
+    load_vector,
+    pull,
+    shear,
+    support,
+    weigh,
+)
+from mjtactile.hold.follow import Following, follows
+from mjtactile.hold.load import Load
+
+__all__ = [
+    "GAIN_SD",
+    "GRAVITY",
+    "Belief",
+    "Following",
+    "Friction",
+    "Load",
+    "Weight",
+    "downward",
+    "follows",
+    "friction",
+    "least_grip",
+    "load_vector",
+    "pull",
+    "shear",
+    "support",
+    "weigh",
+]

@@ -1,0 +1,83 @@
+"""What hangs on a grip, from one image to the next."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mjtactile.core.types import Array, Touch
+from mjtactile.hold.felt import GRAVITY, downward, load_vector, shear
+
+_KEPT = 1.5  # s in which a load that has gone is forgotten: half of a shake is light
+_SPARE = 0.02  # N of shear beside what is felt: its noise, and what begins to come on
+_LEAD = 0.15  # s ahead that a growing load is reckoned: what a grip needs to follow
+_WEIGHING = 0.7  # s over which a weight is averaged
+
+
+@dataclass(frozen=True)
+class Load:
+    """A controller keeps it as numbers (`dataclasses.asdict`) and takes it up again
+    (`Load(**kept)`).
+
+    Attributes:
+        worst: N on each finger, along it: what it carries or will at once, and did of late.
+        past: N, what it carried a moment ago; negative: nothing is known of that.
+        down: (n, 2) where the load drags each finger; empty until it hangs on the fingers alone.
+        mass: kg, averaged; 0 until it hangs.
+    """
+
+    worst: float = 0.0
+    past: float = -1.0
+    down: Sequence[Sequence[float]] = ()
+    mass: float = 0.0
+
+    def hanging(self, touch: Sequence[Touch]) -> Load:
+        """From now on the fingers alone carry it.
+
+        Args:
+            touch: What is felt now.
+
+        Returns:
+            The load, which knows now where down is.
+        """
+        return replace(self, down=downward(touch).tolist())
+
+    def vector(self, touch: Sequence[Touch]) -> Array:
+        """Say with how much the world pulls at what hangs.
+
+        Args:
+            touch: What is felt now.
+
+        Returns:
+            (3,) N, as `load_vector` has it.
+        """
+        return load_vector(touch, np.asarray(self.down))
+
+    def after(self, touch: Sequence[Touch], period: float) -> Load:
+        """Take in one image.
+
+        It grows at once, and by what it is on its way to; it goes slowly. Once it hangs, what the
+        fingers do to each other is no load.
+
+        Args:
+            touch: What is felt now.
+            period: s since the image before.
+
+        Returns:
+            The load now.
+        """
+        mass = self.mass
+        if len(self.down):
+            carried = self.vector(touch)
+            now = float(np.linalg.norm(carried[:2])) / len(touch)
+            found = float(carried[0]) / GRAVITY
+            mass = mass + period / _WEIGHING * (found - mass) if mass else found
+        else:
+            now = float(np.linalg.norm(shear(touch), axis=1).mean())
+        past = now if self.past < 0 else self.past + min(1.0, period / _LEAD) * (now - self.past)
+        ahead = now + max(now - past, 0.0) + _SPARE
+        worst = max(ahead, self.worst * math.exp(-period / _KEPT))
+        return Load(worst, past, self.down, mass)

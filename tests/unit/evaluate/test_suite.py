@@ -1,0 +1,113 @@
+"""A suite of tasks: its results are of these files and this judge, and what is compared with them
+met the same episodes."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from mjtactile.core import resources
+from mjtactile.core.errors import InputError
+from mjtactile.evaluate import store, suite
+from mjtactile.evaluate.statistics import paired
+
+MINE = "mine"
+OTHER = "other"
+
+
+@pytest.fixture
+def new():
+    return suite.new_suite("mine", ("pour", "shake"), objects=("egg",), seed=7, develop=0)
+
+
+def ran(kind, folder, task, outcomes, **changes):
+    """A folder of results as an evaluation leaves it; `outcomes` by controller, a word an
+    episode."""
+    scenario = {
+        key: value
+        for key, value in kind.scenario(task).to_dict().items()
+        if key not in ("object", "controller")
+    }
+    options = {
+        "count": 2,
+        "controllers": list(outcomes),
+        "objects": list(kind.objects),
+        "shard": [1, 1],
+        "scenario": scenario | changes,
+    }
+    files = [resources.find(task, "models/tasks", ".toml")]
+    (folder / task).mkdir(parents=True)
+    known = json.dumps(store.manifest(options, files))
+    (folder / task / store.MANIFEST).write_text(known)
+    lines = [
+        {
+            "controller": name,
+            "episode": k,
+            "object": "egg",
+            "outcome": outcome,
+            "margin_true": 1.5 + k,
+            "break_force_N": 2.0,
+            "peak_force_true_N": 1.0,
+            "hold_force_true_N": 0.5,
+            "varied": {},
+            "flags": {},
+        }
+        for name, words in outcomes.items()
+        for k, outcome in enumerate(words)
+    ]
+    store.write_lines(folder / task, lines)
+
+
+def test_what_is_compared_met_the_same_episodes(new, tmp_path):
+    words = ["held", "crushed", "held", "unsafe", "held"]
+    ran(new, tmp_path / "theirs", "pour", {OTHER: words})
+    ran(new, tmp_path / "theirs", "shake", {OTHER: ["dropped"]})
+    table = new.with_results(tmp_path / "theirs")
+    table.write(tmp_path / "mine.json")
+    known = suite.load_suite(tmp_path / "mine.json")
+    assert known.results["pour"][OTHER]["outcomes"] == "hchuh"
+    assert known.results["pour"][OTHER]["margin"] == 3.5
+    assert [line["outcome"] for line in known.lines("pour", OTHER)] == words
+    ran(new, tmp_path / "own", "pour", {MINE: ["held"] * 4})
+    found = suite.compare(known, tmp_path / "own")
+    assert list(found["tasks"]) == ["pour"]  # the other was not run
+    pair = found["tasks"]["pour"][MINE]["against"][OTHER]
+    assert pair["episodes"] == 4 and pair["difference"] == 0.5
+    mine = [{"episode": k, "outcome": "held"} for k in range(4)]
+    assert pair == paired(known.lines("pour", OTHER), mine)
+    assert "| pour | mine | 4 of 4 (51-100 %) | 3.0 | +50 (" in suite.table(known, found)
+
+
+def test_nothing_is_compared_with_other_files_or_another_judge(new, tmp_path, monkeypatch):
+    path = tmp_path / "mine.json"
+    replace(new, files={**new.files, "pour.toml": "0" * 64}).write(path)
+    with pytest.raises(InputError, match=r"other files than these: pour\.toml"):
+        suite.load_suite(path)
+    new.write(path)
+    monkeypatch.setattr(suite, "VERSION", "99")
+    with pytest.raises(InputError, match="was judged by version 1, this is 99"):
+        suite.load_suite(path)
+    path.write_text("{}")
+    with pytest.raises(InputError, match="no suite"):
+        suite.load_suite(path)
+
+
+def test_results_of_another_scenario_are_refused(new, tmp_path):
+    with pytest.raises(InputError, match="no results of mine"):
+        suite.compare(new, tmp_path)
+    ran(new, tmp_path, "pour", {MINE: ["held"]}, seed=8)
+    with pytest.raises(InputError, match="is not of mine's pour"):
+        suite.compare(new, tmp_path)
+
+
+@pytest.mark.parametrize("name", resources.names(suite.FOLDER, ".json"))
+def test_the_shipped_ones_are_of_the_files_as_they_are(name):
+    known = suite.load_suite(name)
+    assert known.name == name
+    for task in known.tasks:
+        assert known.results[task]
+        for controller in known.results[task]:
+            assert known.lines(task, controller)
+            shipped = resources.names("controllers", ".py")
+            assert controller in (*shipped, "oracle"), Path(controller)
