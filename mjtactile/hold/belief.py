@@ -77,7 +77,8 @@ class Belief:
         what friction is (one finger alone may roll or lean); not again for 0.4 s, in which the
         grip follows. Shear that does not grow with that grip was carried by what sticks: then
         most of what was believed is believed again, and the next sign counts where more is in
-        use than at that one. A second without any slip, and the belief grows by 3 % a second, as far as it is put to use.
+        use than at that one. A second without any slip, and the belief grows by 3 % a second, as
+        far as it is put to use.
 
         Args:
             touch: What is felt now.
