@@ -260,12 +260,10 @@ def _limits(path: Path, ask: Ask, say: Say) -> None:
             try:
                 _write(path, {(section, 0, key): float(answer)} if answer else {})
                 break
-            except (ValueError, InputError) as error:
-                say(
-                    f"{answer}: {error}"
-                    if isinstance(error, InputError)
-                    else f"{answer!r} is not a number"
-                )
+            except InputError as error:
+                say(f"{answer}: {error}")
+            except ValueError:
+                say(f"{answer!r} is not a number")
 
 
 def _choose(what: str, things: Sequence[_T], name: Callable[[_T], str], ask: Ask, say: Say) -> _T:

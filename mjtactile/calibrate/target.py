@@ -35,11 +35,11 @@ class Target:
     def write(self, kind: str, part: Part | None, reasons: Sequence[str]) -> None:
         """Put the part into the file; where there are reasons to refuse it, only them."""
         before = self.load()
-        (
-            before.with_refusal(kind, reasons)
-            if part is None or reasons
-            else before.with_part(part)
-        ).save(self.path)
+        if part is None or reasons:
+            after = before.with_refusal(kind, reasons)
+        else:
+            after = before.with_part(part)
+        after.save(self.path)
 
 
 def find_targets(

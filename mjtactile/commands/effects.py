@@ -24,6 +24,15 @@ JSON: {"sensor", "object", "effects": [{"effect", "kind", "on", "built", "why",
 """
 
 
+# by whether it is built, and whether it is on
+_STATES = {
+    (True, True): "on",
+    (True, False): "off",
+    (False, True): "wanted",
+    (False, False): "none",
+}
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--sensor",
@@ -79,9 +88,7 @@ def run(options: argparse.Namespace) -> int:
     print(f"sensor {design.name}, object {grasped}, force error {1e3 * wanted:.3g} mN")
     print(f"{'effect':<24}{'':<10}{'costs ms/s':>10}{'else mN':>9}{'else um':>9}  why")
     for row in rows:
-        state = (
-            ("on" if row["on"] else "off") if row["built"] else ("wanted" if row["on"] else "none")
-        )
+        state = _STATES[row["built"], row["on"]]
         why = row["why"] if row["built"] else f"{row['why']}; not built in: {row['kind']}"
         print(
             f"{row['effect']:<24}{state:<10}{_cell(row['cost_ms_per_s']):>10}{_cell(1e3 * row['left_out_N']):>9}"

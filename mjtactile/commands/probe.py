@@ -125,14 +125,10 @@ def _print(result: ProbeResult, out: Path | None) -> None:
             "kPa, as between flat faces"
         )
     if m.relaxation_time:
-        print(
-            "  relaxation   "
-            + (
-                f"in {m.relaxation_time:.2f} s"
-                if known(m.relaxation_time)
-                else "yes, no single time"
-            )
-        )
+        how = "yes, no single time"
+        if known(m.relaxation_time):
+            how = f"in {m.relaxation_time:.2f} s"
+        print(f"  relaxation   {how}")
     if known(m.speed):
         print(f"  flow         {1e3 * m.speed:.2f} mm/s after the fingers stopped")
     print_flags(result.flags)

@@ -129,11 +129,9 @@ def _reconstruct(
 
 
 def _stem(name: str) -> str:
-    return (
-        Path(name.replace("#", "_")).stem
-        if "#" not in name
-        else name.replace("#", "_").replace(".", "_")
-    )
+    if "#" not in name:
+        return Path(name).stem
+    return name.replace("#", "_").replace(".", "_")
 
 
 def _row(name: str, status: str, touch: Touch | None) -> dict[str, Any]:
@@ -183,11 +181,10 @@ def _figures(seen: Sequence[tuple[str, dict[str, Any], Touch | None]], out: Path
     shown = [
         (name, touch) for name, _, touch in seen if touch is not None and touch.surface is not None
     ]
-    for i in (
-        np.unique(np.linspace(0, len(shown) - 1, min(FIGURES_MAX, len(shown))).astype(int))
-        if shown
-        else []
-    ):
+    if not shown:
+        return
+    spread = np.linspace(0, len(shown) - 1, min(FIGURES_MAX, len(shown)))
+    for i in np.unique(spread.astype(int)):
         name, touch = shown[i]
         plots.save(
             out / f"{_stem(name)}_surface.png",

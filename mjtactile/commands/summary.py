@@ -55,14 +55,9 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json(result)
     else:
-        print(
-            f"{result['cycles']} cycles, {result['shown']} of them shown"
-            + (
-                ""
-                if felt
-                else "; no surfaces: that takes the images of all cycles and of the references"
-            )
-        )
+        print(f"{result['cycles']} cycles, {result['shown']} of them shown")
+        if not felt:
+            print("  no surfaces: that takes the images of all cycles and of the references")
         print(f"  written to {path}")
         print_flags(recording.flags)
     return 0

@@ -57,11 +57,9 @@ def examine(rig: str | None, *, sensor: str = "dense", fix: bool = False) -> lis
         ]
     ports = [*_check_port("servo bus", rig_file.bus.port, fix=fix)]
     findings += ports if _has_bad(ports) else [*ports, *_check_servos(rig_file)]
-    ports = [
-        f
-        for port in dict.fromkeys(valve.port for valve in rig_file.valves)
-        for f in _check_port("valve board", port, fix=fix)
-    ]
+    ports = []
+    for port in dict.fromkeys(valve.port for valve in rig_file.valves):
+        ports += _check_port("valve board", port, fix=fix)
     findings += ports if _has_bad(ports) else [*ports, *_check_valves(rig_file)]
     for camera in rig_file.cameras:
         findings += _check_camera(camera)

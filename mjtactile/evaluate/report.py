@@ -173,21 +173,18 @@ def _flags(summary: Mapping[str, Any], lines: Sequence[Line]) -> str:
     reasons: dict[str, str] = {}
     for line in lines:
         reasons = dict(line.get("flags", {})) | reasons
-    rows = [
-        [
-            escape(name),
-            escape(kind),
-            one["with"]["episodes"],
-            *(_went(one[side]) for side in ("with", "without")),
-            escape(reasons.get(kind, "")),
-        ]
-        for name, mine in summary["controllers"].items()
-        for kind, one in mine["flags"].items()
-    ]
+    rows = []
+    for name, mine in summary["controllers"].items():
+        for kind, one in mine["flags"].items():
+            episodes = one["with"]["episodes"]
+            reason = escape(reasons.get(kind, ""))
+            went = [_went(one["with"]), _went(one["without"])]
+            rows.append([escape(name), escape(kind), episodes, *went, reason])
+    title = "<h2>What the simulation doubts of its own numbers</h2>"
+    if not rows:
+        return title + "<p>Nothing.</p>"
     head = ["controller", "doubt", "episodes", "with it", "without it", "reason (of the first)"]
-    return "<h2>What the simulation doubts of its own numbers</h2>" + (
-        table(head, rows, text=True) if rows else "<p>Nothing.</p>"
-    )
+    return title + table(head, rows, text=True)
 
 
 def _went(group: Mapping[str, Any]) -> str:
@@ -202,14 +199,11 @@ def _distributions(lines: Sequence[Line]) -> str:
     names = list(dict.fromkeys(line["controller"] for line in lines))
     figures = []
     for measure, label in _LABELS.items():
-        series = {
-            name: [
-                value
-                for line in lines
-                if line["controller"] == name and (value := measures(line)[measure]) is not None
-            ]
-            for name in names
-        }
+        series: dict[str, list[float]] = {name: [] for name in names}
+        for line in lines:
+            value = measures(line)[measure]
+            if value is not None:
+                series[line["controller"]].append(value)
         marks = [(1.0, "breaks")] if measure == "peak_share_of_breaking" else []
         figures.append(
             _figure(
@@ -328,11 +322,10 @@ def _worst(worst: Iterable[Line], pictures: Mapping[str, Path | None]) -> str:
             uri = data_uri("image/png", picture.read_bytes())
             parts.append(f'<img alt="scene, camera images, surfaces and forces" src="{uri}">')
         drawn = ", ".join(f"{name} {value}" for name, value in line.get("varied", {}).items())
-        parts.append(
-            f"<details><summary>what was drawn</summary><p>{escape(drawn)}</p></details>"
-            if drawn
-            else ""
-        )
+        if drawn:
+            parts.append(
+                f"<details><summary>what was drawn</summary><p>{escape(drawn)}</p></details>"
+            )
     return "\n".join(parts)
 
 

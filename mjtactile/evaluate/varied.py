@@ -62,25 +62,23 @@ def against(lines: Sequence[Line], everybody: Sequence[Line] = ()) -> list[dict[
     table = [flat(line) for line in ended]
     pool = [flat(line) for line in everybody or lines]
     names = list(dict.fromkeys(name for row in table for name in row))
-    found = [
-        _one(
-            name,
-            [(row[name], line) for row, line in zip(table, ended, strict=True) if name in row],
-            [row[name] for row in pool if name in row],
-        )
-        for name in names
-    ]
-    found = [one for one in found if len(one["bins"]) > 1]
+    found = []
+    for name in names:
+        pairs = [(row[name], line) for row, line in zip(table, ended, strict=True) if name in row]
+        one = _one(name, pairs, [row[name] for row in pool if name in row])
+        if len(one["bins"]) > 1:
+            found.append(one)
     tested = sum(one["p"] is not None for one in found)
     for one in found:
         one["stands_out"] = one["p"] is not None and one["p"] < _LEVEL / tested
-    return sorted(
-        found,
-        key=lambda one: (
-            1.0 if one["p"] is None else one["p"],
-            -max((abs(rho) for rho in one["correlation"].values()), default=0.0),
-        ),
-    )
+    return sorted(found, key=_rank)
+
+
+def _rank(one: Mapping[str, Any]) -> tuple[float, float]:
+    """By chance, then by the strongest correlation."""
+    chance = 1.0 if one["p"] is None else one["p"]
+    strongest = max((abs(rho) for rho in one["correlation"].values()), default=0.0)
+    return chance, -strongest
 
 
 def _one(

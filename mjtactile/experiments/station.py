@@ -91,10 +91,9 @@ class Station:
         touches = [self.touch() for _ in range(images)]
         heights = [face[0] for touch in touches if (face := contact_face(touch)) is not None]
         areas = [touch.surface.area for touch in touches if touch.surface is not None]
+        indentation = self._rest_height - float(np.mean(heights)) if heights else 0.0
         return {
             "force_N": float(np.mean([t.force_normal for t in touches])),
             "membrane_area_mm2": 1e6 * float(np.mean(areas)),
-            "indentation_mm": 1e3 * (self._rest_height - float(np.mean(heights)))
-            if heights
-            else 0.0,
+            "indentation_mm": 1e3 * indentation,
         }

@@ -380,7 +380,10 @@ def _check(design: SensorDesign, evidence: Evidence, mesh: tuple[int, int] | Non
 
 def to_table(result: FitResult) -> dict[str, Any]:
     """The JSON of `mjtactile fit`."""
-    gas = result.gas
+    pressure_rms = {}
+    if result.gas is not None:
+        for run, fitted in zip(result.gas.runs, result.gas.fitted, strict=True):
+            pressure_rms[run.name] = float(np.sqrt(np.mean((fitted - run.pressure) ** 2)))
     return {
         "sensor": result.design.name,
         "seconds": result.seconds,
@@ -401,12 +404,7 @@ def to_table(result: FitResult) -> dict[str, Any]:
         "correlations": result.correlations,
         "markers_rms_um": 1e6 * result.sheet.rms,
         "first_touch_um": [1e6 * x for x in result.sheet.offsets],
-        "pressure_rms_Pa": {}
-        if gas is None
-        else {
-            run.name: float(np.sqrt(np.mean((p - run.pressure) ** 2)))
-            for run, p in zip(gas.runs, gas.fitted, strict=True)
-        },
+        "pressure_rms_Pa": pressure_rms,
         "held_out": [
             {
                 "recording": h.recording,

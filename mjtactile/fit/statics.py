@@ -228,11 +228,7 @@ class _Problem:
         self.design = design
         self.evidence = evidence
         self.names = names
-        self.pressed = [
-            i
-            for i, e in enumerate(evidence)
-            if e.stage and any(not math.isnan(m.depth) for m in e.stage.moves)
-        ]
+        self.pressed = [i for i, one in enumerate(evidence) if _is_pressed(one)]
         self.touch_sd = touch_sd
         self._mesh = mesh
         self._say = say
@@ -291,12 +287,10 @@ class _Problem:
             step = SCALES[self.names[column]].step if column < n else 0.5
             moved = x.copy()
             moved[column] += step
-            parts = [
-                (self._of(i, self.simulate(i, moved)) - base[i]) / step
-                if self._enters(column, i)
-                else 0 * base[i]
-                for i in range(len(self.evidence))
-            ]
+            parts = [np.zeros_like(part) for part in base]
+            for i in range(len(self.evidence)):
+                if self._enters(column, i):
+                    parts[i] = (self._of(i, self.simulate(i, moved)) - base[i]) / step
             columns.append(np.concatenate(parts))
         return np.vstack(
             [np.column_stack([*columns, -self._common]), np.diag([PRIOR] * n + [1.0] * (m + k))]
@@ -374,6 +368,13 @@ class _Problem:
 def is_fast(hold: Hold) -> bool:
     """Whether something touches that came faster than FAST."""
     return hold.move is not None and hold.move.touches and hold.move.speed > FAST
+
+
+def _is_pressed(evidence: Evidence) -> bool:
+    """Whether a stage pressed something into it, to depths that are known."""
+    if not evidence.stage:
+        return False
+    return any(not math.isnan(move.depth) for move in evidence.stage.moves)
 
 
 def _whitener(hold: Hold) -> tuple[Array, Array]:

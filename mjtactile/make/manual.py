@@ -177,6 +177,14 @@ def facts(layout: Layout, optics: Optics) -> dict[str, Any]:
             "Glue the discs through the stencil. They are stiffer than the rubber and keep their "
             "size; their places are those before stretching."
         )
+    mirrors = "No LED's mirror image in the pane is in the picture."
+    if seen:
+        mirrors = (
+            f"The pane mirrors {seen} of {len(optics.mirrors)} LEDs into the picture, the first at "
+            f"{first[0]:.0f}, {first[1]:.0f} px (circles); the simulator does not draw that. "
+            "Crossed polarising films on LEDs and lens, or an anti-reflection coated pane, take "
+            "them away; without these, markers there are lost."
+        )
     return {
         "spacer": hw.SPACER,
         "pupil": layout.hardware.pupil,
@@ -195,14 +203,7 @@ def facts(layout: Layout, optics: Optics) -> dict[str, Any]:
         "port": layout.port.what,
         "supply": 1e-3 * design.chamber.supply_gauge,
         "hose": hose_volume(layout),
-        "mirrors": (
-            f"The pane mirrors {seen} of {len(optics.mirrors)} LEDs into the picture, the first at "
-            f"{first[0]:.0f}, {first[1]:.0f} px (circles); the simulator does not draw that. "
-            "Crossed polarising films on LEDs and lens, or an anti-reflection coated pane, take "
-            "them away; without these, markers there are lost."
-            if seen
-            else "No LED's mirror image in the pane is in the picture."
-        ),
+        "mirrors": mirrors,
     }
 
 

@@ -49,14 +49,10 @@ def solid_of(part: Part, per_quarter: int = PER_QUARTER) -> Any:
 def _extrude(layer: Layer, per_quarter: int) -> Any:
     import manifold3d as m3
 
-    polygons = [
-        points
-        for region in layer.regions
-        for points in (
-            region.outer.polygon(per_quarter),
-            *(hole.polygon(per_quarter)[::-1] for hole in region.holes),
-        )
-    ]
+    polygons = []
+    for region in layer.regions:
+        polygons.append(region.outer.polygon(per_quarter))
+        polygons += [hole.polygon(per_quarter)[::-1] for hole in region.holes]
     solid = m3.CrossSection(polygons, m3.FillRule.Positive).extrude(layer.high - layer.low)
 
     def to_its_heights(points: Array) -> Array:

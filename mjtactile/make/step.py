@@ -120,11 +120,11 @@ def _roles(layer: Layer | None) -> dict[tuple[Contour, bool], None]:
     """The contours of a layer, in order, with True for outer ones."""
     if layer is None:
         return {}
-    return {
-        key: None
-        for region in layer.regions
-        for key in ((region.outer, True), *((hole, False) for hole in region.holes))
-    }
+    roles: dict[tuple[Contour, bool], None] = {}
+    for region in layer.regions:
+        roles[region.outer, True] = None
+        roles |= {(hole, False): None for hole in region.holes}
+    return roles
 
 
 def _ring(file: _File, contour: Contour, z: float) -> list[int]:
@@ -190,13 +190,9 @@ def _differences(solid: Layer | None, free: Layer | None) -> list[tuple[Contour,
         return []
     mine = _roles(solid)
     theirs = _roles(free)
-    bounds = {
-        contour: None
-        for contour, _ in [
-            *(k for k in mine if k not in theirs),
-            *(k for k in theirs if k not in mine),
-        ]
-    }
+    only_mine = [key for key in mine if key not in theirs]
+    only_theirs = [key for key in theirs if key not in mine]
+    bounds = dict.fromkeys(contour for contour, _ in only_mine + only_theirs)
 
     def covered(contour: Contour, inward: float) -> bool:
         x = contour.x + contour.hx - inward

@@ -157,19 +157,17 @@ def wrong_note(row: Mapping[str, Any]) -> str | None:
     for texts in ("versions", "flags"):
         if not {kind(value) for value in row.get(texts, {}).values()} <= {TEXT}:
             return texts
-    tables = {"files": TEXT, "calibration": None}
-    return next(
-        (
-            key
-            for key, inside in tables.items()
-            if not all(
-                kind(table) == TABLE
-                and (inside is None or {kind(value) for value in table.values()} <= {inside})
-                for table in row.get(key, {}).values()
-            )
-        ),
-        None,
-    )
+    return next((key for key in ("files", "calibration") if not _has_tables(row, key)), None)
+
+
+def _has_tables(row: Mapping[str, Any], key: str) -> bool:
+    """Whether what stands there are tables, those of files with nothing but texts in them."""
+    for table in row.get(key, {}).values():
+        if kind(table) != TABLE:
+            return False
+        if key == "files" and not {kind(value) for value in table.values()} <= {TEXT}:
+            return False
+    return True
 
 
 def _is_simulated(how: Mapping[str, Any]) -> bool:
@@ -179,12 +177,15 @@ def _is_simulated(how: Mapping[str, Any]) -> bool:
         kind(how.get("mesh", [])) in {(), (NUMBER, NUMBER)}
         and kind(how.get("timestep_ms")) == NUMBER
         and isinstance(effects, list)
-        and all(
-            kind(effect) == TABLE
-            and {kind(effect.get(key)) for key in ("effect", "why")} == {TEXT}
-            and {kind(effect.get(key)) for key in ("on", "built")} == {FLAG}
-            for effect in effects
-        )
+        and all(map(_is_effect, effects))
+    )
+
+
+def _is_effect(row: Any) -> bool:
+    return (
+        kind(row) == TABLE
+        and {kind(row.get(key)) for key in ("effect", "why")} == {TEXT}
+        and {kind(row.get(key)) for key in ("on", "built")} == {FLAG}
     )
 
 

@@ -82,11 +82,11 @@ class GraspScore:
         errors = []
         for seen, p_SM in zip(touch, self._markers, strict=True):
             markers = seen.markers
-            errors.append(
-                math.nan
-                if markers is None or not len(markers)
-                else float(np.linalg.norm(markers.p_SM - p_SM[markers.ids], axis=1).mean())
-            )
+            if markers is None or not len(markers):
+                errors.append(math.nan)
+                continue
+            distances = np.linalg.norm(markers.p_SM - p_SM[markers.ids], axis=1)
+            errors.append(float(distances.mean()))
         return {
             "force_normal_true": [float(-wrench[2]) for wrench in self._wrenches],
             "wrench_true": [wrench.tolist() for wrench in self._wrenches],

@@ -61,14 +61,12 @@ class Session:
         self._pool = pool
         self._say = say
         self._supervisor = Supervisor(rig.period)
-        self.perceptions: Sequence[Perceiver] = (
-            [
+        if perceptions is None:
+            perceptions = [
                 Perception.of(finger.design, finger.calibration, settings=settings)
                 for finger in rig.fingers
             ]
-            if perceptions is None
-            else perceptions
-        )
+        self.perceptions: Sequence[Perceiver] = perceptions
 
     @property
     def patience(self) -> float:

@@ -68,11 +68,11 @@ class SimCamera:
         else:
             renderer = self._renderer
             assert renderer is not None
-            self._drawn = self._suffered(
-                self._blurred(renderer)
-                if self._moving
-                else renderer.render(*sensor.marker_poses(), sensor.time)
-            )
+            if self._moving:
+                image = self._blurred(renderer)
+            else:
+                image = renderer.render(*sensor.marker_poses(), sensor.time)
+            self._drawn = self._suffered(image)
 
     def read(self) -> Image:
         """The image of the membrane now."""

@@ -81,13 +81,10 @@ def examine_simulated(rig: SimRigFile, sensor: str = "dense") -> list[Finding]:
 
 def _options(spec: mujoco.MjSpec) -> Finding:
     changed = [change.split(" (")[0] for change in recommend_options(spec)]
-    return Finding(
-        "ok",
-        "options",
-        f"the sensors need other ones, and get them: {', '.join(changed)}"
-        if changed
-        else "are those that the sensors need",
-    )
+    text = "are those that the sensors need"
+    if changed:
+        text = f"the sensors need other ones, and get them: {', '.join(changed)}"
+    return Finding("ok", "options", text)
 
 
 def _tip_height(designs: tuple[SensorDesign, ...]) -> float:

@@ -70,11 +70,11 @@ class Mirror(plugin.SimPlugin):
         model = None if moment.scene is None else moment.scene[0]
         if self.handle.model is None or model is not self._model:
             self._model = model
-            self.handle.set_model(
-                mujoco.MjModel.from_xml_string(_STAGE)
-                if model is None
-                else shown_model(model, moment.fingers)
-            )
+            if model is None:
+                shown = mujoco.MjModel.from_xml_string(_STAGE)
+            else:
+                shown = shown_model(model, moment.fingers)
+            self.handle.set_model(shown)
         return moment is not self._moment
 
     @messages.handler(priority=messages.Priority.USER)

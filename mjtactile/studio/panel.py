@@ -118,15 +118,13 @@ class Panel(plugin.ViewerPlugin):
     def _placed(self, fingers: Sequence[Felt]) -> tuple[Felt, ...]:
         """With their poses in the viewer's scene, where only the body is known."""
         data = self.viewer.data
-        return tuple(
-            felt
-            if felt.body is None or felt.body >= len(data.xpos)
-            else replace(
-                felt,
-                pose=Pose(data.xpos[felt.body].copy(), data.xmat[felt.body].reshape(3, 3).copy()),
-            )
-            for felt in fingers
-        )
+        placed = []
+        for felt in fingers:
+            if felt.body is not None and felt.body < len(data.xpos):
+                turn = data.xmat[felt.body].reshape(3, 3).copy()
+                felt = replace(felt, pose=Pose(data.xpos[felt.body].copy(), turn))
+            placed.append(felt)
+        return tuple(placed)
 
     def _make_pictures(self, fingers: Sequence[Felt]) -> None:
         """Each camera's image with its ellipses, and each membrane."""

@@ -237,11 +237,10 @@ class OpenCvCamera:
             failures += 1
             # one broken JPEG is a lost picture; three failures in a row are a lost camera
             if failures >= 3:
-                self._fail(
-                    'it sends no JPEG; leave fourcc = "MJPG" out of the rig file'
-                    if good and self._is_raw
-                    else self._no_picture_reason()
-                )
+                reason = self._no_picture_reason()
+                if good and self._is_raw:
+                    reason = 'it sends no JPEG; leave fourcc = "MJPG" out of the rig file'
+                self._fail(reason)
                 return
 
     def _accept(self, pixels: NDArray) -> None:

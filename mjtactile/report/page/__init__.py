@@ -227,19 +227,19 @@ def _simulated(recording: Recording) -> str:
     varied = ", ".join(
         f"{name} {value}" for name, value in recording.notes.get("varied", {}).items()
     )
+    drawn = ""
+    if varied:
+        drawn = (
+            "<details><summary>what was drawn for this "
+            f"world</summary><p>{escape(varied)}</p></details>"
+        )
     return (
         "<h2>What was simulated, and why</h2>"
         f"<p>Membranes of {escape(' x '.join(map(str, how['mesh'])))} "
         f"vertices, steps of {how['timestep_ms']:.3g} ms. Costs and errors are those measured on "
         "the shipped sensors (<code>mjtactile "
         f"effects</code>).</p>{table(head, rows(True), text=True)}<details><summary>what was left "
-        f"out</summary>{table(head, rows(False), text=True)}</details>"
-        + (
-            "<details><summary>what was drawn for this "
-            f"world</summary><p>{escape(varied)}</p></details>"
-            if varied
-            else ""
-        )
+        f"out</summary>{table(head, rows(False), text=True)}</details>{drawn}"
     )
 
 

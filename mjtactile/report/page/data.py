@@ -101,10 +101,15 @@ def page_data(
         "height_unit": unit,
         "arrow_unit": arrow_unit(touches),
         "shots": shots,
-        "first": int(np.argmin([abs(cycle.time - shown) for cycle, _ in moments]))
-        if moments
-        else 0,
+        "first": _nearest(moments, shown),
     }
+
+
+def _nearest(moments: Sequence[Any], time: float) -> int:
+    """The number of the moment at about `time` s."""
+    if not moments:
+        return 0
+    return int(np.argmin([abs(cycle.time - time) for cycle, _ in moments]))
 
 
 def height_unit(low: float, high: float) -> float:

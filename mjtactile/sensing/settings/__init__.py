@@ -141,11 +141,10 @@ class Settings:
         """All numbers by names like "zero.touch_sd"."""
         flat: dict[str, Any] = {}
         for name, value in dataclasses.asdict(self).items():
-            flat |= (
-                {f"{name}.{key}": item for key, item in value.items()}
-                if isinstance(value, dict)
-                else {name: value}
-            )
+            if isinstance(value, dict):
+                flat |= {f"{name}.{key}": item for key, item in value.items()}
+            else:
+                flat[name] = value
         return flat
 
 

@@ -141,17 +141,17 @@ def choose(
     for effect in EFFECTS:
         on, why = effect.gate(scene)
         if effect.name in forced:
-            on, why = (
-                forced[effect.name],
-                (
-                    f"forced {'on' if forced[effect.name] else 'off'} (auto: "
-                    f"{'on' if on else 'off'})"
-                ),
-            )
+            auto = _switch(on)
+            on = forced[effect.name]
+            why = f"forced {_switch(on)} (auto: {auto})"
         row = measured.get(effect.name, {})
         numbers = (_number(row.get(key)) for key in ("cost_ms_per_s", "force_N", "surface_um"))
         choices.append(Choice(effect, on, why, *numbers))
     return Chosen(tuple(choices))
+
+
+def _switch(on: bool) -> str:
+    return "on" if on else "off"
 
 
 def parse(text: str) -> dict[Effect, bool]:
@@ -254,17 +254,17 @@ def _hyperelastic(s: Scene) -> tuple[bool, str]:
 def _heat(s: Scene) -> tuple[bool, str]:
     chamber = s.design.chamber
     on = math.isfinite(chamber.heat_exchange) and chamber.heat_ratio > 1
-    return on, (
-        f"{chamber.heat_exchange:g} s is within a grasp's time"
-    ) if on else "the sensor's gas keeps one exponent"
+    if on:
+        return True, f"{chamber.heat_exchange:g} s is within a grasp's time"
+    return False, "the sensor's gas keeps one exponent"
 
 
 def _valve(s: Scene) -> tuple[bool, str]:
     chamber = s.design.chamber
     on = math.isfinite(chamber.valve_conductance) or chamber.leak_conductance > 0
-    return on, ("the sensor's valve or leak has a conductance") if on else (
-        "the sensor's valve is ideal and nothing leaks"
-    )
+    if on:
+        return True, "the sensor's valve or leak has a conductance"
+    return False, "the sensor's valve is ideal and nothing leaks"
 
 
 def _servo(s: Scene) -> tuple[bool, str]:

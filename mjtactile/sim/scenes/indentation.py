@@ -295,12 +295,8 @@ def _sheet_points(design: SensorDesign, at: tuple[float, float]) -> np.ndarray:
     )
     points = np.stack([*np.meshgrid(x, y), np.zeros((len(y), len(x)))], axis=-1).reshape(-1, 3)
     inside = np.abs(points[:, :2] / (frame.length, frame.width))
-    within = (
-        np.linalg.norm(inside, axis=1) < 0.49
-        if frame.shape == "circle"
-        else inside.max(axis=1) < 0.49
-    )
-    return points[within]
+    order = 2 if frame.shape == "circle" else np.inf
+    return points[np.linalg.norm(inside, ord=order, axis=1) < 0.49]
 
 
 def _add_carrier(spec: mujoco.MjSpec, mount: tuple[float, float, float]) -> mujoco.MjsBody:

@@ -178,9 +178,9 @@ def _halves(s: Specimen) -> tuple[str, str]:
                 f'damping="0.5"><joint joint="{side}" coef="1"/><joint joint="{side}_arm" '
                 'coef="-1"/></fixed>'
             )
-    return "\n".join(lines), "  <tendon>\n" + "\n".join(
-        tendons
-    ) + "\n  </tendon>\n" if tendons else ""
+    if not tendons:
+        return "\n".join(lines), ""
+    return "\n".join(lines), "\n".join(["  <tendon>", *tendons, "  </tendon>\n"])
 
 
 def _arm(s: Specimen, side: str, sign: int) -> list[str]:

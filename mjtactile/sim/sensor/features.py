@@ -112,11 +112,9 @@ def resolution_flag(
     name = model.geom(geom).name or f"geom {geom}"
     factor = RESOLVED * mesh.spacing / radius
     finer = tuple(int(np.ceil((n - 1) * factor)) + 1 for n in (mesh.nx, mesh.ny))
-    remedy = (
-        f"mesh {finer} resolves it"
-        if max(finer) <= 61
-        else ("no affordable mesh does; trust place and time, not force")
-    )
+    remedy = f"mesh {finer} resolves it"
+    if max(finer) > 61:
+        remedy = "no affordable mesh does; trust place and time, not force"
     return (
         f"{name!r} (radius {radius * 1e3:.2g} mm) is finer than the mesh "
         f"({mesh.spacing * 1e3:.2g} mm between vertices): "
