@@ -161,7 +161,7 @@ class MaterialSettings:
     )
     gap: float = number(4.0, "images without contact that part two touches", _PROBED)
     pressing: float = number(
-        0.4, "of the jaws' fastest closing (95th percentile): slower, they have stopped", _PROBED
+        0.4, "of the usual speed at which the jaws press: slower, they have stopped", _PROBED
     )
     opened: float = number(
         3e-4, "m that the jaws have opened again where the release begins", _PROBED

@@ -23,6 +23,7 @@ from mjtactile.sensing.settings import DEFAULTS, MaterialSettings
 from mjtactile.sensing.touch.squeeze import Squeeze
 
 _NO_COV = np.zeros((3, 3))
+_MOST_OF_THE_WAY = 0.9  # of a press; what is left may be the jaws' slow end, or the object's flow
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,12 +103,20 @@ def _phases(squeeze: Squeeze, seen: NDArray[np.int64], s: MaterialSettings) -> _
     opening = squeeze.opening[run]
     time = squeeze.time[run]
     speed = -np.gradient(opening, time) if len(run) > 2 else np.zeros(len(run))
-    pressing = speed > s.pressing * np.percentile(speed, 95)
+    pressing = speed > s.pressing * _press_speed(opening, speed)
     opened = opening > np.minimum.accumulate(opening) + s.opened
     end = int(np.argmax(opened)) if opened.any() else len(run)
     stop = int(np.flatnonzero(pressing[:end]).max(initial=-1)) + 1
     second = runs[first + 1] if first + 1 < len(runs) else run[:0]
     return _Phases(run[:stop], run[stop:end], run[end:], second)
+
+
+def _press_speed(opening: Array, speed: Array) -> float:
+    """The jaws' usual speed while they press, m/s: the median until most of the way is done. The
+    first image or two may still have the speed of the approach, ten times as much."""
+    way = opening[0] - opening
+    on_the_way = way < _MOST_OF_THE_WAY * way.max()
+    return float(np.median(speed[on_the_way])) if on_the_way.any() else 0.0
 
 
 def _fit_press(squeeze: Squeeze, load: NDArray[np.int64], s: MaterialSettings) -> _Curve:
