@@ -92,8 +92,7 @@ class Film:
         stretch = sheet.pre_stretch**2
         self._numbers = np.array([*sides, *self.grid, stretch, *law, *tensions, *gas, *depths])
         self._room = np.empty(kernel("film_room")(self._numbers))
-        columns, rows = self.grid
-        self._plane = np.empty((2 * (columns - 2) * (rows - 2), band_stride(2 * rows - 1)))
+        self._kept = np.empty(kernel("film_kept")(self._numbers), np.float32)
         self.rest = self._inflate()
         absolute = self.pressure_gauge + chamber.ambient
         volume = design.chamber_volume_flat + self.rest.volume
@@ -259,8 +258,11 @@ class Film:
 
         if not state.converged or state.x.shape != self.rest.x.shape:
             raise InputError("is not at rest, or not of this film", field="state")
-        factor, width = np.empty_like(self._plane), 2 * self.grid[1] - 1
-        kernel("film_plane")(self._numbers, self._law, *self.grid, state.x, factor)
+        columns, rows = self.grid
+        width = 2 * rows - 1
+        factor = np.empty((2 * (columns - 2) * (rows - 2), band_stride(width)))
+        fixed = (self._numbers, self._law, *self.grid)
+        kernel("film_plane")(*fixed, state.x, self._room.size, self._room, factor)
         marked: tuple[Array, int] = label(state.force > 0, np.ones((3, 3)))  # pyright: ignore[reportAssignmentType]
         numbered, count = marked
         found = []
@@ -309,10 +311,17 @@ class Film:
         rest = self.rest.x if hasattr(self, "rest") else x
         room = self._room if room is None else room
         count = settings.size // 4
-        fixed = (self._numbers, self._law, *self.grid, self._plane, rest, room.size, room)
+        kept = (self._kept.size, self._kept)
+        fixed = (self._numbers, self._law, *self.grid, *kept, rest, room.size, room)
         pooled = 0 if pool is None else pool.size
         given = (settings, len(rows) // count, rows, pooled, pool)
         kernel("film_solve")(*fixed, count, *part, *given, x, force, trend, found)
+
+    def _keep(self, x: Array) -> None:
+        """Factors of the stiffness at displacements `x`, for all solutions that follow."""
+        fixed = (self._numbers, self._law, *self.grid)
+        given = (x, self._room.size, self._room, self._kept.size, self._kept)
+        kernel("film_keep")(*fixed, *given)
 
     def _inflate(self) -> FilmState:
         """From a low bulge of about the right height to rest, with a stiffness in the plane that is
@@ -325,7 +334,7 @@ class Film:
         x[2] = 0.3 * height * (1 - across**2) * (1 - along**2)
         for share in _INFLATING:
             try:
-                kernel("film_plane")(self._numbers, self._law, *self.grid, x, self._plane)
+                self._keep(x)
             except np.linalg.LinAlgError:
                 break
             settings = np.array([share * self.pressure_gauge, 0.0, _INFLATED, 4 * _MOST_STEPS])

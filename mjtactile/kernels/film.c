@@ -1,17 +1,19 @@
 /* The film at rest on bodies: see film.h, and mjtactile/film for the equations.
 
    Unknown are displacements of the nodes and the contact's forces along z. A step solves twice, each time with a matrix that is
-   good enough: in the plane with the stiffness of the sheet at rest, which never changes, and for the heights with that of a film
-   under the sheet's local tension, plus what tension and gas add when the whole sheet moves (rank two). Residuals are exact, so
-   that where the steps end does not depend on the matrices. */
+   good enough: for the heights with a film's under the sheet's local tension (film_heights.h), plus what tension and gas add when
+   the whole sheet moves (rank two), and in the plane with the stiffness of the sheet at rest (film_plane.h). Residuals are exact,
+   so that where the steps end does not depend on the matrices. Matrices and forces are in single precision, which leaves some
+   nanometres; places are not. */
 #include "film.h"
 
 #include <math.h>
-
-#include <stdlib.h>
 #include <string.h>
 
 #include "band.h"
+#include "film_heights.h"
+#include "film_learn.h"
+#include "film_plane.h"
 #include "film_work.h"
 #include "kernels.h"
 #include "small.h"
@@ -21,438 +23,408 @@
 #define PATIENCE 8         /* steps after which both grow, up to MOST_LOOSE times: on flat faces nodes come and go for next to nothing */
 #define MOST_LOOSE 10
 #define LONGEST_SHIFT 5e-4 /* m, of a step in the plane */
-#define SHELL 0.3
-#define LOOKS 3             /* steps that ask the bodies; later ones follow their slopes, else nodes at an edge come and go */
-#define NEAR_SINGULAR 1e-12
-#define MOST_LEARNT 10      /* of a step, beyond which nothing is learnt */
+#define LOOKS 3            /* steps that ask the bodies; later ones follow their slopes, else nodes at an edge come and go */
 #define EDGE_HALVES 20
-#define MOST_SETS 4          /* of nodes that touch, tried in a step */
-#define QUICK 3              /* steps that do so */
-#define SHORT 2e-4           /* m */
-#define FIRST_STEP 1e-4      /* m, that the first step is thought to come after */
+#define MOST_SETS 4        /* of nodes that touch, tried in a step */
+#define QUICK 3            /* steps that do so */
+#define SHORT 2e-4         /* m */
+#define NEAR 2e-4          /* m, of what may touch soon */
+#define FIRST_STEP 1e-4    /* m, that the first step is thought to come after */
 #define MOST_TREND 2.0
 #define LEAST_EXPLAINED 0.5  /* of the gaps between bodies and the sheet, squared */
 #define LEAST_SHARE 0.05     /* by which steps are thought to shrink at best; they do so by 0.3 at last, which far from rest comes sooner */
 #define LEAST_SHARE_FAR 0.3
 #define LEAST_TURN 0.05    /* of a cell's shadow: below, the sheet is inside out */
+#define FINE 1e-8          /* m, of a tolerance that wants double precision */
+#define JUMPS 16
 
-long film_work_size(const Film *f) {
-    return (3 + 3 + 5 + 2 + 2 + 1 + 8 + 4 + 2 + 2 + 8 * MEMORY + 12) * f->count + 7 * f->inner +
-           f->inner * BAND_STRIDE(f->inner_rows + 1) + f->count / 8 + 1;
+/* What tension and gas add to the heights' stiffness: tension a a^T + gas v v^T, a the area's and v the volume's slopes by heights,
+   (count) each; y1 and y2 are what they move. */
+typedef struct { double tension, gas; float *area_by, *volume_by, *y1, *y2; } Whole;
+
+typedef struct {
+    Seen seen;
+    double *x, *force, *start, *trend;   /* (3, count), (count), (4, count) twice; x has room behind it */
+    SheetFields fine;
+    SheetFieldsFloat fast;
+    float *residual;                     /* (3, count): elastic forces less the gas's */
+    float *pulls, *swells;               /* (count) elastic forces and the volume's slopes by heights */
+    float *moved, *pushed, *plane, *plane_room;
+    Whole whole;
+    Heights heights;
+    Learnt learnt;
+    const float *plane_factor;
+    double pulled;                       /* which edges' springs are in the factor */
+    double pressure, gas_stiffness;
+    SheetSums sums;
+} Work;
+
+static long doubles_of(const Film *f) { return film_seen_size(f) + (3 + 1 + 4 + 4 + 3 + 3) * f->count + 8; }
+
+static long floats_of(const Film *f) {
+    return (3 + 3 + 1 + 1 + 3 + 1 + 1 + 1 + 1 + 2 + 4) * f->count + film_plane_room(f) + film_heights_room(f) +
+           film_learn_room(4 * f->count);
 }
+
+static long room_of(const Film *f) { return doubles_of(f) + floats_of(f) / 2 + 1; }
 
 int64_t film_room(const double *numbers) {
     const Film f = film_of(numbers, 0);
-    return film_work_size(&f);
+    return room_of(&f);
 }
 
-static double *take(double **from, long n) {
-    double *here = *from;
+int64_t film_kept(const double *numbers) {
+    const Film f = film_of(numbers, 0);
+    return film_heights_size(&f) + 2 * ((film_plane_size(&f) + 1) / 2);
+}
+
+static float *take_floats(float **from, long n) {
+    float *here = *from;
     *from += n;
     return here;
 }
 
-Work film_work(const Film *f, double *room) {
+static Work work_in(const Film *f, const RestHeights *rest, const float *plane_factor, double *room) {
     const long n = f->count;
-    Work w;
-    w.fields.elastic = take(&room, 3 * n), w.fields.gradient = take(&room, 3 * n);
-    w.fields.own = take(&room, n), w.fields.up = take(&room, n), w.fields.right = take(&room, n);
-    w.fields.right_up = take(&room, n), w.fields.right_down = take(&room, n);
-    w.obstacle = take(&room, n), w.level = take(&room, n), w.slope = take(&room, 2 * n), w.lower = take(&room, n);
-    w.edge = take(&room, 4 * n), w.spring = take(&room, 4 * n), w.away = take(&room, 2 * n);
-    w.residual = take(&room, n), w.moved = take(&room, n), w.pushed = take(&room, n);
-    w.plane = take(&room, 2 * f->inner);
-    w.y0 = take(&room, f->inner), w.pulled = 0;
-    w.whole.area_by = take(&room, n), w.whole.volume_by = take(&room, n);
-    w.whole.b1 = take(&room, f->inner), w.whole.b2 = take(&room, f->inner);
-    w.whole.y1 = take(&room, f->inner), w.whole.y2 = take(&room, f->inner);
-    w.band = take(&room, f->inner * BAND_STRIDE(f->inner_rows + 1));
-    w.steps = take(&room, 4 * MEMORY * n), w.changes = take(&room, 4 * MEMORY * n);
-    w.last_step = take(&room, 4 * n), w.now = take(&room, 4 * n), w.start = take(&room, 4 * n);
-    w.touching = (uint8_t *)take(&room, n / 8 + 1);
+    Work w = {.plane_factor = plane_factor};
+    w.seen = film_seen_in(f, &room);
+    w.x = film_take(&room, 3 * n + 8), w.force = film_take(&room, n), w.start = film_take(&room, 4 * n);
+    w.trend = film_take(&room, 4 * n);
+    memset(w.x, 0, (3 * n + 8) * sizeof *w.x);
+    w.fine.elastic = film_take(&room, 3 * n), w.fine.gradient = film_take(&room, 3 * n);
+    w.fine.along_x = w.seen.along_x, w.fine.along_y = w.seen.along_y;
+    float *floats = (float *)room;
+    w.fast.elastic = take_floats(&floats, 3 * n), w.fast.gradient = take_floats(&floats, 3 * n);
+    w.fast.along_x = take_floats(&floats, n), w.fast.along_y = take_floats(&floats, n);
+    w.residual = take_floats(&floats, 3 * n), w.pulls = take_floats(&floats, n), w.swells = take_floats(&floats, n);
+    w.moved = take_floats(&floats, n), w.pushed = take_floats(&floats, n), w.plane = take_floats(&floats, 2 * n);
+    w.whole.area_by = take_floats(&floats, n), w.whole.volume_by = take_floats(&floats, n);
+    w.whole.y1 = take_floats(&floats, n), w.whole.y2 = take_floats(&floats, n);
+    w.plane_room = take_floats(&floats, film_plane_room(f));
+    w.heights = film_heights_in(f, rest, &floats);
+    w.learnt = film_learn_in(4 * n, 3 * n, &floats);
     return w;
 }
 
-static double dot(const double *a, const double *b, long n) {
-    double sum = 0;
+static double dot(const float *a, const float *b, long n) {
+    float sum = 0;
     for (long i = 0; i < n; i++) sum += a[i] * b[i];
-    return sum;
+    return (double)sum;
+}
+
+/* Forces on the nodes, of heights or in the plane, and what goes with them. */
+static void see_sheet(const Film *f, const Settings *set, int parts, Work *w) {
+    const long n = f->count, first = w->heights.first, last = w->heights.last, line = f->line;
+    const long from = parts == FILM_PLANE ? 0 : 2 * n, to = parts == FILM_PLANE ? 2 * n : 3 * n;
+    const int fine = set->tolerance < FINE;
+    if (parts == FILM_HEIGHTS) memset(w->seen.along_x, 0, n * sizeof(double)), memset(w->seen.along_y, 0, n * sizeof(double));
+    if (fine) w->sums = film_sheet(f, w->x, FILM_ALL, first, last, &w->fine);
+    else w->sums = film_sheetFloat(f, w->x, parts, first, last, &w->fast);
+    gas_of(f, set, w->sums.volume, &w->pressure, &w->gas_stiffness);
+    if (fine) {
+        for (long k = from; k < to; k++) w->residual[k] = (float)(w->fine.elastic[k] - w->pressure * w->fine.gradient[k]);
+    } else {
+        const float pressure = (float)w->pressure;
+        for (long k = from; k < to; k++) w->residual[k] = w->fast.elastic[k] - pressure * w->fast.gradient[k];
+    }
+    if (parts == FILM_PLANE) return;
+    for (long k = 0; k < n; k++) {
+        w->pulls[k] = fine ? (float)w->fine.elastic[2 * n + k] : w->fast.elastic[2 * n + k];
+        w->swells[k] = fine ? (float)w->fine.gradient[2 * n + k] : w->fast.gradient[2 * n + k];
+    }
+    if (fine) return;
+    for (long k = first * line; k < last * line; k++) w->seen.along_x[k] = (double)w->fast.along_x[k];
+    for (long k = first * line; first < last && k < most(last + 1, f->columns - 1) * line; k++) w->seen.along_y[k] = (double)w->fast.along_y[k];
 }
 
 /* -- heights ----------------------------------------------------------------------------------------------------------- */
 
-/* out = stiffness of the heights times `what`, at the inner nodes; `what` is zero on the frame. */
-static void stiffness_times(const Film *f, const SheetFields *s, const double *what, double *out) {
-    const long rows = f->rows;
-    for (long i = 1; i < f->columns - 1; i++) {
-        const long at = i * rows;
-        for (long j = 1; j < rows - 1; j++) {
-            const long k = at + j;
-            out[k] = s->own[k] * what[k] + s->up[k] * what[k + 1] + s->up[k - 1] * what[k - 1] + s->right[k] * what[k + rows] +
-                     s->right[k - rows] * what[k - rows] + s->right_up[k] * what[k + rows + 1] +
-                     s->right_up[k - rows - 1] * what[k - rows - 1] + s->right_down[k] * what[k + rows - 1] +
-                     s->right_down[k - rows + 1] * what[k - rows + 1];
-        }
+/* The lines that what touches, or is about to, has about it; 0 where all of them are in the window already. */
+static int widen_window(const Film *f, double near, Work *w) {
+    const double *z = w->x + 2 * f->count;
+    long first = f->columns, last = -1;
+    for (long k = f->line; k < f->count - f->line; k++) {
+        if (!w->seen.touching[k] && !(w->seen.obstacle[k] - w->seen.lower[k] - z[k] < near)) continue;
+        const long i = k / f->line;
+        first = i < first ? i : first, last = i > last ? i : last;
     }
+    if (last < 0) first = last = f->columns / 2;
+    else first -= 1, last += 1;
+    Heights *h = &w->heights;
+    if (h->first <= first && last <= h->last) return 0;
+    h->first = h->first < first ? h->first : first, h->last = h->last > last ? h->last : last;
+    return 1;
 }
 
-/* Edges' springs into residual and stiffness; `by` -1 takes them out again. */
+/* Edges' springs into residual and links; `by` -1 takes them out again. */
 static void stiffen_edges(const Film *f, const double *z, double by, Work *w) {
-    SheetFields *s = &w->fields;
-    for (long k = f->rows; k < f->count - f->rows; k++) {
-        if (!w->touching[k]) continue;
-        double *links[4] = {s->right + k, s->right + k - f->rows, s->up + k, s->up + k - 1};
+    const Seen *s = &w->seen;
+    float *residual = w->residual + 2 * f->count;
+    for (long k = f->line; k < f->count - f->line; k++) {
+        if (!s->touching[k]) continue;
+        double *links[4] = {s->along_x + k, s->along_x + k - f->line, s->along_y + k, s->along_y + k - 1};
         for (int side = 0; side < 4; side++) {
-            const double spring = by * w->spring[side * f->count + k];
+            const double spring = by * s->spring[side * f->count + k];
             if (spring == 0) continue;
-            const long other = k + film_next(f, side);
-            const double force = -spring * rises_over_edge(f, w, z, k, side);
-            *links[side] -= spring, s->own[k] += spring, s->own[other] += spring;
-            w->residual[k] += force, w->residual[other] -= force;
+            const float force = (float)(-spring * rises_over_edge(f, s, z, k, side));
+            *links[side] += spring;
+            residual[k] += force, residual[k + film_next(f, side)] -= force;
         }
     }
 }
 
-/* Factor of the stiffness with the nodes that touch held. */
-static int factor_heights(const Film *f, const Work *w) {
-    const long rows = f->rows, inner_rows = f->inner_rows, stride = BAND_STRIDE(inner_rows + 1);
-    const SheetFields *s = &w->fields;
-    memset(w->band, 0, f->inner * stride * sizeof *w->band);
-    for (long i = 1; i < f->columns - 1; i++)
-        for (long j = 1; j < rows - 1; j++) {
-            const long k = i * rows + j;
-            double *column = w->band + ((i - 1) * inner_rows + j - 1) * stride;
-            if (w->touching[k]) {
-                column[0] = 1;
-                continue;
-            }
-            column[0] = s->own[k];
-            if (j < rows - 2 && !w->touching[k + 1]) column[1] = s->up[k];
-            if (i == f->columns - 2) continue;
-            if (j > 1 && !w->touching[k + rows - 1]) column[inner_rows - 1] += s->right_down[k];
-            if (!w->touching[k + rows]) column[inner_rows] += s->right[k];
-            if (j < rows - 2 && !w->touching[k + rows + 1]) column[inner_rows + 1] = s->right_up[k];
-        }
-    return band_cholesky(f->inner, inner_rows + 1, w->band);
-}
-
-/* What a curved sheet adds where it is bent further: it must stretch, as a shell does, Y (k_x l_y^2 + k_y l_x^2)^2 for a wave
-   (l_x, l_y) of length one on curvatures k; here for the mean of all waves. Speeds up the steps and changes nothing else. */
-static void stiffen_curved(const Film *f, const double *z, Work *w) {
-    const double stretch = SHELL * f->numbers.shell, rows = f->rows;
-    const long r = (long)rows;
-    for (long i = 1; i < f->columns - 1; i++)
-        for (long j = 1; j < r - 1; j++) {
-            const long k = i * r + j;
-            const double bend_x = (z[k + r] + z[k - r] - 2 * z[k]) / square(f->dx);
-            const double bend_y = (z[k + 1] + z[k - 1] - 2 * z[k]) / square(f->dy);
-            w->fields.own[k] += stretch * f->dx * f->dy * (square(bend_x) + square(bend_y)) / 2;
-        }
-}
-
-/* Inner nodes that do not touch, from a field or back to it; others are zero. */
-static void gather(const Film *f, const uint8_t *touching, const double *field, double *inner) {
-    for (long i = 1; i < f->columns - 1; i++)
-        for (long j = 1; j < f->rows - 1; j++) {
-            const long k = i * f->rows + j;
-            inner[(i - 1) * f->inner_rows + j - 1] = touching[k] ? 0 : field[k];
-        }
-}
-
-static void solve_heights(const Film *f, const Work *w, double *inner) {
-    band_forward(f->inner, f->inner_rows + 1, w->band, inner), band_backward(f->inner, f->inner_rows + 1, w->band, inner);
-}
-
-/* Factor with the nodes that touch held, and what tension and gas add to it, which answer to the whole of a step: a rank of two.
-   Sheets change little while the same nodes touch, so that it is kept until others do. */
-static int prepare_heights(const Film *f, const SheetSums *sums, double gas_stiffness, Work *w) {
-    const double over_tension = 1 / most(sums->tension, 1e-3);
+/* All that a step of the heights needs but its residual. */
+static int prepare_heights(const Film *f, const double *z, Work *w) {
     Whole *all = &w->whole;
-    for (long i = 1; i < f->columns - 1; i++)
-        for (long k = i * f->rows + 1; k < (i + 1) * f->rows - 1; k++) { /* area's slope: what pulls heights back, over the tension */
-            all->area_by[k] = w->fields.elastic[2 * f->count + k] * over_tension;
-            all->volume_by[k] = w->fields.gradient[2 * f->count + k];
-        }
-    all->tension = f->numbers.tension_slope / (f->numbers.length_x * f->numbers.length_y), all->gas = gas_stiffness;
-    if (factor_heights(f, w)) return 1;
-    gather(f, w->touching, all->area_by, all->b1), gather(f, w->touching, all->volume_by, all->b2);
-    memcpy(all->y1, all->b1, f->inner * sizeof *all->b1), memcpy(all->y2, all->b2, f->inner * sizeof *all->b2);
-    solve_heights(f, w, all->y1), solve_heights(f, w, all->y2);
-    return 0;
+    const float over_tension = (float)(1 / most(w->sums.tension, 1e-3));
+    for (long k = 0; k < f->count; k++) all->area_by[k] = w->pulls[k] * over_tension, all->volume_by[k] = w->swells[k];
+    all->tension = f->numbers.tension_slope / (f->numbers.length_x * f->numbers.length_y), all->gas = w->gas_stiffness;
+    w->heights.scale = (float)w->sums.tension / *w->heights.rest->tension;
+    return film_heights_factor(f, z, &w->seen, &w->heights);
 }
 
-/* The heights' step `moved` and what it leaves for the contact to carry, `pushed`. */
-static void step_heights(const Film *f, const double *z, Work *w) {
-    const Whole *all = &w->whole;
-    const long n = f->inner, rows = f->rows;
+/* The heights' step `moved` and what it leaves for the contact to carry, `pushed`. `fresh`: the factor is new. */
+static void step_heights(const Film *f, const double *z, int fresh, Work *w) {
+    Whole *all = &w->whole;
+    const long n = f->count;
+    const uint8_t *touching = w->seen.touching;
+    const float *residual = w->residual + 2 * n;
+    float *y0 = w->heights.solved, *y1 = y0 + w->heights.apart, *y2 = y1 + w->heights.apart;
     const double c1 = all->tension, c2 = all->gas;
-    for (long k = 0; k < f->count; k++) w->moved[k] = w->touching[k] ? w->obstacle[k] - w->lower[k] - z[k] : 0;
-    stiffness_times(f, &w->fields, w->moved, w->pushed);
-    const double held_1 = c1 * dot(all->area_by, w->moved, f->count), held_2 = c2 * dot(all->volume_by, w->moved, f->count);
-    for (long k = 0; k < f->count; k++)
-        w->pushed[k] = -(w->residual[k] + w->pushed[k] + held_1 * all->area_by[k] + held_2 * all->volume_by[k]);
-    gather(f, w->touching, w->pushed, w->y0);
-    solve_heights(f, w, w->y0);
-    const double m11 = 1 + c1 * dot(all->b1, all->y1, n), m12 = c1 * dot(all->b1, all->y2, n), m21 = c2 * dot(all->b2, all->y1, n);
-    const double m22 = 1 + c2 * dot(all->b2, all->y2, n), r1 = c1 * dot(all->b1, w->y0, n), r2 = c2 * dot(all->b2, w->y0, n);
-    const double det = m11 * m22 - m12 * m21, t1 = (r1 * m22 - r2 * m12) / det, t2 = (m11 * r2 - m21 * r1) / det;
-    for (long i = 1; i < f->columns - 1; i++)
-        for (long j = 1; j < rows - 1; j++) {
-            const long k = i * rows + j, m = (i - 1) * f->inner_rows + j - 1;
-            if (!w->touching[k]) w->moved[k] = w->y0[m] - t1 * all->y1[m] - t2 * all->y2[m];
-        }
-    stiffness_times(f, &w->fields, w->moved, w->pushed);
-    const double all_1 = c1 * dot(all->area_by, w->moved, f->count), all_2 = c2 * dot(all->volume_by, w->moved, f->count);
-    for (long k = 0; k < f->count; k++)
-        w->pushed[k] = w->touching[k] ? -(w->residual[k] + w->pushed[k] + all_1 * all->area_by[k] + all_2 * all->volume_by[k]) : 0;
+    for (long k = 0; k < n; k++) w->moved[k] = touching[k] ? (float)(w->seen.obstacle[k] - w->seen.lower[k] - z[k]) : 0;
+    memset(w->pushed, 0, n * sizeof *w->pushed);
+    film_heights_times(f, z, &w->seen, &w->heights, 0, w->moved, w->pushed);
+    const float held_1 = (float)(c1 * dot(all->area_by, w->moved, n)), held_2 = (float)(c2 * dot(all->volume_by, w->moved, n));
+    for (long k = 0; k < n; k++)
+        y0[k] = touching[k] ? 0 : -(residual[k] + w->pushed[k] + held_1 * all->area_by[k] + held_2 * all->volume_by[k]);
+    if (fresh)
+        for (long k = 0; k < n; k++) y1[k] = touching[k] ? 0 : all->area_by[k], y2[k] = touching[k] ? 0 : all->volume_by[k];
+    film_heights_solve(f, fresh ? 3 : 1, &w->heights);
+    if (fresh) memcpy(all->y1, y1, n * sizeof *y1), memcpy(all->y2, y2, n * sizeof *y2);
+    const double m11 = 1 + c1 * dot(all->area_by, all->y1, n), m12 = c1 * dot(all->area_by, all->y2, n);
+    const double m21 = c2 * dot(all->volume_by, all->y1, n), m22 = 1 + c2 * dot(all->volume_by, all->y2, n);
+    const double r1 = c1 * dot(all->area_by, y0, n), r2 = c2 * dot(all->volume_by, y0, n), det = m11 * m22 - m12 * m21;
+    const float t1 = (float)((r1 * m22 - r2 * m12) / det), t2 = (float)((m11 * r2 - m21 * r1) / det);
+    for (long k = 0; k < n; k++) w->moved[k] = touching[k] ? w->moved[k] : y0[k] - t1 * all->y1[k] - t2 * all->y2[k];
+    film_heights_times(f, z, &w->seen, &w->heights, 1, w->moved, w->pushed);
+    const float all_1 = (float)(c1 * dot(all->area_by, w->moved, n)), all_2 = (float)(c2 * dot(all->volume_by, w->moved, n));
+    for (long k = 0; k < n; k++)
+        w->pushed[k] = touching[k] ? -(residual[k] + w->pushed[k] + all_1 * all->area_by[k] + all_2 * all->volume_by[k]) : 0;
 }
 
-/* Which nodes touch where heights are `moved` from `z` and contacts push with `force`; returns whether others did before. */
-static int decide_contact(const Film *f, const Bodies *bodies, const double *x, const double *moved, const double *force, double loose,
-                          int may_release, Work *w) {
-    const double *z = x + 2 * f->count;
+/* Which nodes touch where heights have moved and contacts push as they do; returns whether others did before. */
+static int decide_contact(const Film *f, const Bodies *bodies, double loose, int after_step, int may_release, Work *w) {
+    const double *z = w->x + 2 * f->count;
     const double released = -loose * RELEASED * f->dx * f->dy, attached = loose * ATTACHED;
+    Seen *s = &w->seen;
     int changed = 0;
     for (long i = 1; i < f->columns - 1; i++)
-        for (long k = i * f->rows + 1; k < (i + 1) * f->rows - 1; k++) {
-            const double over = z[k] + moved[k] - w->obstacle[k] + w->lower[k];
-            const int touches = w->touching[k] ? isfinite(over) && (!may_release || force[k] > released) : over > attached;
-            if (touches == w->touching[k]) continue;
-            w->touching[k] = (uint8_t)touches, changed = 1;
-            if (touches) find_edges(f, bodies, x, k, EDGE_HALVES, w);
+        for (long k = i * f->line + 1; k < i * f->line + f->rows - 1; k++) {
+            const double over = z[k] + (after_step ? (double)w->moved[k] : 0) - s->obstacle[k] + s->lower[k];
+            const double force = after_step ? (double)w->pushed[k] : w->force[k];
+            const int touches = s->touching[k] ? isfinite(over) && (!may_release || force > released) : over > attached;
+            if (touches == s->touching[k]) continue;
+            s->touching[k] = (uint8_t)touches, changed = 1;
+            if (touches) find_edges(f, bodies, w->x, k, EDGE_HALVES, s);
         }
     return changed;
 }
 
-/* -- in the plane ------------------------------------------------------------------------------------------------------ */
-
-/* The step (2 inner) into `plane`; returns what it does to the volume. Frictionless: a contact pushes along the body's normal. */
-static double step_plane(const Film *f, Work *w, const double *plane_factor, double pressure, const double *force, double *largest) {
-    const double *elastic = w->fields.elastic, *volume_by = w->fields.gradient;
-    double bulge = 0;
-    for (long i = 1; i < f->columns - 1; i++)
-        for (long j = 1; j < f->rows - 1; j++) {
-            const long k = i * f->rows + j, m = 2 * ((i - 1) * f->inner_rows + j - 1);
-            for (int c = 0; c < 2; c++) {
-                const long at = c * f->count + k;
-                w->plane[m + c] = pressure * volume_by[at] - elastic[at] + (force[k] > 0 ? force[k] * w->slope[at] : 0);
-            }
-        }
-    band_forward(2 * f->inner, FILM_PLANE_WIDTH(f), plane_factor, w->plane);
-    band_backward(2 * f->inner, FILM_PLANE_WIDTH(f), plane_factor, w->plane);
-    *largest = 0;
-    for (long m = 0; m < 2 * f->inner; m++) *largest = most(*largest, fabs(w->plane[m]));
-    if (*largest > LONGEST_SHIFT)
-        for (long m = 0; m < 2 * f->inner; m++) w->plane[m] *= LONGEST_SHIFT / *largest;
-    for (long i = 1; i < f->columns - 1; i++)
-        for (long j = 1; j < f->rows - 1; j++) {
-            const long k = i * f->rows + j, m = 2 * ((i - 1) * f->inner_rows + j - 1);
-            bulge += w->plane[m] * volume_by[k] + w->plane[m + 1] * volume_by[f->count + k];
-        }
-    return bulge;
+static double largest_of(const float *values, long n) {
+    float largest = 0;
+    for (long k = 0; k < n; k++) largest = most_float(largest, fabsf(values[k]));
+    return (double)largest;
 }
-
-static void move_plane(const Film *f, const double *plane, double by, double *x) {
-    for (long i = 1; i < f->columns - 1; i++)
-        for (long j = 1; j < f->rows - 1; j++) {
-            const long k = i * f->rows + j, m = 2 * ((i - 1) * f->inner_rows + j - 1);
-            x[k] += by * plane[m], x[f->count + k] += by * plane[m + 1];
-        }
-}
-
-/* -- learning from steps ----------------------------------------------------------------------------------------------- */
-
-/* Solves A y = b in place, symmetric and positive, of order n <= MEMORY. */
-static void solve_small(long n, double A[MEMORY][MEMORY], double *b) {
-    double trace = 0;
-    for (long k = 0; k < n; k++) trace += A[k][k];
-    for (long k = 0; k < n; k++) A[k][k] += NEAR_SINGULAR * trace;
-    for (long k = 0; k < n; k++) {
-        for (long i = k + 1; i < n; i++) {
-            const double by = A[i][k] / A[k][k];
-            for (long j = k; j < n; j++) A[i][j] -= by * A[k][j];
-            b[i] -= by * b[k];
-        }
-    }
-    for (long k = n - 1; k >= 0; k--) {
-        for (long j = k + 1; j < n; j++) b[k] -= A[k][j] * b[j];
-        b[k] /= A[k][k];
-    }
-}
-
-/* Anderson's mixing: `now` (4, count), the step that displacements and forces are about to make, becomes the one that would have
-   ended at rest had the last `known` steps changed in proportion (Walker & Ni, SIAM J. Numer. Anal. 49, 2011). */
-static void learn(const Film *f, Work *w, long known) {
-    const long all = 4 * f->count, places = 3 * f->count;
-    double A[MEMORY][MEMORY], share[MEMORY];
-    for (long a = 0; a < known; a++) {
-        share[a] = dot(w->changes + a * all, w->now, places);
-        for (long b = 0; b <= a; b++) A[a][b] = A[b][a] = dot(w->changes + a * all, w->changes + b * all, places);
-    }
-    solve_small(known, A, share);
-    for (long a = 0; a < known; a++)
-        if (!(fabs(share[a]) < MOST_LEARNT)) return;
-    for (long a = 0; a < known; a++) {
-        for (long k = 0; k < all; k++) w->now[k] -= share[a] * (w->steps[a * all + k] + w->changes[a * all + k]);
-    }
-}
-
-/* -- all of it --------------------------------------------------------------------------------------------------------- */
 
 /* Heights and contact, with the sheet's stiffness as it is now; found anew as long as others touch. */
-static int settle_heights(const Film *f, const Bodies *bodies, const double *x, const double *force, const SheetSums *sums,
-                          double pressure, double gas_stiffness, double loose, int first, int most_sets, Work *w,
+static int settle_heights(const Film *f, const Settings *set, const Bodies *bodies, double loose, int first, int most_sets, Work *w,
                           int *changed) {
-    const double *z = x + 2 * f->count;
-    for (long k = 0; k < f->count; k++)
-        w->residual[k] = w->fields.elastic[2 * f->count + k] - pressure * w->fields.gradient[2 * f->count + k];
-    stiffen_curved(f, z, w);
-    memset(w->moved, 0, f->count * sizeof *w->moved);
-    int other = decide_contact(f, bodies, x, w->moved, force, loose, 1, w);
+    const double *z = w->x + 2 * f->count;
+    int other = decide_contact(f, bodies, loose, 0, 1, w);
     for (int sets = 0; sets < most_sets; sets++) {
-        const double pulling = find_springs(f, z, w);
+        if (widen_window(f, 0, w)) see_sheet(f, set, FILM_HEIGHTS, w), first = 1;
+        const double pulling = find_springs(f, z, &w->seen);
         stiffen_edges(f, z, 1, w);
-        if (first || other || pulling != w->pulled) {
+        const int fresh = first || other || pulling != w->pulled;
+        if (fresh) {
             *changed = 1, first = 0, w->pulled = pulling;
-            if (prepare_heights(f, sums, gas_stiffness, w)) return 1;
+            if (prepare_heights(f, z, w)) return 1;
         }
-        step_heights(f, z, w);
-        double largest = 0; /* after a long step forces say little of who will let go */
-        for (long k = 0; k < f->count; k++) largest = most(largest, fabs(w->moved[k]));
-        if (sets == most_sets - 1 || !(other = decide_contact(f, bodies, x, w->moved, w->pushed, loose, largest < SHORT, w))) return 0;
+        step_heights(f, z, fresh, w);
+        if (sets == most_sets - 1) return 0;
+        /* after a long step forces say little of who will let go */
+        if (!(other = decide_contact(f, bodies, loose, 1, largest_of(w->moved, f->count) < SHORT, w))) return 0;
         stiffen_edges(f, z, -1, w);
     }
     return 0;
 }
 
-/* Goes on as the film last went, `trend` (4, count) of displacements and forces, as far as the bodies that touch did. */
-static void go_on(const Film *f, const double *trend, double *x, double *force, Work *w) {
-    const long count = f->count;
+/* -- in the plane ------------------------------------------------------------------------------------------------------ */
+
+/* The step (2, count) into `plane`; returns its largest. Frictionless: a contact pushes along the body's normal. */
+static double step_plane(const Film *f, Work *w) {
+    const long n = f->count;
+    for (long c = 0; c < 2; c++)
+        for (long k = 0; k < n; k++) w->plane[c * n + k] = (float)(w->force[k] * w->seen.slope[c * n + k]) - w->residual[c * n + k];
+    film_plane_solve(f, w->plane_factor, w->plane, w->plane_room);
+    const double largest = largest_of(w->plane, 2 * n);
+    if (largest > LONGEST_SHIFT)
+        for (long k = 0; k < 2 * n; k++) w->plane[k] *= (float)(LONGEST_SHIFT / largest);
+    return largest;
+}
+
+/* -- all of it --------------------------------------------------------------------------------------------------------- */
+
+/* Goes on as the film last went, as far as the bodies that touch did. */
+static void go_on(const Film *f, Work *w) {
+    const long n = f->count;
+    const Seen *s = &w->seen;
+    const double *trend = w->trend;
     double along = 0, trends = 0, gaps = 0;
-    for (long k = 0; k < count; k++) {
-        if (!w->touching[k] || isinf(w->obstacle[k])) continue;
-        const double gap = w->obstacle[k] - w->lower[k] - x[2 * count + k];
-        const double went = trend[2 * count + k] - w->slope[k] * trend[k] - w->slope[count + k] * trend[count + k];
+    for (long k = 0; k < n; k++) {
+        if (!s->touching[k] || isinf(s->obstacle[k])) continue;
+        const double gap = s->obstacle[k] - s->lower[k] - w->x[2 * n + k];
+        const double went = trend[2 * n + k] - s->slope[k] * trend[k] - s->slope[n + k] * trend[n + k];
         along += gap * went, trends += square(went), gaps += square(gap);
     }
     const double share = along / trends; /* not finite where nothing went on */
     if (!(fabs(share) < MOST_TREND && along * share > LEAST_EXPLAINED * gaps)) return;
-    for (long k = 0; k < 3 * count; k++) x[k] += share * trend[k];
-    for (long k = 0; k < count; k++) force[k] = w->touching[k] ? most(force[k] + share * trend[3 * count + k], 0) : 0;
-    follow_bodies(f, x, w);
+    for (long k = 0; k < 3 * n; k++) w->x[k] += share * trend[k];
+    for (long k = 0; k < n; k++) w->force[k] = s->touching[k] ? most(w->force[k] + share * trend[3 * n + k], 0) : 0;
+    follow_bodies(f, w->x, &w->seen);
 }
 
-/* Bodies are `lifted` m off where they are; `trend` may be none. Returns a status. */
-static int come_to_rest(const Film *f, const double *plane_factor, const Settings *set, const Bodies *bodies, double lifted,
-                        const double *trend, double *x, double *force, double *found, Work *w) {
-    const long count = f->count, all = 4 * count;
-    const SheetFields no_stiffness = {.elastic = w->fields.elastic, .gradient = w->fields.gradient};
+/* Bodies at the nodes, `lifted` m off where they are. */
+static void look(const Film *f, const Bodies *bodies, double lifted, int step, Work *w) {
+    if (step < LOOKS) {
+        see_bodies(f, bodies, w->x, &w->seen);
+        for (long k = 0; k < f->count; k++)
+            if (w->seen.touching[k]) find_edges(f, bodies, w->x, k, EDGE_HALVES, &w->seen);
+    } else {
+        follow_bodies(f, w->x, &w->seen);
+    }
+    lower_round_bodies(f, &w->seen);
+    if (lifted != 0)
+        for (long k = 0; k < f->count; k++) w->seen.obstacle[k] += lifted;
+}
+
+/* Heights and plane by one step; the larger of both, or NaN. `wider`: the window is another. */
+static double step_both(const Film *f, const Settings *set, const Bodies *bodies, int step, int wider, Work *w, double *lift,
+                        int *changed) {
+    const long n = f->count;
+    const double loose = step < PATIENCE ? 1 : least(step - PATIENCE + 1, MOST_LOOSE);
+    if (settle_heights(f, set, bodies, loose, wider, step < QUICK ? MOST_SETS : 1, w, changed)) return NAN;
+    double *z = w->x + 2 * n;
+    float *now = w->learnt.now;
+    for (long k = 0; k < n; k++) {
+        now[2 * n + k] = w->moved[k], now[3 * n + k] = w->pushed[k] - (float)w->force[k];
+        z[k] += (double)w->moved[k], w->force[k] = (double)w->pushed[k];
+    }
+    *lift = largest_of(w->moved, n);
+    see_sheet(f, set, FILM_PLANE, w);
+    const double shift = step_plane(f, w);
+    for (long k = 0; k < 2 * n; k++) now[k] = w->plane[k], w->x[k] += (double)w->plane[k];
+    return isfinite(*lift) && isfinite(shift) ? most(*lift, shift) : NAN;
+}
+
+/* Returns a status. */
+static int come_to_rest(const Film *f, const Settings *set, const Bodies *bodies, double lifted, int with_trend, double *found, Work *w) {
+    const long n = f->count;
+    double last_before = FIRST_STEP, lift;
     int far = 0;
-    long known = 0, newest = 0;
-    double *z = x + 2 * count, last_before = FIRST_STEP;
-    memset(w->now, 0, all * sizeof *w->now), memset(w->whole.area_by, 0, 2 * count * sizeof *w->now);
-    for (long k = 0; k < count; k++) w->touching[k] = force[k] > 0;
-    for (long step = 0; step < (long)set->most_steps; step++) {
-        if (step < LOOKS) {
-            see_bodies(f, bodies, x, w);
-            for (long k = 0; k < count; k++)
-                if (w->touching[k]) find_edges(f, bodies, x, k, EDGE_HALVES, w);
-        } else {
-            follow_bodies(f, x, w);
-        }
-        const int misplaced = step ? CONVERGED : against_the_frame(f, w);
+    Learnt *l = &w->learnt;
+    film_forget(l);
+    w->heights.first = f->columns, w->heights.last = -1;
+    for (long k = 0; k < n; k++) w->seen.touching[k] = w->force[k] > 0;
+    for (int step = 0; step < (int)set->most_steps; step++) {
+        look(f, bodies, lifted, step, w);
+        const int misplaced = step ? CONVERGED : against_the_frame(f, &w->seen);
         if (misplaced) return misplaced;
-        lower_round_bodies(f, w);
-        if (!step && trend) go_on(f, trend, x, force, w);
-        for (long k = 0; k < count; k++) w->obstacle[k] += lifted;
-
-        double pressure, gas_stiffness, largest = 0, largest_shift;
-        SheetSums sums = film_sheet(f, x, &w->fields);
-        if (sums.least_turn < LEAST_TURN) return INSIDE_OUT;
-        if (!isfinite(sums.area)) return BROKEN_DOWN;
-        gas_of(f, set, sums.volume, &pressure, &gas_stiffness);
+        if (!step && with_trend) go_on(f, w);
+        const int wider = widen_window(f, step ? 0 : NEAR, w);
+        see_sheet(f, set, FILM_HEIGHTS, w);
+        if (w->sums.least_turn < LEAST_TURN) return INSIDE_OUT;
+        if (!isfinite(w->sums.area)) return BROKEN_DOWN;
         int changed = 0;
-        const double loose = step < PATIENCE ? 1 : least(step - PATIENCE + 1, MOST_LOOSE);
-        if (settle_heights(f, bodies, x, force, &sums, pressure, gas_stiffness, loose, !step, step < QUICK ? MOST_SETS : 1, w, &changed)) return BROKEN_DOWN;
-        double *now_z = w->now + 2 * count, *now_force = w->now + 3 * count;
-        for (long k = 0; k < count; k++) {
-            now_z[k] = w->moved[k], now_force[k] = w->pushed[k] - force[k];
-            z[k] += w->moved[k], force[k] = w->pushed[k];
-            largest = most(largest, fabs(w->moved[k]));
-        }
-        sums = film_sheet(f, x, &no_stiffness);
-        gas_of(f, set, sums.volume, &pressure, &gas_stiffness);
-        step_plane(f, w, plane_factor, pressure, force, &largest_shift);
-        memset(w->now, 0, 2 * count * sizeof *w->now);
-        move_plane(f, w->plane, 1, w->now), move_plane(f, w->plane, 1, x);
-
-        const double last = most(largest, largest_shift);
-        if (!isfinite(last)) return BROKEN_DOWN;
-        found[STEPS] += 1, found[LAST_STEP] = last, found[PRESSURE] = pressure, found[VOLUME] = sums.volume;
-        found[STRETCHED_AREA] = sums.area, found[TENSION] = sums.tension;
+        const double last = step_both(f, set, bodies, step, wider, w, &lift, &changed);
+        if (isnan(last)) return BROKEN_DOWN;
+        found[STEPS] += 1, found[LAST_STEP] = last, found[PRESSURE] = w->pressure, found[VOLUME] = w->sums.volume;
+        found[STRETCHED_AREA] = w->sums.area, found[TENSION] = w->sums.tension;
         /* steps shrink by a share that the last two tell; what all that would follow add up to is left */
-        if (!step) far = largest > SHORT;
+        if (!step) far = lift > SHORT;
         const double shrinks = clip(last / last_before, far ? LEAST_SHARE_FAR : LEAST_SHARE, 0.9);
         if ((!changed || !step) && last * shrinks / (1 - shrinks) < set->tolerance) return CONVERGED;
         last_before = last;
-        if (changed) {
-            known = 0;
-        } else {
-            double *slot = w->changes + newest * all;
-            for (long k = 0; k < all; k++) slot[k] = w->now[k] - w->last_step[k];
-            known = known < MEMORY ? known + 1 : MEMORY;
-        }
-        memcpy(w->last_step, w->now, all * sizeof *w->now);
-        if (known) {
-            learn(f, w, known);
-            for (long k = 0; k < 3 * count; k++) x[k] += w->now[k] - w->last_step[k];
-            for (long k = 0; k < count; k++) force[k] = w->touching[k] ? force[k] + now_force[k] - w->last_step[3 * count + k] : 0;
-        }
-        newest = changed ? 0 : (newest + 1) % MEMORY;
-        memcpy(w->steps + newest * all, w->now, all * sizeof *w->now);
+        if (!film_learn(l, changed)) continue;
+        for (long k = 0; k < 3 * n; k++) w->x[k] += (double)(l->now[k] - l->last[k]);
+        for (long k = 0; k < n; k++)
+            w->force[k] = w->seen.touching[k] ? w->force[k] + (double)(l->now[3 * n + k] - l->last[3 * n + k]) : 0;
     }
     return NOT_CONVERGED;
 }
 
-int64_t film_solve(const double *numbers, const double *law, int64_t columns, int64_t rows, const double *plane_factor,
+/* Too large a jump: from rest, with bodies that come in smaller ones. */
+static int come_from_rest(const Film *f, const Settings *set, const Bodies *bodies, const double *rest, double *found, Work *w) {
+    film_pad(f, 3, rest, w->x), memset(w->force, 0, f->count * sizeof *w->force);
+    see_bodies(f, bodies, w->x, &w->seen);
+    double deep = 0;
+    int status = NOT_CONVERGED;
+    for (long k = 0; k < f->count; k++) deep = most(deep, w->x[2 * f->count + k] - w->seen.obstacle[k]);
+    for (int jump = JUMPS - 1; jump >= 0; jump--) {
+        status = come_to_rest(f, set, bodies, deep * jump / JUMPS, 0, found, w);
+        if (status != CONVERGED && status != NOT_CONVERGED) break;
+    }
+    return status;
+}
+
+int64_t film_solve(const double *numbers, const double *law, int64_t columns, int64_t rows, int64_t keeping, const float *kept,
                    const double *rest, int64_t roomy, double *room, int64_t environments, int64_t begin, int64_t end,
                    const double *settings, int64_t bodies, const double *body, int64_t pooled, const double *pool, double *x,
                    double *force, double *trend, double *found) {
     const Film f = film_of(numbers, law);
-    if (columns != f.columns || rows != f.rows || roomy < film_work_size(&f) || begin < 0 || end > environments) return REFUSED;
+    if (columns != f.columns || rows != f.rows || f.line > FILM_MOST_LINE || keeping < film_kept(numbers)) return REFUSED;
+    if (roomy < room_of(&f) || begin < 0 || end > environments) return REFUSED;
     (void)pooled;
-    Work w = film_work(&f, room);
+    const long n = f.count, nodes = columns * rows;
+    const RestHeights at_rest = film_heights_at(&f, (float *)kept);
+    Work w = work_in(&f, &at_rest, kept + film_heights_size(&f), room);
     for (long e = begin; e < end; e++) {
-        double *own_x = x + e * 3 * f.count, *own_force = force + e * f.count, *own = found + e * FOUND;
-        double *own_trend = trend + e * 4 * f.count;
+        double *own_x = x + e * 3 * nodes, *own_force = force + e * nodes, *own_trend = trend + e * 4 * nodes, *own = found + e * FOUND;
         const Bodies own_bodies = {bodies, body + e * bodies * FILM_BODY, pool};
         const Settings *set = (const Settings *)settings + e;
         memset(own, 0, FOUND * sizeof *own);
-        memcpy(w.start, own_x, 3 * f.count * sizeof *x), memcpy(w.start + 3 * f.count, own_force, f.count * sizeof *x);
-        int status = come_to_rest(&f, plane_factor, set, &own_bodies, 0, own_trend, own_x, own_force, own, &w);
-        if (set->most_steps > 1 && (status == NOT_CONVERGED || status == INSIDE_OUT || status == BROKEN_DOWN)) { /* too large a jump: from rest, in smaller ones */
-            memcpy(own_x, rest, 3 * f.count * sizeof *rest), memset(own_force, 0, f.count * sizeof *own_force);
-            see_bodies(&f, &own_bodies, own_x, &w);
-            double deep = 0;
-            for (long k = 0; k < f.count; k++) deep = most(deep, own_x[2 * f.count + k] - w.obstacle[k]);
-            const long jumps = 16;
-            for (long jump = jumps - 1; jump >= 0; jump--) {
-                status = come_to_rest(&f, plane_factor, set, &own_bodies, deep * jump / jumps, 0, own_x, own_force, own, &w);
-                if (status != CONVERGED && status != NOT_CONVERGED) break;
-            }
-        }
+        film_pad(&f, 3, own_x, w.x), film_pad(&f, 1, own_force, w.force), film_pad(&f, 4, own_trend, w.trend);
+        memcpy(w.start, w.x, 3 * n * sizeof *w.x), memcpy(w.start + 3 * n, w.force, n * sizeof *w.x);
+        int status = come_to_rest(&f, set, &own_bodies, 0, 1, own, &w);
+        if (set->most_steps > 1 && (status == NOT_CONVERGED || status == INSIDE_OUT || status == BROKEN_DOWN))
+            status = come_from_rest(&f, set, &own_bodies, rest, own, &w);
         own[STATUS] = status;
-        for (long k = 0; k < 3 * f.count; k++) own_trend[k] = own_x[k] - w.start[k];
-        for (long k = 0; k < f.count; k++) own_trend[3 * f.count + k] = own_force[k] - w.start[3 * f.count + k];
-        if (status == CONVERGED) add_up(&f, own_x, own_force, own, &w);
+        for (long k = 0; k < n; k++) w.seen.cell[k] = (double)w.swells[k];
+        if (status == CONVERGED) add_up(&f, w.x, w.force, own, &w.seen);
+        for (long k = 0; k < 3 * n; k++) w.trend[k] = w.x[k] - w.start[k];
+        for (long k = 0; k < n; k++) w.trend[3 * n + k] = w.force[k] - w.start[3 * n + k];
+        film_unpad(&f, 3, w.x, own_x), film_unpad(&f, 1, w.force, own_force), film_unpad(&f, 4, w.trend, own_trend);
     }
     return 0;
 }
 
-/* Factor of the plane's stiffness at a deformation `x` (3, count). */
-int64_t film_plane(const double *numbers, const double *law, int64_t columns, int64_t rows, const double *x, double *factor) {
+int64_t film_keep(const double *numbers, const double *law, int64_t columns, int64_t rows, const double *x, int64_t roomy, double *room,
+                  int64_t keeping, float *kept) {
     const Film f = film_of(numbers, law);
-    if (columns != f.columns || rows != f.rows) return REFUSED;
-    film_plane_stiffness(&f, x, factor);
+    if (columns != f.columns || rows != f.rows || f.line > FILM_MOST_LINE || keeping < film_kept(numbers)) return REFUSED;
+    if (roomy < room_of(&f)) return REFUSED;
+    RestHeights rest = film_heights_at(&f, kept);
+    Work w = work_in(&f, &rest, kept, room);
+    film_pad(&f, 3, x, w.x);
+    if (film_heights_rest(&f, w.x, &w.fine, &rest)) return NOT_DEFINITE;
+    return film_plane_factor(&f, w.x, kept + film_heights_size(&f)) ? NOT_DEFINITE : 0;
+}
+
+int64_t film_plane(const double *numbers, const double *law, int64_t columns, int64_t rows, const double *x, int64_t roomy, double *room,
+                   double *factor) {
+    const Film f = film_of(numbers, law);
+    if (columns != f.columns || rows != f.rows || roomy < 3 * f.count) return REFUSED;
+    film_pad(&f, 3, x, room);
+    film_plane_stiffness(&f, room, factor);
     return band_cholesky(2 * f.inner, FILM_PLANE_WIDTH(&f), factor) ? NOT_DEFINITE : 0;
 }

@@ -1,10 +1,12 @@
 /* The film: a sheet on a regular grid over a gas, pressed by bodies that are heights over it; mjtactile/film has the equations.
    Fields are over all nodes (nodes_x, nodes_y), y fastest, the frame's among them, which never move; what is solved for are the
-   inner nodes alone. Displacements are three fields: along x, along y, and the height. */
+   inner nodes alone. Displacements are three fields: along x, along y, and the height. Python's fields are of nodes alone; inside,
+   lines along y are padded to whole vectors with nodes that are none, and at rest. */
 #ifndef MJTACTILE_FILM_H
 #define MJTACTILE_FILM_H
 #include <stdint.h>
 
+#define FILM_MOST_LINE 400
 #define FILM_LAW 11 /* coefficients of the law's polynomial, lowest first */
 
 typedef struct {
@@ -23,7 +25,7 @@ typedef struct {
     const double *law;
     long columns, rows;       /* of all nodes: along x, along y */
     long inner_rows, inner;   /* of those that move */
-    long count;
+    long line, count;         /* nodes of a padded line; of all lines */
     double dx, dy;
 } Film;
 

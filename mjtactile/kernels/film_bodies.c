@@ -275,7 +275,7 @@ int film_body_height(const Film *film, const FilmBody *b, const double *pool, do
         return missed;
     }
     if (missed || slopes_of(b, n, slope)) return 1;
-    if (hypot(slope[0], slope[1]) > steepest_of(film, b)) return 1;
+    if (square(slope[0]) + square(slope[1]) > square(steepest_of(film, b))) return 1;
     *height = exact ? t : t - out * farther_along_z(slope);
     return 0;
 }

@@ -17,10 +17,12 @@
 #define WIDTH(film) (3 * ((film)->inner_rows + 1) + 2)
 
 typedef struct {
-    Work work;
+    Seen seen;
+    SheetFields fields;                 /* (3, count) twice; links are in `seen` */
     double *band;                       /* 3 inner */
     double *v;                          /* (3, count) of the volume, by the displacements */
     double *slope, *spring, *obstacle;  /* where the film is: (2, count), (4, count), (count) */
+    double *at, *pressed;               /* the film: (3, count), (count) */
     double *x, *force, *low, *high;     /* moved: (3, count), (count); residuals: (4, count) */
     Lanes *rhs;                         /* 3 inner */
     Lanes *residual, *given, *product;  /* (4, count), (3, count) twice */
@@ -30,7 +32,7 @@ typedef struct {
 
 static long room_of(const Film *f) {
     const long lanes = 3 * f->inner + 14 * f->count;
-    return film_work_size(f) + 3 * f->inner * BAND_STRIDE(WIDTH(f)) + (3 + 2 + 4 + 1 + 3 + 1 + 8) * f->count + LANES * lanes;
+    return film_seen_size(f) + 3 * f->inner * BAND_STRIDE(WIDTH(f)) + (3 + 2 + 4 + 1 + 3 + 1 + 8 + 6 + 4) * f->count + 16 + LANES * lanes;
 }
 
 int64_t film_derive_room(const double *numbers) {
@@ -38,22 +40,19 @@ int64_t film_derive_room(const double *numbers) {
     return room_of(&f);
 }
 
-static double *take(double **from, long n) {
-    double *here = *from;
-    *from += n;
-    return here;
-}
-
 static Tangent tangent_in(const Film *f, double *room) {
     const long n = f->count;
     Tangent t;
-    t.work = film_work(f, take(&room, film_work_size(f)));
-    t.band = take(&room, 3 * f->inner * BAND_STRIDE(WIDTH(f)));
-    t.v = take(&room, 3 * n), t.slope = take(&room, 2 * n), t.spring = take(&room, 4 * n), t.obstacle = take(&room, n);
-    t.x = take(&room, 3 * n), t.force = take(&room, n), t.low = take(&room, 4 * n), t.high = take(&room, 4 * n);
-    t.rhs = (Lanes *)take(&room, LANES * 3 * f->inner);
-    t.residual = (Lanes *)take(&room, LANES * 4 * n), t.given = (Lanes *)take(&room, LANES * 3 * n);
-    t.product = (Lanes *)take(&room, LANES * 3 * n), t.found = (Lanes *)take(&room, LANES * 4 * n);
+    t.seen = film_seen_in(f, &room);
+    t.fields.elastic = film_take(&room, 3 * n), t.fields.gradient = film_take(&room, 3 * n);
+    t.fields.along_x = t.seen.along_x, t.fields.along_y = t.seen.along_y;
+    t.at = film_take(&room, 3 * n + 8), t.pressed = film_take(&room, n);
+    t.band = film_take(&room, 3 * f->inner * BAND_STRIDE(WIDTH(f)));
+    t.v = film_take(&room, 3 * n), t.slope = film_take(&room, 2 * n), t.spring = film_take(&room, 4 * n), t.obstacle = film_take(&room, n);
+    t.x = film_take(&room, 3 * n + 8), t.force = film_take(&room, n), t.low = film_take(&room, 4 * n), t.high = film_take(&room, 4 * n);
+    t.rhs = (Lanes *)film_take(&room, LANES * 3 * f->inner);
+    t.residual = (Lanes *)film_take(&room, LANES * 4 * n), t.given = (Lanes *)film_take(&room, LANES * 3 * n);
+    t.product = (Lanes *)film_take(&room, LANES * 3 * n), t.found = (Lanes *)film_take(&room, LANES * 4 * n);
     return t;
 }
 
@@ -63,7 +62,7 @@ static Tangent tangent_in(const Film *f, double *room) {
 static void eliminate(const Film *f, const Tangent *t, CornerStiffness *c) {
     for (int n = 0; n < 3; n++) {
         const long node = c->node[n], z = 3 * n + 2;
-        if (!t->work.touching[node]) continue;
+        if (!t->seen.touching[node]) continue;
         for (int k = 0; k < 2; k++)
             for (int q = 0; q < 9; q++) c->K[3 * n + k][q] += t->slope[k * f->count + node] * c->K[z][q];
         for (int k = 0; k < 2; k++)
@@ -95,12 +94,12 @@ static void add_bends(const Film *f, const Bodies *bodies, const double *x, cons
     for (int side = 0; side < 4; side++) {
         memcpy(t->x, x, 3 * f->count * sizeof *x);
         for (long k = 0; k < f->count; k++) t->x[side / 2 * f->count + k] += side % 2 ? step : -step;
-        see_bodies(f, bodies, t->x, &t->work);
+        see_bodies(f, bodies, t->x, &t->seen);
         for (long k = 0; k < 2 * f->count; k++)
-            bend[side / 2 * 2 * f->count + k] += (side % 2 ? 1 : -1) * t->work.slope[k] / (2 * step);
+            bend[side / 2 * 2 * f->count + k] += (side % 2 ? 1 : -1) * t->seen.slope[k] / (2 * step);
     }
     for (long k = 0; k < f->count; k++) {
-        if (!t->work.touching[k]) continue;
+        if (!t->seen.touching[k]) continue;
         const double xy = (bend[f->count + k] + bend[2 * f->count + k]) / 2;
         const double by[2][2] = {{bend[k], xy}, {xy, bend[3 * f->count + k]}};
         const long m = film_inner(f, k);
@@ -141,7 +140,7 @@ static void times_stiffness(const Film *f, const double *x, const Tangent *t, co
     CornerStiffness c;
     for (long corner = 0; corner < FILM_CORNERS(f); corner++) {
         film_corner_nodes(f, corner, c.node);
-        if (!t->work.touching[c.node[0]] && !t->work.touching[c.node[1]] && !t->work.touching[c.node[2]]) continue;
+        if (!t->seen.touching[c.node[0]] && !t->seen.touching[c.node[1]] && !t->seen.touching[c.node[2]]) continue;
         film_corner(f, x, t->pressure, corner, &c);
         for (int p = 0; p < 9; p++)
             for (int q = 0; q < 9; q++) t->product[p % 3 * count + c.node[p / 3]] += c.K[p][q] * what[q % 3 * count + c.node[q / 3]];
@@ -161,7 +160,7 @@ static void times_stiffness(const Film *f, const double *x, const Tangent *t, co
 /* All of a film's residuals (4, count): forces on the nodes, and how far what touches is off its body. */
 static void residuals(const Film *f, const Settings *set, const Bodies *bodies, const double *x, const double *force,
                       int moved, Tangent *t, double *out) {
-    Work *w = &t->work;
+    Seen *w = &t->seen;
     const long count = f->count;
     see_bodies(f, bodies, x, w);
     for (long k = 0; k < count; k++) {
@@ -172,8 +171,8 @@ static void residuals(const Film *f, const Settings *set, const Bodies *bodies, 
     }
     lower_round_bodies(f, w);
     double pressure = t->pressure, unused;
-    if (moved) gas_of(f, set, film_sheet(f, x, &w->fields).volume, &pressure, &unused);
-    for (long k = 0; k < 3 * count; k++) out[k] = w->fields.elastic[k] - pressure * w->fields.gradient[k];
+    if (moved) gas_of(f, set, film_sheet(f, x, FILM_ALL, 0, f->columns - 1, &t->fields).volume, &pressure, &unused);
+    for (long k = 0; k < 3 * count; k++) out[k] = t->fields.elastic[k] - pressure * t->fields.gradient[k];
     find_springs(f, x + 2 * count, w);
     for (long k = 0; k < count; k++) {
         out[3 * count + k] = 0;
@@ -198,7 +197,7 @@ static void move(const Film *f, const double *x, const double *force, double ste
 
 static void solve(const Film *f, const double *x, Tangent *t) {
     const long count = f->count;
-    const uint8_t *touching = t->work.touching;
+    const uint8_t *touching = t->seen.touching;
     Lanes bulge = {0}, by_gas = {0};
     memset(t->given, 0, 3 * count * sizeof *t->given);
     for (long k = 0; k < count; k++)
@@ -254,16 +253,17 @@ static void found_after(const Film *f, const Settings *set, const Bodies *bodies
                         const double *force, Tangent *t, double *found) {
     move(f, x, force, step, lane, t);
     residuals(f, set, bodies, t->x, t->force, 0, t, t->low);
-    const SheetSums sums = film_sheet(f, t->x, &t->work.fields);
+    const SheetSums sums = film_sheet(f, t->x, FILM_ALL, 0, f->columns - 1, &t->fields);
     double unused;
+    memcpy(t->seen.cell, t->fields.gradient + 2 * f->count, f->count * sizeof *t->seen.cell);
     found[VOLUME] = sums.volume, found[TENSION] = sums.tension, found[STRETCHED_AREA] = sums.area;
     gas_of(f, set, sums.volume, found + PRESSURE, &unused);
-    add_up(f, t->x, t->force, found, &t->work);
+    add_up(f, t->x, t->force, found, &t->seen);
 }
 
 int64_t film_derive(const double *numbers, const double *law, int64_t columns, int64_t rows, int64_t roomy, double *room,
                     const double *settings, int64_t bodies, int64_t changes, const double *body, int64_t pooled,
-                    const double *pool, const double *steps, const double *x, const double *force, double *by_x,
+                    const double *pool, const double *steps, const double *at, const double *pressed, double *by_x,
                     double *by_force, double *by_found) {
     const Film f = film_of(numbers, law);
     if (columns != f.columns || rows != f.rows || roomy < room_of(&f)) return REFUSED;
@@ -271,13 +271,16 @@ int64_t film_derive(const double *numbers, const double *law, int64_t columns, i
     Tangent t = tangent_in(&f, room);
     const Settings *set = (const Settings *)settings;
     const Bodies base = {bodies, body, pool};
-    const long count = f.count;
+    const long count = f.count, nodes = columns * rows;
+    memset(t.at, 0, (3 * count + 8) * sizeof *t.at), memset(t.x, 0, (3 * count + 8) * sizeof *t.x);
+    film_pad(&f, 3, at, t.at), film_pad(&f, 1, pressed, t.pressed);
+    const double *x = t.at, *force = t.pressed;
     memset(t.obstacle, 0, count * sizeof *t.obstacle), memset(t.slope, 0, 2 * count * sizeof *t.slope);
-    for (long k = 0; k < count; k++) t.work.touching[k] = force[k] != 0;
-    gas_of(&f, set, film_sheet(&f, x, &t.work.fields).volume, &t.pressure, &t.gas_stiffness);
+    for (long k = 0; k < count; k++) t.seen.touching[k] = force[k] != 0;
+    gas_of(&f, set, film_sheet(&f, x, FILM_ALL, 0, f.columns - 1, &t.fields).volume, &t.pressure, &t.gas_stiffness);
     residuals(&f, set, &base, x, force, 0, &t, t.low);
-    memcpy(t.v, t.work.fields.gradient, 3 * count * sizeof *t.v), memcpy(t.slope, t.work.slope, 2 * count * sizeof *t.slope);
-    memcpy(t.spring, t.work.spring, 4 * count * sizeof *t.spring), memcpy(t.obstacle, t.work.obstacle, count * sizeof *t.obstacle);
+    memcpy(t.v, t.fields.gradient, 3 * count * sizeof *t.v), memcpy(t.slope, t.seen.slope, 2 * count * sizeof *t.slope);
+    memcpy(t.spring, t.seen.spring, 4 * count * sizeof *t.spring), memcpy(t.obstacle, t.seen.obstacle, count * sizeof *t.obstacle);
     int at_edges = 0;
     for (long k = 0; k < 4 * count; k++) at_edges |= t.spring[k] != 0;
     if (make_tangent(&f, &base, x, force, &t)) return NOT_DEFINITE;
@@ -285,7 +288,7 @@ int64_t film_derive(const double *numbers, const double *law, int64_t columns, i
         const long many = changes - first < AT_ONCE ? changes - first : AT_ONCE;
         memset(t.found, 0, 4 * count * sizeof *t.found), memset(t.residual, 0, 4 * count * sizeof *t.residual);
         for (int sweep = 0; sweep < (at_edges ? SWEEPS_AT_EDGES : SWEEPS); sweep++) {
-            if (!sweep) film_sheet(&f, x, &t.work.fields);
+            if (!sweep) film_sheet(&f, x, FILM_ALL, 0, f.columns - 1, &t.fields);
             for (long a = 0; a < many; a++) {
                 const Bodies low = {bodies, body + (1 + 2 * (first + a)) * bodies * FILM_BODY, pool};
                 const Bodies high = {bodies, low.body + bodies * FILM_BODY, pool};
@@ -300,8 +303,8 @@ int64_t film_derive(const double *numbers, const double *law, int64_t columns, i
             found_after(&f, set, &low, -steps[first + a], (int)a, x, force, &t, before);
             found_after(&f, set, &high, steps[first + a], (int)a, x, force, &t, after);
             for (int k = 0; k < FOUND; k++) by_found[(first + a) * FOUND + k] = (after[k] - before[k]) / (2 * steps[first + a]);
-            for (long k = 0; k < 3 * count; k++) by_x[(first + a) * 3 * count + k] = t.found[k][a];
-            for (long k = 0; k < count; k++) by_force[(first + a) * count + k] = t.found[3 * count + k][a];
+            for (long k = 0; k < 4 * count; k++) t.low[k] = t.found[k][a];
+            film_unpad(&f, 3, t.low, by_x + (first + a) * 3 * nodes), film_unpad(&f, 1, t.low + 3 * count, by_force + (first + a) * nodes);
         }
     }
     return 0;

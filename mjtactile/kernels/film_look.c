@@ -11,6 +11,29 @@
 #define NEAREST_EDGE 0.95   /* of a spacing */
 #define SAME 1e-9           /* m */
 
+long film_seen_size(const Film *f) { return (1 + 1 + 2 + 1 + 2 + 4 + 4 + 1 + 1 + 1) * f->count + f->count / 8; }
+
+Seen film_seen_in(const Film *f, double **room) {
+    const long n = f->count;
+    Seen s;
+    memset(*room, 0, film_seen_size(f) * sizeof **room);
+    s.obstacle = film_take(room, n), s.level = film_take(room, n), s.slope = film_take(room, 2 * n), s.lower = film_take(room, n);
+    s.away = film_take(room, 2 * n), s.edge = film_take(room, 4 * n), s.spring = film_take(room, 4 * n);
+    s.along_x = film_take(room, n), s.along_y = film_take(room, n), s.cell = film_take(room, n);
+    s.touching = (uint8_t *)film_take(room, n / 8); /* lines are whole eights */
+    for (long k = 0; k < n; k++) s.obstacle[k] = s.level[k] = INFINITY;
+    return s;
+}
+
+void film_pad(const Film *f, long fields, const double *from, double *to) {
+    memset(to, 0, fields * f->count * sizeof *to);
+    for (long i = 0; i < fields * f->columns; i++) memcpy(to + i * f->line, from + i * f->rows, f->rows * sizeof *to);
+}
+
+void film_unpad(const Film *f, long fields, const double *from, double *to) {
+    for (long i = 0; i < fields * f->columns; i++) memcpy(to + i * f->rows, from + i * f->line, f->rows * sizeof *to);
+}
+
 /* -- bodies ------------------------------------------------------------------------------------------------------------ */
 
 static const FilmBody *body_of(const Bodies *bodies, long number) {
@@ -66,30 +89,30 @@ static int see_ridge(const Film *f, const Bodies *bodies, double x, double y, in
 }
 
 /* Heights of all bodies over the nodes where they are now. */
-void see_bodies(const Film *f, const Bodies *bodies, const double *x, Work *w) {
+void see_bodies(const Film *f, const Bodies *bodies, const double *x, Seen *seen) {
     int thin = 0, sharp = 0;
     for (long b = 0; b < bodies->count; b++) sharp |= body_of(bodies, b)->least == 0;
     for (long b = 0; b < bodies->count; b++) thin |= body_of(bodies, b)->least < most(f->dx, f->dy);
     for (long i = 0; i < f->columns; i++)
         for (long j = 0; j < f->rows; j++) {
-            const long k = i * f->rows + j;
+            const long k = i * f->line + j;
             const double at_x = i * f->dx - f->numbers.length_x / 2 + x[k];
             const double at_y = j * f->dy - f->numbers.length_y / 2 + x[f->count + k];
             double slope[2] = {0, 0};
             int axis = 0; /* kept in `edge`, which is found later */
             double away = 0;
-            const int off_all = lowest(f, bodies, at_x, at_y, w->obstacle + k, slope);
-            const int taken = (i && ((int)w->edge[k - f->rows] & 1)) | (j && ((int)w->edge[k - 1] & 2)) << 1;
-            if (off_all && thin) axis = see_between(f, bodies, at_x, at_y, taken, w->obstacle + k, slope, &away);
-            w->away[k] = axis == 1 ? away * f->dx : 0, w->away[f->count + k] = axis == 2 ? away * f->dy : 0;
-            if (!off_all && sharp) axis = see_ridge(f, bodies, at_x, at_y, taken, w->obstacle + k, slope);
-            w->edge[k] = axis;
-            w->slope[k] = slope[0], w->slope[f->count + k] = slope[1];
-            if (isinf(w->obstacle[k])) {
-                w->level[k] = INFINITY;
+            const int off_all = lowest(f, bodies, at_x, at_y, seen->obstacle + k, slope);
+            const int taken = (i && ((int)seen->edge[k - f->line] & 1)) | (j && ((int)seen->edge[k - 1] & 2)) << 1;
+            if (off_all && thin) axis = see_between(f, bodies, at_x, at_y, taken, seen->obstacle + k, slope, &away);
+            seen->away[k] = axis == 1 ? away * f->dx : 0, seen->away[f->count + k] = axis == 2 ? away * f->dy : 0;
+            if (!off_all && sharp) axis = see_ridge(f, bodies, at_x, at_y, taken, seen->obstacle + k, slope);
+            seen->edge[k] = axis;
+            seen->slope[k] = slope[0], seen->slope[f->count + k] = slope[1];
+            if (isinf(seen->obstacle[k])) {
+                seen->level[k] = INFINITY;
                 continue;
             }
-            w->level[k] = w->obstacle[k] - w->slope[k] * x[k] - w->slope[f->count + k] * x[f->count + k];
+            seen->level[k] = seen->obstacle[k] - seen->slope[k] * x[k] - seen->slope[f->count + k] * x[f->count + k];
         }
 }
 
@@ -100,14 +123,14 @@ static int on_a_body(const Film *f, const Bodies *bodies, double x, double y) {
 
 /* Where bodies end between a node that is on one and a neighbour that is not: the share of the way, for the neighbours at +x, -x,
    +y and -y; negative where both are on. */
-void find_edges(const Film *f, const Bodies *bodies, const double *x, long k, int halves, Work *w) {
-    const long rows = f->rows, count = f->count, i = k / rows, j = k % rows;
-    const double at[2] = {i * f->dx - f->numbers.length_x / 2 + x[k] + w->away[k],
-                          j * f->dy - f->numbers.length_y / 2 + x[count + k] + w->away[count + k]};
+void find_edges(const Film *f, const Bodies *bodies, const double *x, long k, int halves, Seen *seen) {
+    const long count = f->count, i = k / f->line, j = k % f->line;
+    const double at[2] = {i * f->dx - f->numbers.length_x / 2 + x[k] + seen->away[k],
+                          j * f->dy - f->numbers.length_y / 2 + x[count + k] + seen->away[count + k]};
     for (int side = 0; side < 4; side++) {
         const long other = k + film_next(f, side);
-        w->edge[side * count + k] = -1;
-        if (!on_a_body(f, bodies, at[0], at[1]) || isfinite(w->obstacle[other])) continue;
+        seen->edge[side * count + k] = -1;
+        if (!on_a_body(f, bodies, at[0], at[1]) || isfinite(seen->obstacle[other])) continue;
         const double way[2] = {side < 2 ? (side ? -1 : 1) * f->dx + x[other] - x[k] : 0,
                                side < 2 ? 0 : (side == 3 ? -1 : 1) * f->dy + x[count + other] - x[count + k]};
         double low = 0, high = 1;
@@ -116,32 +139,31 @@ void find_edges(const Film *f, const Bodies *bodies, const double *x, long k, in
             if (on_a_body(f, bodies, at[0] + middle * way[0], at[1] + middle * way[1])) low = middle;
             else high = middle;
         }
-        w->edge[side * count + k] = low;
+        seen->edge[side * count + k] = low;
     }
     for (int axis = 0; axis < 2; axis++) { /* what lies between nodes on both sides is taken to lie about its own */
-        double *one = w->edge + 2 * axis * count + k, *other = one + count;
+        double *one = seen->edge + 2 * axis * count + k, *other = one + count;
         if (*one >= 0 && *other >= 0) *one = *other = (*one + *other) / 2;
     }
 }
 
-double rises_over_edge(const Film *f, const Work *w, const double *z, long k, int side) {
-    const double along = side < 2 ? w->slope[k] * f->dx : w->slope[f->count + k] * f->dy;
+double rises_over_edge(const Film *f, const Seen *seen, const double *z, long k, int side) {
+    const double along = side < 2 ? seen->slope[k] * f->dx : seen->slope[f->count + k] * f->dy;
     return z[k + film_next(f, side)] - z[k] - (side % 2 ? -along : along);
 }
 
 /* A sheet that bends over an edge a share s of the spacing beyond the last node on the body rises to the next node over what is
    left of it, 1 - s, and pulls that much more: as a spring beside the sheet. */
-double find_springs(const Film *f, const double *z, Work *w) {
+double find_springs(const Film *f, const double *z, Seen *seen) {
     double which = 0;
-    const SheetFields *s = &w->fields;
-    memset(w->spring, 0, 4 * f->count * sizeof *w->spring);
-    for (long k = f->rows; k < f->count - f->rows; k++) {
-        if (!w->touching[k]) continue;
-        const double links[4] = {s->right[k], s->right[k - f->rows], s->up[k], s->up[k - 1]};
+    memset(seen->spring, 0, 4 * f->count * sizeof *seen->spring);
+    for (long k = f->line; k < f->count - f->line; k++) {
+        if (!seen->touching[k]) continue;
+        const double links[4] = {seen->along_x[k], seen->along_x[k - f->line], seen->along_y[k], seen->along_y[k - 1]};
         for (int side = 0; side < 4; side++) {
-            const double share = least(w->edge[side * f->count + k], NEAREST_EDGE);
-            if (share <= 0 || rises_over_edge(f, w, z, k, side) <= 0) continue; /* it leaves the face before the edge */
-            w->spring[side * f->count + k] = most(-links[side], 0) * share / (1 - share);
+            const double share = least(seen->edge[side * f->count + k], NEAREST_EDGE);
+            if (share <= 0 || rises_over_edge(f, seen, z, k, side) <= 0) continue; /* it leaves the face before the edge */
+            seen->spring[side * f->count + k] = most(links[side], 0) * share / (1 - share);
             which += 4. * k + side;
         }
     }
@@ -149,34 +171,34 @@ double find_springs(const Film *f, const double *z, Work *w) {
 }
 
 /* The same by the slopes that were seen last: `level` holds what a slope leaves of a height. */
-void follow_bodies(const Film *f, const double *x, Work *w) {
+void follow_bodies(const Film *f, const double *x, Seen *seen) {
     for (long k = 0; k < f->count; k++)
-        w->obstacle[k] = w->level[k] + w->slope[k] * x[k] + w->slope[f->count + k] * x[f->count + k];
+        seen->obstacle[k] = seen->level[k] + seen->slope[k] * x[k] + seen->slope[f->count + k] * x[f->count + k];
 }
 
 /* A sheet that bends at its nodes alone is held off a round body by half of what the body drops over half a spacing, which is
    taken off; where the body ends beside a node, nothing is known of its curvature. */
-void lower_round_bodies(const Film *f, Work *w) {
-    const double *h = w->obstacle;
-    const long rows = f->rows;
-    memset(w->lower, 0, f->count * sizeof *w->lower);
+void lower_round_bodies(const Film *f, Seen *seen) {
+    const double *h = seen->obstacle;
+    const long rows = f->line;
+    memset(seen->lower, 0, f->count * sizeof *seen->lower);
     for (long i = 1; i < f->columns - 1; i++)
-        for (long j = 1; j < rows - 1; j++) {
+        for (long j = 1; j < f->rows - 1; j++) {
             const long k = i * rows + j;
             if (!isfinite(h[k])) continue;
             double bend = 0;
             if (isfinite(h[k - rows] + h[k + rows])) bend += h[k - rows] + h[k + rows] - 2 * h[k];
             if (isfinite(h[k - 1] + h[k + 1])) bend += h[k - 1] + h[k + 1] - 2 * h[k];
-            const double steep = 1 + square(w->slope[k]) + square(w->slope[f->count + k]);
-            w->lower[k] = CORRECTION * most(bend, 0) / (steep * sqrt(steep)); /* of the curvature, not of how the slope is seen */
+            const double steep = 1 + square(seen->slope[k]) + square(seen->slope[f->count + k]);
+            seen->lower[k] = CORRECTION * most(bend, 0) / (steep * sqrt(steep)); /* of the curvature, not of how the slope is seen */
         }
 }
 
-int against_the_frame(const Film *f, const Work *w) {
-    const double *h = w->obstacle;
+int against_the_frame(const Film *f, const Seen *seen) {
+    const double *h = seen->obstacle;
     for (long i = 0; i < f->columns; i++)
         for (long j = 0; j < f->rows; j++) {
-            const long k = i * f->rows + j;
+            const long k = i * f->line + j;
             if ((i == 0 || j == 0 || i == f->columns - 1 || j == f->rows - 1) && h[k] < 0) return AT_THE_RIM;
             if (h[k] - f->numbers.half_thickness <= -f->numbers.depth) return ON_THE_GLASS;
         }
@@ -192,24 +214,24 @@ void gas_of(const Film *f, const Settings *set, double bulge, double *pressure, 
 
 /* Wrench about S, and the area that touches: of each node's cell the share that its force is of what all of it would carry. */
 void add_up(const Film *f, const double *x, const double *force,
-                   double *found, const Work *w) {
-    const double *h = w->obstacle;
-    const long rows = f->rows;
+                   double *found, const Seen *seen) {
+    const double *h = seen->obstacle;
+    const long rows = f->line;
     for (int k = FORCE_X; k <= TORQUE_Z; k++) found[k] = 0;
     found[AREA] = 0;
     for (long i = 1; i < f->columns - 1; i++)
-        for (long j = 1; j < rows - 1; j++) {
+        for (long j = 1; j < f->rows - 1; j++) {
             const long k = i * rows + j;
             if (!(force[k] > 0)) continue;
             const double r[3] = {i * f->dx - f->numbers.length_x / 2 + x[k], j * f->dy - f->numbers.length_y / 2 + x[f->count + k],
                                  x[2 * f->count + k]};
-            const double slope[2] = {w->slope[k], w->slope[f->count + k]};
+            const double slope[2] = {seen->slope[k], seen->slope[f->count + k]};
             const double F[3] = {force[k] * slope[0], force[k] * slope[1], -force[k]};
             for (int c = 0; c < 3; c++) {
                 found[FORCE_X + c] += F[c];
                 found[TORQUE_X + c] += r[(c + 1) % 3] * F[(c + 2) % 3] - r[(c + 2) % 3] * F[(c + 1) % 3];
             }
-            const double cell = w->fields.gradient[2 * f->count + k];
+            const double cell = seen->cell[k];
             const double flanks = h[k - 1] + h[k + 1] + h[k - rows] + h[k + rows];
             double share;
             if (isfinite(flanks)) {
@@ -219,7 +241,7 @@ void add_up(const Film *f, const double *x, const double *force,
                 share = whole > 0 ? least(force[k] / whole, 1) : 1;
             } else {
                 double wide[4];
-                for (int side = 0; side < 4; side++) wide[side] = w->edge[side * f->count + k] >= 0 ? w->edge[side * f->count + k] : 0.5;
+                for (int side = 0; side < 4; side++) wide[side] = seen->edge[side * f->count + k] >= 0 ? seen->edge[side * f->count + k] : 0.5;
                 share = (wide[0] + wide[1]) * (wide[2] + wide[3]); /* to the edges, for there are no nodes beyond */
             }
             found[AREA] += share * cell * sqrt(1 + slope[0] * slope[0] + slope[1] * slope[1]);

@@ -3,13 +3,18 @@
 #define MJTACTILE_FILM_SHEET_H
 #include "film.h"
 
-/* What a deformation (3, count) does: `elastic` (3, count) forces, the volume's `gradient` (3, count), and, if wanted, the height's
-   stiffness at one local tension: five numbers a node, with itself and its neighbours at (0, 1), (1, 0), (1, 1) and (1, -1). */
-typedef struct { double *elastic, *gradient, *own, *up, *right, *right_up, *right_down; } SheetFields;
+/* What a deformation (3, count) does: `elastic` (3, count) forces, the volume's `gradient` (3, count), and, between lines `first` and
+   `last`, the stiffness by which links of nodes resist heights, to the next node along x and along y. */
+typedef struct { double *elastic, *gradient, *along_x, *along_y; } SheetFields;
+typedef struct { float *elastic, *gradient, *along_x, *along_y; } SheetFieldsFloat;
 
 typedef struct { double volume, area, tension, least_turn; } SheetSums; /* the last: of the cells' shadows on the plane */
 
-SheetSums film_sheet(const Film *film, const double *x, const SheetFields *to);
+/* What is wanted of forces and gradients: of heights, of displacements in the plane. What is not is not written, but for the volume's
+   slopes by heights. `x` has room for a node behind its last. */
+enum { FILM_HEIGHTS = 1, FILM_PLANE = 2, FILM_LINKS = 4, FILM_ALL = 3 };
+SheetSums film_sheet(const Film *film, const double *x, int parts, long first, long last, const SheetFields *to);
+SheetSums film_sheetFloat(const Film *film, const double *x, int parts, long first, long last, const SheetFieldsFloat *to);
 
 /* What a corner of a cell adds to the stiffness of elastic forces less those of a gas at `pressure`: of three nodes, the corner and
    the other ends of its edges along x and y, three displacements each. `corner` goes from 0 to FILM_CORNERS - 1. */
@@ -20,7 +25,7 @@ void film_corner(const Film *film, const double *x, double pressure, long corner
 
 /* Number of a node among those that move, or -1. */
 static inline long film_inner(const Film *film, long node) {
-    const long i = node / film->rows, j = node % film->rows;
+    const long i = node / film->line, j = node % film->line;
     return i < 1 || j < 1 || i > film->columns - 2 || j > film->rows - 2 ? -1 : (i - 1) * film->inner_rows + j - 1;
 }
 

@@ -209,15 +209,19 @@ int64_t film_heights(const double *numbers /* 17 */, int64_t bodies, const doubl
                      double *out /* count */);
 /* Out: the band's Cholesky `factor` of the stiffness in the plane at displacements `x`. */
 int64_t film_plane(const double *numbers /* 17 */, const double *law /* 11 */, int64_t columns, int64_t rows,
-                   const double *x /* 3, columns, rows */,
+                   const double *x /* 3, columns, rows */, int64_t roomy, double *room /* roomy */,
                    double *factor /* 2 * (columns - 2) * (rows - 2), BAND_STRIDE(2 * rows - 1) */);
 int64_t film_room(const double *numbers /* 17 */); /* doubles of `room` that a solution wants */
+int64_t film_kept(const double *numbers /* 17 */); /* floats of `kept`: what all solutions of a film share */
+/* Out: `kept`, factors of the sheet's stiffness at rest, in the plane and of heights, at displacements `x`. */
+int64_t film_keep(const double *numbers /* 17 */, const double *law /* 11 */, int64_t columns, int64_t rows,
+                  const double *x /* 3, columns, rows */, int64_t roomy, double *room /* roomy */, int64_t keeping,
+                  float *kept /* keeping */);
 /* Of environments `begin` to `end` - 1, each with `settings` (see film.c) and `bodies`: displacements `x` and the contact's
    forces `force` along -z, from where they are to where the film rests; `trend`, the change of both that led to where they are,
    becomes this one. Out: `found`, see film.c. */
 int64_t film_solve(const double *numbers /* 17 */, const double *law /* 11 */, int64_t columns, int64_t rows,
-                   const double *plane_factor /* 2 * (columns - 2) * (rows - 2), BAND_STRIDE(2 * rows - 1) */,
-                   const double *rest /* 3, columns, rows */, int64_t roomy, double *room /* roomy */, int64_t environments,
+                   int64_t keeping, const float *kept /* keeping */, const double *rest /* 3, columns, rows */, int64_t roomy, double *room /* roomy */, int64_t environments,
                    int64_t begin, int64_t end, const double *settings /* environments, 4 */, int64_t bodies,
                    const double *body /* environments, bodies, 20 */, int64_t pooled, const double *pool /* pooled or NULL */,
                    double *x /* environments, 3, columns, rows */, double *force /* environments, columns, rows */,

@@ -1,0 +1,259 @@
+/* Elastic forces of the sheet on its grid, in the numbers REAL (film_sheet.c takes this in for each kind). A cell is seen at its
+   four corners; a corner's tangents are the cell's two edges that meet there. What corners give is gathered on edges, of which a
+   node's force is a difference. Loops go along a line of nodes in whole vectors: lines are padded, and cells that are none weigh
+   nothing. */
+
+/* Metric against the free sheet, and second Piola-Kirchhoff stress times thickness. `root` is 1 / sqrt(det C). */
+typedef struct { REAL C11, C22, C12, root, S11, S22, S12; } TYPE(Strained);
+
+typedef struct {
+    REAL lambda2, modulus, poisson, middle, per_unit, law[FILM_LAW], over_x, over_y;
+} TYPE(Numbers);
+
+INLINE TYPE(Numbers) TYPE(numbers_of)(const Film *f) {
+    const FilmNumbers *o = &f->numbers;
+    TYPE(Numbers) n = {.lambda2 = (REAL)o->lambda2, .modulus = (REAL)o->modulus, .poisson = (REAL)o->poisson,
+                       .middle = (REAL)o->law_middle, .per_unit = (REAL)o->law_per_unit, .over_x = (REAL)(1 / f->dx),
+                       .over_y = (REAL)(1 / f->dy)};
+    for (int k = 0; k < FILM_LAW; k++) n.law[k] = (REAL)f->law[k];
+    return n;
+}
+
+INLINE REAL TYPE(law_at)(const TYPE(Numbers) *o, REAL root) {
+    const REAL t = (root - o->middle) * o->per_unit;
+    REAL q = o->law[FILM_LAW - 1];
+    for (int k = FILM_LAW - 2; k >= 0; k--) q = q * t + o->law[k];
+    return q;
+}
+
+INLINE TYPE(Strained) TYPE(strained)(const TYPE(Numbers) *o, REAL C11, REAL C22, REAL C12, int neo_hookean) {
+    TYPE(Strained) s = {.C11 = C11, .C22 = C22, .C12 = C12};
+    const REAL det = C11 * C22 - C12 * C12, M = o->modulus, nu = o->poisson;
+    s.root = 1 / SQRT(det > (REAL)LEAST_DET ? det : (REAL)LEAST_DET);
+    if (neo_hookean) {
+        const REAL q = TYPE(law_at)(o, s.root);
+        s.S11 = M - M * q * C22, s.S22 = M - M * q * C11, s.S12 = M * q * C12;
+    } else {
+        const REAL E11 = (C11 - 1) / 2, E22 = (C22 - 1) / 2;
+        s.S11 = M * (E11 + nu * E22), s.S22 = M * (E22 + nu * E11), s.S12 = M * (1 - nu) * C12 / 2;
+    }
+    return s;
+}
+
+/* A line of edges: tangents, their squares times lambda2, and the heights of the nodes that they start at. */
+typedef struct { REAL *g[3], *C, *z; } TYPE(Edges);
+
+/* What the edges of a line bear: elastic forces and the volume's slopes, of three and two displacements; along y also what corners
+   give their nodes of the volume's slope by the height, low and high; links' stiffness. */
+typedef struct { REAL *force[3], *volume[2], *low, *high, *link; } TYPE(Loads);
+
+#define LOADS 8
+typedef struct {
+    TYPE(Edges) across, along[2];               /* to the next line; on this line and on the next */
+    TYPE(Loads) before, low, high, left, right; /* across: of the cells before; along: of this line and of the next */
+    REAL *weight, *area, *tension, *turn;
+} TYPE(Lines);
+
+#define LINES (3 * 5 + 5 * LOADS + 4)
+typedef struct { REAL *next; long line; } TYPE(Room);
+
+INLINE REAL *TYPE(a_line)(TYPE(Room) *room) { /* with room before its first, and behind its last */
+    REAL *here = room->next + 8;
+    room->next += room->line + 16;
+    return here;
+}
+
+INLINE TYPE(Edges) TYPE(edges_in)(TYPE(Room) *room) {
+    TYPE(Edges) e;
+    for (int k = 0; k < 3; k++) e.g[k] = TYPE(a_line)(room);
+    e.C = TYPE(a_line)(room), e.z = TYPE(a_line)(room);
+    return e;
+}
+
+INLINE TYPE(Loads) TYPE(loads_in)(TYPE(Room) *room) {
+    TYPE(Loads) l;
+    for (int k = 0; k < 3; k++) l.force[k] = TYPE(a_line)(room);
+    for (int k = 0; k < 2; k++) l.volume[k] = TYPE(a_line)(room);
+    l.low = TYPE(a_line)(room), l.high = TYPE(a_line)(room), l.link = TYPE(a_line)(room);
+    return l;
+}
+
+/* From nodes `from` to nodes `to`, which lie along x or y. */
+INLINE void TYPE(see_edges)(const double *const from[3], const double *const to[3], double over, int axis, REAL lambda2, long line,
+                            const TYPE(Edges) *e) {
+    REAL *restrict g0 = e->g[0], *restrict g1 = e->g[1], *restrict g2 = e->g[2], *restrict C = e->C, *restrict z = e->z;
+    VECTORS
+    for (long j = 0; j < line; j++) {
+        const REAL a = (REAL)((axis == 0) + (to[0][j] - from[0][j]) * over), b = (REAL)((axis == 1) + (to[1][j] - from[1][j]) * over);
+        const REAL c = (REAL)((to[2][j] - from[2][j]) * over);
+        g0[j] = a, g1[j] = b, g2[j] = c, C[j] = lambda2 * (a * a + b * b + c * c), z[j] = (REAL)from[2][j];
+    }
+}
+
+/* One corner: its stress times weight, and what it adds to sums and links. */
+typedef struct { REAL S11, S22, S12, xx, yy, turn, tension, area; } TYPE(Corner);
+
+INLINE TYPE(Corner) TYPE(see_corner)(const TYPE(Numbers) *o, const REAL g1[3], const REAL g2[3], REAL C11, REAL C22, REAL weight,
+                                     int neo_hookean, int parts) {
+    const REAL C12 = o->lambda2 * (g1[0] * g2[0] + g1[1] * g2[1] + g1[2] * g2[2]);
+    const TYPE(Strained) s = TYPE(strained)(o, C11, C22, C12, neo_hookean);
+    TYPE(Corner) c = {.S11 = weight * s.S11, .S22 = weight * s.S22, .S12 = weight * s.S12, .turn = g1[0] * g2[1] - g1[1] * g2[0]};
+    c.tension = (c.S11 * C11 + c.S22 * C22 + 2 * c.S12 * C12) * s.root / 2;
+    c.area = weight / s.root;
+    if (parts & FILM_LINKS) {
+        const REAL fair = (REAL)LEAST_TENSION * (c.tension > 0 ? c.tension : 0), by = 1 / (1 + g1[2] * g1[2] + g2[2] * g2[2]);
+        c.xx = by * (c.S11 > fair ? c.S11 : fair) * o->over_x * o->over_x;
+        c.yy = by * (c.S22 > fair ? c.S22 : fair) * o->over_y * o->over_y;
+    }
+    return c;
+}
+
+/* The cells between a line and the next. */
+INLINE void TYPE(see_cells)(const Film *f, const TYPE(Lines) *l, int neo_hookean, int parts) {
+    const TYPE(Numbers) o = TYPE(numbers_of)(f);
+    const int first = parts & FILM_PLANE ? 0 : 2, last = parts & FILM_HEIGHTS ? 3 : 2;
+    const long line = f->line;
+    VECTORS
+    for (long j = 0; j < line; j++) {
+        REAL low[3], high[3], left[3], right[3];
+        for (int k = 0; k < 3; k++) {
+            low[k] = l->across.g[k][j], high[k] = l->across.g[k][j + 1];
+            left[k] = l->along[0].g[k][j], right[k] = l->along[1].g[k][j];
+        }
+        const REAL weight = l->weight[j], C_low = l->across.C[j], C_high = l->across.C[j + 1];
+        const REAL C_left = l->along[0].C[j], C_right = l->along[1].C[j];
+        const TYPE(Corner) ll = TYPE(see_corner)(&o, low, left, C_low, C_left, weight, neo_hookean, parts);
+        const TYPE(Corner) lr = TYPE(see_corner)(&o, low, right, C_low, C_right, weight, neo_hookean, parts);
+        const TYPE(Corner) hl = TYPE(see_corner)(&o, high, left, C_high, C_left, weight, neo_hookean, parts);
+        const TYPE(Corner) hr = TYPE(see_corner)(&o, high, right, C_high, C_right, weight, neo_hookean, parts);
+        for (int k = first; k < last; k++) {
+            l->low.force[k][j] = o.over_x * ((ll.S11 + lr.S11) * low[k] + ll.S12 * left[k] + lr.S12 * right[k]);
+            l->high.force[k][j] = o.over_x * ((hl.S11 + hr.S11) * high[k] + hl.S12 * left[k] + hr.S12 * right[k]);
+            l->left.force[k][j] += o.over_y * ((ll.S22 + hl.S22) * left[k] + ll.S12 * low[k] + hl.S12 * high[k]);
+            l->right.force[k][j] = o.over_y * ((lr.S22 + hr.S22) * right[k] + lr.S12 * low[k] + hr.S12 * high[k]);
+        }
+        if (parts & FILM_PLANE) {
+            const REAL wx = weight * o.over_x, wy = weight * o.over_y; /* a corner's volume is its height times its shadow */
+            const REAL zll = l->along[0].z[j], zhl = l->along[0].z[j + 1], zlr = l->along[1].z[j], zhr = l->along[1].z[j + 1];
+            for (int k = 0; k < 2; k++) {
+                const REAL sign = k ? -1 : 1;
+                l->low.volume[k][j] = sign * wx * (zll * left[1 - k] + zlr * right[1 - k]);
+                l->high.volume[k][j] = sign * wx * (zhl * left[1 - k] + zhr * right[1 - k]);
+                l->left.volume[k][j] -= sign * wy * (zll * low[1 - k] + zhl * high[1 - k]);
+                l->right.volume[k][j] = -sign * wy * (zlr * low[1 - k] + zhr * high[1 - k]);
+            }
+        }
+        l->left.low[j] += weight * ll.turn, l->left.high[j] += weight * hl.turn;
+        l->right.low[j] = weight * lr.turn, l->right.high[j] = weight * hr.turn;
+        l->tension[j] += ll.tension + lr.tension + hl.tension + hr.tension;
+        l->area[j] += ll.area + lr.area + hl.area + hr.area;
+        const REAL turn_low = ll.turn < lr.turn ? ll.turn : lr.turn, turn_high = hl.turn < hr.turn ? hl.turn : hr.turn;
+        const REAL turn = turn_low < turn_high ? turn_low : turn_high;
+        l->turn[j] = weight > 0 && turn < l->turn[j] ? turn : l->turn[j];
+        if (parts & FILM_LINKS) {
+            l->low.link[j] = ll.xx + lr.xx, l->high.link[j] = hl.xx + hr.xx;
+            l->left.link[j] += ll.yy + hl.yy, l->right.link[j] = lr.yy + hr.yy;
+        }
+    }
+}
+
+static void TYPE(see_heights)(const Film *f, const TYPE(Lines) *l) {
+    if (f->numbers.neo_hookean != 0) TYPE(see_cells)(f, l, 1, FILM_HEIGHTS);
+    else TYPE(see_cells)(f, l, 0, FILM_HEIGHTS);
+}
+
+static void TYPE(see_links)(const Film *f, const TYPE(Lines) *l) {
+    if (f->numbers.neo_hookean != 0) TYPE(see_cells)(f, l, 1, FILM_HEIGHTS | FILM_LINKS);
+    else TYPE(see_cells)(f, l, 0, FILM_HEIGHTS | FILM_LINKS);
+}
+
+static void TYPE(see_plane)(const Film *f, const TYPE(Lines) *l) {
+    if (f->numbers.neo_hookean != 0) TYPE(see_cells)(f, l, 1, FILM_PLANE);
+    else TYPE(see_cells)(f, l, 0, FILM_PLANE);
+}
+
+static void TYPE(see_all)(const Film *f, const TYPE(Lines) *l) {
+    if (f->numbers.neo_hookean != 0) TYPE(see_cells)(f, l, 1, FILM_HEIGHTS | FILM_PLANE | FILM_LINKS);
+    else TYPE(see_cells)(f, l, 0, FILM_HEIGHTS | FILM_PLANE | FILM_LINKS);
+}
+
+/* What a line's edges leave on its nodes: what comes in less what goes out. Edges across it are added up for the line behind. */
+INLINE void TYPE(gather)(const Film *f, REAL *restrict before, const REAL *restrict low, const REAL *restrict high,
+                         const REAL *restrict along, REAL *restrict to) {
+    const long line = f->line;
+    VECTORS
+    for (long j = 0; j < line; j++) {
+        const REAL across = low[j] + high[j - 1];
+        to[j] = before[j] - across + along[j - 1] - along[j];
+        before[j] = across;
+    }
+    to[0] = 0;
+    for (long j = f->rows - 1; j < line; j++) to[j] = 0;
+}
+
+SheetSums TYPE(film_sheet)(const Film *f, const double *x, int parts, long first, long last, const TYPE(SheetFields) *to) {
+    const long line = f->line, count = f->count;
+    REAL numbers[LINES * (FILM_MOST_LINE + 16)];
+    TYPE(Room) room = {numbers, line};
+    memset(numbers, 0, LINES * (line + 16) * sizeof *numbers);
+    TYPE(Lines) l;
+    l.across = TYPE(edges_in)(&room), l.along[0] = TYPE(edges_in)(&room), l.along[1] = TYPE(edges_in)(&room);
+    l.before = TYPE(loads_in)(&room), l.low = TYPE(loads_in)(&room), l.high = TYPE(loads_in)(&room);
+    l.left = TYPE(loads_in)(&room), l.right = TYPE(loads_in)(&room);
+    l.weight = TYPE(a_line)(&room), l.area = TYPE(a_line)(&room), l.tension = TYPE(a_line)(&room), l.turn = TYPE(a_line)(&room);
+    for (long j = 0; j < line; j++) l.weight[j] = j < f->rows - 1 ? (REAL)(f->dx * f->dy / 4) : 0, l.turn[j] = 1;
+    l.across.g[0][line] = l.across.C[line] = 1;
+    const double *at[3] = {x, x + count, x + 2 * count};
+    const double *above[3] = {x + 1, x + count + 1, x + 2 * count + 1};
+    const REAL lambda2 = (REAL)f->numbers.lambda2;
+    SheetSums sums = {.least_turn = INFINITY};
+    TYPE(see_edges)(at, above, 1 / f->dy, 1, lambda2, line, &l.along[1]);
+    for (long i = 0; i < f->columns - 1; i++) {
+        const TYPE(Edges) kept = l.along[0];
+        const TYPE(Loads) done = l.left;
+        l.along[0] = l.along[1], l.along[1] = kept, l.left = l.right, l.right = done;
+        const double *next[3] = {at[0] + line, at[1] + line, at[2] + line};
+        for (int k = 0; k < 3; k++) above[k] += line;
+        TYPE(see_edges)(at, next, 1 / f->dx, 0, lambda2, line, &l.across);
+        TYPE(see_edges)(next, above, 1 / f->dy, 1, lambda2, line, &l.along[1]);
+        const int links = i >= first && i < last;
+        if ((parts & FILM_PLANE) && (parts & FILM_HEIGHTS)) TYPE(see_all)(f, &l);
+        else if (parts & FILM_PLANE) TYPE(see_plane)(f, &l);
+        else if (links) TYPE(see_links)(f, &l);
+        else TYPE(see_heights)(f, &l);
+        const long here = i * line;
+        for (int k = parts & FILM_PLANE ? 0 : 2; k < (parts & FILM_HEIGHTS ? 3 : 2); k++)
+            TYPE(gather)(f, l.before.force[k], l.low.force[k], l.high.force[k], l.left.force[k], to->elastic + k * count + here);
+        for (int k = 0; k < 2 && parts & FILM_PLANE; k++)
+            TYPE(gather)(f, l.before.volume[k], l.low.volume[k], l.high.volume[k], l.left.volume[k], to->gradient + k * count + here);
+        REAL *restrict by_height = to->gradient + 2 * count + here;
+        REAL bulge = 0;
+        VECTORS
+        for (long j = 0; j < line; j++) {
+            const REAL cell = l.left.low[j] + l.left.high[j - 1];
+            by_height[j] = cell, bulge += cell * l.along[0].z[j];
+        }
+        sums.volume += bulge;
+        by_height[0] = 0;
+        for (long j = f->rows - 1; j < line; j++) by_height[j] = 0;
+        if (links)
+            for (long j = 0; j < line; j++) to->along_x[here + j] = l.low.link[j] + l.high.link[j - 1];
+        if (links || (i > first && i == last))
+            for (long j = 0; j < line; j++) to->along_y[here + j] = l.left.link[j];
+        for (int k = 0; k < 3; k++) at[k] = next[k];
+    }
+    for (int k = 0; k < 3; k++) /* the frame's */
+        for (int end = 0; end < 2; end++) {
+            const long here = k * count + end * (f->columns - 1) * line;
+            memset(to->elastic + here, 0, line * sizeof *to->elastic), memset(to->gradient + here, 0, line * sizeof *to->gradient);
+        }
+    double tension = 0, area = 0;
+    for (long j = 0; j < line; j++) {
+        tension += (double)l.tension[j], area += (double)l.area[j];
+        if ((double)l.turn[j] < sums.least_turn) sums.least_turn = (double)l.turn[j];
+    }
+    sums.tension = tension / (f->numbers.length_x * f->numbers.length_y), sums.area = area / f->numbers.lambda2;
+    return sums;
+}
+#undef LINES
+#undef LOADS

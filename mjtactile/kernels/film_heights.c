@@ -1,0 +1,159 @@
+#include "film_heights.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "panels.h"
+#include "small.h"
+
+#define SHELL 0.3
+#define LEAST_SCALE 0.1f
+
+static long height_of(const Film *f) { return f->line + PANEL; } /* a line is a whole number of panels, and reaches the next */
+
+long film_heights_size(const Film *f) { return 8 + f->count * height_of(f) + f->count * f->line; }
+
+RestHeights film_heights_at(const Film *f, float *kept) {
+    return (RestHeights){.tension = kept, .factor = kept + 8, .left = kept + 8 + f->count * height_of(f)};
+}
+
+long film_heights_room(const Film *f) { return f->count * height_of(f) + 6 * (f->count + height_of(f)); }
+
+Heights film_heights_in(const Film *f, const RestHeights *rest, float **room) {
+    Heights h = {.rest = rest, .apart = f->count + height_of(f), .scale = 1};
+    h.window = *room, h.solved = h.window + f->count * height_of(f), h.mirrored = h.solved + 3 * h.apart;
+    *room = h.mirrored + 3 * h.apart;
+    memset(h.solved, 0, 6 * h.apart * sizeof *h.solved);
+    return h;
+}
+
+/* What a curved sheet adds where it is bent further: it must stretch, as a shell does, Y (k_x l_y^2 + k_y l_x^2)^2 for a wave
+   (l_x, l_y) of length one on curvatures k; here for the mean of all waves. Speeds up the steps and changes nothing else. */
+static double shell_at(const Film *f, const double *z, long k) {
+    const double bend_x = (z[k + f->line] + z[k - f->line] - 2 * z[k]) / square(f->dx);
+    const double bend_y = (z[k + 1] + z[k - 1] - 2 * z[k]) / square(f->dy);
+    return SHELL * f->numbers.shell * f->dx * f->dy * (square(bend_x) + square(bend_y)) / 2;
+}
+
+/* Line `i` of the stiffness; of its links to the lines before and behind it, and of its own, these shares count. `block` is where its
+   panels are. What is held has a row and a column of its own. */
+typedef struct { double before, behind, own; } Shares;
+
+static int is_free(const Film *f, const uint8_t *touching, long i, long j) {
+    return i > 0 && i < f->columns - 1 && j > 0 && j < f->rows - 1 && !touching[i * f->line + j];
+}
+
+static void put_line(const Film *f, const double *z, const Seen *seen, long i, Shares share, int last, float *block) {
+    const long line = f->line, height = height_of(f);
+    memset(block, 0, line * height * sizeof *block);
+    for (long j = 0; j < line; j++) {
+        const long k = i * line + j, down = j / PANEL * PANEL;
+        float *column = block + j * height;
+        if (!is_free(f, seen->touching, i, j)) {
+            column[j - down] = 1;
+            continue;
+        }
+        const double sides = seen->along_y[k] + seen->along_y[k - 1] + shell_at(f, z, k);
+        column[j - down] = (float)(share.before * seen->along_x[k - line] + share.behind * seen->along_x[k] + share.own * sides);
+        if (is_free(f, seen->touching, i, j + 1)) column[j + 1 - down] = (float)(-share.own * seen->along_y[k]);
+        if (!last && is_free(f, seen->touching, i + 1, j)) column[line + j - down] = (float)-seen->along_x[k];
+    }
+}
+
+int film_heights_rest(const Film *f, const double *x, const SheetFields *fields, RestHeights *rest) {
+    const long line = f->line, height = height_of(f), per_line = line / PANEL;
+    const double *z = x + 2 * f->count;
+    uint8_t nothing_touches[f->count];
+    memset(nothing_touches, 0, f->count);
+    const Seen seen = {.along_x = fields->along_x, .along_y = fields->along_y, .touching = nothing_touches};
+    memset(fields->along_x, 0, f->count * sizeof *fields->along_x), memset(fields->along_y, 0, f->count * sizeof *fields->along_y);
+    *rest->tension = (float)film_sheet(f, x, FILM_ALL, 0, f->columns - 1, fields).tension;
+    for (long i = 0; i < f->columns; i++) put_line(f, z, &seen, i, (Shares){1, 1, 1}, i == f->columns - 1, rest->factor + i * line * height);
+    for (long i = 0; i < f->columns; i++) {
+        float *block = rest->factor + i * line * height, *left = rest->left + i * line * line;
+        memset(left, 0, line * line * sizeof *left);
+        for (long j = 0; j < line; j++) {
+            if (!is_free(f, nothing_touches, i, j)) continue;
+            const long k = i * line + j, down = j / PANEL * PANEL;
+            for (long r = j; r < line; r++) left[j * line + r] = block[j * height + r - down];
+            left[j * line + j] -= (float)(fields->along_x[k] + (fields->along_y[k] + fields->along_y[k - 1] + shell_at(f, z, k)) / 2);
+            left[j * line + j + 1] += (float)(fields->along_y[k] / 2);
+        }
+        for (long r = f->rows - 1; r < line; r++)
+            for (long j = 0; j < line; j++) left[j * line + r] = 0;
+        const long behind = (f->columns - 1 - i) * per_line;
+        if (panels_factor(per_line, behind, height, block)) return 1;
+    }
+    return 0;
+}
+
+int film_heights_factor(const Film *f, const double *z, const Seen *seen, Heights *h) {
+    const long line = f->line, height = height_of(f), first = h->first, last = h->last;
+    const int at_left = first > 0, at_right = last < f->columns - 1;
+    h->scale = h->scale > LEAST_SCALE ? h->scale : LEAST_SCALE;
+    for (long i = first; i <= last; i++) {
+        const int left = at_left && i == first, right = at_right && i == last;
+        const Shares share = {.before = !left, .behind = !right, .own = 1};
+        put_line(f, z, seen, i, share, i == last, h->window + (i - first) * line * height);
+    }
+    for (int side = 0; side < 2; side++) {
+        if (!(side ? at_right : at_left)) continue;
+        const long i = side ? last : first;
+        float *block = h->window + (i - first) * line * height;
+        const float *left = h->rest->left + (side ? f->columns - 1 - i : i) * line * line;
+        for (long j = 1; j < f->rows - 1; j++)
+            for (long r = j; r < f->rows - 1; r++) {
+                const long from = side ? (f->rows - 1 - r) * line + f->rows - 1 - j : j * line + r;
+                block[j * height + r - j / PANEL * PANEL] += h->scale * left[from];
+            }
+    }
+    return panels_factor((last - first + 1) * line / PANEL, 0, height, h->window);
+}
+
+/* Line `i` of all right-hand sides, turned by half a turn, onto or from its place in `mirrored`. */
+static void turn_line(const Film *f, const Heights *h, int many, long i, int back, int adds) {
+    for (int m = 0; m < many; m++) {
+        float *one = h->solved + m * h->apart + i * f->line;
+        float *other = h->mirrored + m * h->apart + (f->columns - 1 - i) * f->line;
+        for (long j = 0; j < f->rows; j++) {
+            if (!back) other[f->rows - 1 - j] = one[j];
+            else one[j] = (adds ? one[j] : 0) + other[f->rows - 1 - j];
+        }
+    }
+}
+
+static void scale(long n, int many, long apart, float by, float *x) {
+    for (int m = 0; m < many; m++)
+        for (long k = 0; k < n; k++) x[m * apart + k] *= by;
+}
+
+void film_heights_solve(const Film *f, int many, Heights *h) {
+    const long line = f->line, per_line = line / PANEL, height = height_of(f), first = h->first, last = h->last;
+    const long behind = f->columns - 1 - last, apart = h->apart;
+    const float *rest = h->rest->factor, over = 1 / h->scale;
+    float *window = h->solved + first * line;
+    panels_forward(first * per_line, height, rest, many, apart, h->solved);
+    for (long i = last + 1; i < f->columns; i++) turn_line(f, h, many, i, 0, 0);
+    for (int m = 0; m < many; m++) memset(h->mirrored + m * apart + behind * line, 0, line * sizeof *h->mirrored);
+    panels_forward(behind * per_line, height, rest, many, apart, h->mirrored);
+    if (behind) turn_line(f, h, many, last, 1, 1);
+    panels_forward((last - first + 1) * per_line, height, h->window, many, apart, window);
+    panels_backward((last - first + 1) * per_line, height, h->window, many, apart, window);
+    scale(first * line, many, apart, over, h->solved), scale(behind * line, many, apart, over, h->mirrored);
+    panels_backward(first * per_line, height, rest, many, apart, h->solved);
+    turn_line(f, h, many, last, 0, 0);
+    panels_backward(behind * per_line, height, rest, many, apart, h->mirrored);
+    for (long i = last + 1; i < f->columns; i++) turn_line(f, h, many, i, 1, 0);
+}
+
+void film_heights_times(const Film *f, const double *z, const Seen *seen, const Heights *h, int touching, const float *what, float *out) {
+    const long line = f->line;
+    for (long i = most(h->first, 1); i <= least(h->last, f->columns - 2); i++)
+        for (long k = i * line + 1; k < i * line + f->rows - 1; k++) {
+            if (seen->touching[k] != touching) continue;
+            double sum = shell_at(f, z, k) * what[k];
+            sum += seen->along_x[k] * (what[k] - what[k + line]) + seen->along_x[k - line] * (what[k] - what[k - line]);
+            sum += seen->along_y[k] * (what[k] - what[k + 1]) + seen->along_y[k - 1] * (what[k] - what[k - 1]);
+            out[k] = (float)sum;
+        }
+}

@@ -1,0 +1,96 @@
+#include "film_plane.h"
+
+#include <string.h>
+
+#include "film_sheet.h"
+#include "panels.h"
+
+#define HALF 0.70710678f /* a pair's even and odd parts are its sum and difference over sqrt(2) */
+enum { EVEN, ODD };      /* along x; along y it is the other way round */
+
+typedef struct { long half, order, panels, height; } Halves; /* nodes of half a line, unknowns, panels and their height */
+
+static Halves halves_of(const Film *f) {
+    Halves h = {.half = (f->inner_rows + 1) / 2};
+    h.order = (f->columns - 2) * 2 * h.half;
+    h.panels = (h.order + PANEL - 1) / PANEL, h.height = panels_height(2 * h.half + 3);
+    return h;
+}
+
+long film_plane_size(const Film *f) {
+    const Halves h = halves_of(f);
+    return 2 * h.panels * PANEL * h.height;
+}
+
+static long apart_of(const Halves *h) { return h->panels * PANEL + h->height; }
+
+long film_plane_room(const Film *f) {
+    const Halves h = halves_of(f);
+    return 2 * apart_of(&h);
+}
+
+/* Of a displacement along `axis` of a node: its unknown, and by how much of the node's that is, for what is even or odd. */
+static long unknown_of(const Film *f, const Halves *h, long node, int axis, int kind, double *share) {
+    const long i = node / f->line, j = node % f->line, mirrored = f->rows - 1 - j;
+    const int odd = axis == 0 ? kind == ODD : kind == EVEN;
+    *share = j == mirrored ? !odd : j > mirrored && odd ? -(double)HALF : (double)HALF;
+    return ((i - 1) * h->half + (j < mirrored ? j : mirrored) - 1) * 2 + axis;
+}
+
+static void add_corner(const Film *f, const Halves *h, const CornerStiffness *c, int kind, float *factor) {
+    for (int p = 0; p < 9; p++)
+        for (int q = 0; q < 9; q++) {
+            if (p % 3 == 2 || q % 3 == 2 || film_inner(f, c->node[p / 3]) < 0 || film_inner(f, c->node[q / 3]) < 0) continue;
+            double share[2];
+            const long row = unknown_of(f, h, c->node[p / 3], p % 3, kind, share);
+            const long column = unknown_of(f, h, c->node[q / 3], q % 3, kind, share + 1), first = column / PANEL * PANEL;
+            if (row >= column) factor[column * h->height + row - first] += (float)(share[0] * share[1] * c->K[p][q]);
+        }
+}
+
+int film_plane_factor(const Film *f, const double *x, float *factor) {
+    const Halves h = halves_of(f);
+    const long size = h.panels * PANEL * h.height;
+    memset(factor, 0, 2 * size * sizeof *factor);
+    CornerStiffness c;
+    for (long corner = 0; corner < FILM_CORNERS(f); corner++) {
+        film_corner(f, x, 0, corner, &c);
+        add_corner(f, &h, &c, EVEN, factor), add_corner(f, &h, &c, ODD, factor + size);
+    }
+    for (int kind = EVEN; kind <= ODD; kind++)
+        for (long k = 0; k < h.panels * PANEL; k++) { /* what is odd vanishes on the middle line, and behind the last there is nothing */
+            float *diagonal = factor + kind * size + k * h.height + k % PANEL;
+            if (*diagonal == 0) *diagonal = 1;
+        }
+    return panels_factor(h.panels, 0, h.height, factor) || panels_factor(h.panels, 0, h.height, factor + size);
+}
+
+void film_plane_solve(const Film *f, const float *factor, float *residual, float *room) {
+    const Halves h = halves_of(f);
+    const long size = h.panels * PANEL * h.height, apart = apart_of(&h), count = f->count;
+    const int middle = f->inner_rows % 2;
+    float *even = room, *odd = room + apart;
+    memset(room, 0, 2 * apart * sizeof *room);
+    for (long i = 1; i < f->columns - 1; i++) {
+        float *low = residual + i * f->line, *high = low + f->rows - 1;
+        float *at_even = even + 2 * h.half * (i - 1), *at_odd = odd + 2 * h.half * (i - 1);
+        for (long j = 1; j <= h.half - middle; j++, at_even += 2, at_odd += 2) {
+            at_even[0] = HALF * (low[j] + high[-j]), at_even[1] = HALF * (low[count + j] - high[count - j]);
+            at_odd[0] = HALF * (low[j] - high[-j]), at_odd[1] = HALF * (low[count + j] + high[count - j]);
+        }
+        if (middle) at_even[0] = low[h.half], at_odd[1] = low[count + h.half];
+    }
+    for (int kind = EVEN; kind <= ODD; kind++) {
+        panels_forward(h.panels, h.height, factor + kind * size, 1, apart, room + kind * apart);
+        panels_backward(h.panels, h.height, factor + kind * size, 1, apart, room + kind * apart);
+    }
+    for (long i = 1; i < f->columns - 1; i++) {
+        float *low = residual + i * f->line, *high = low + f->rows - 1;
+        const float *at_even = even + 2 * h.half * (i - 1), *at_odd = odd + 2 * h.half * (i - 1);
+        for (long j = 1; j <= h.half - middle; j++, at_even += 2, at_odd += 2) {
+            low[j] = HALF * (at_even[0] + at_odd[0]), high[-j] = HALF * (at_even[0] - at_odd[0]);
+            low[count + j] = HALF * (at_even[1] + at_odd[1]), high[count - j] = HALF * (at_odd[1] - at_even[1]);
+        }
+        if (middle) low[h.half] = at_even[0], low[count + h.half] = at_odd[1];
+    }
+}
