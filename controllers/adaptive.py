@@ -38,7 +38,7 @@ DELAY = 0.12  # s from a command to its force in an image
 SETTLING = 0.3  # s in which what is left of an error goes: longer than twice DELAY
 # m/s
 CLOSING_SPEED = 0.020
-OPENING_SPEED = 0.040
+OPENING_SPEED = 0.060
 LIFT_SPEED = 0.030
 WEIGH_SPEED = 0.003
 PLACE_SPEED = 0.020
@@ -54,7 +54,7 @@ BLIND_TIME_MAX = 0.5  # s without a usable image before giving up
 LOST_TIME = 0.3  # s without a touch: the object stays behind
 TABLE_FORCE = 0.03  # N, upward, over all fingers: it stands
 SEARCH = 0.030  # m below where it shall be set down that the table is looked for
-PULL_FORCE, PULL_TIME = 0.30, 0.13  # N over all fingers, s: who pulls; a bump is shorter
+PULL_FORCE, PULL_TIME = 0.20, 0.13  # N over all fingers, s: who pulls; a bump is shorter
 RELEASE_OPENING = 0.012  # m to open beyond the grip before the run ends
 CLOCKS = ("phase_time", "settled_time", "blind_time", "lost_time", "stuck_time", "pull_time")
 START = dict.fromkeys(CLOCKS, 0.0) | {

@@ -49,6 +49,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--no-browser", action="store_true", help="do not open a browser")
     parser.add_argument(
+        "--no-wait", action="store_true", help="begin at once, not when the page is open"
+    )
+    parser.add_argument(
         "--fast", action="store_true", help="as fast as the simulation goes, not by the clock"
     )
 
@@ -75,5 +78,11 @@ def run(options: argparse.Namespace) -> int:
     else:
         show = Show(wanted, say)
     show.fastest = float("inf") if options.fast else 1.0
-    watch(show, port=options.port, browser=not options.no_browser, native=options.native)
+    watch(
+        show,
+        port=options.port,
+        browser=not options.no_browser,
+        native=options.native,
+        wait=not options.no_wait,
+    )
     return 0

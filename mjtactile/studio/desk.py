@@ -29,6 +29,7 @@ _HOLE = 1e-8  # m^3/(s Pa): a prick; half of the pressure is gone within a secon
 _ACCURACIES = ("", "0.005N", "0.02N", "0.05N", "realtime")
 _SQUEEZE = (0.0, 3.0)  # N
 _SUPPLY = (0.0, 3.0)  # kPa
+_PULL_SHOWN = 0.005  # N
 
 
 class Desk(plugin.ViewerPlugin):
@@ -76,6 +77,8 @@ class Desk(plugin.ViewerPlugin):
             )
             if state.reason and state.state not in ("armed", "running"):
                 imgui.TextWrapped(state.reason)
+        if (newtons := show.pulls) > _PULL_SHOWN:
+            imgui.TextUnformatted(f"the mouse pulls with {newtons:.2f} N")
         imgui.TextWrapped(show.outcome or show.said)
 
     def _build_buttons(self) -> None:

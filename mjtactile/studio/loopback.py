@@ -8,6 +8,7 @@ talk to it, and has no option for either.
 from __future__ import annotations
 
 import re
+import threading
 from collections.abc import Sequence
 from typing import Any
 from urllib.parse import urlsplit
@@ -28,9 +29,12 @@ from websockets.http11 import Request, Response
 LOOPBACK = "127.0.0.1"
 # any port: a tunnel has its own; another name is somebody's who points it at this computer
 _HOST = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
+_SHOWS = "/state"
 _OURS = ("same-origin", "none")
 """What a browser says of a request (Sec-Fetch-Site) that a page of ours, or its user, asked for."""
 _serve_unguarded = web_server.serve
+looked_at = threading.Event()
+"""Set when a page has asked for what there is to see."""
 
 
 def refusal(headers: Headers) -> str:
@@ -56,6 +60,8 @@ def serve(*args: Any, process_request: Any, process_response: Any, **options: An
         why = refusal(request.headers)
         if why:
             return Response(403, "Forbidden", Headers(), f"{why}\n".encode())
+        if request.path.partition("?")[0] == _SHOWS:
+            looked_at.set()
         return process_request(connection, request)
 
     def answer(

@@ -4,6 +4,7 @@ pulls at is pulled there."""
 from __future__ import annotations
 
 import copy
+import math
 import time as wall
 from collections.abc import Sequence
 from typing import Any
@@ -30,6 +31,11 @@ _STILL = (
 # m that are shown, and the share of them that the fingers are above the middle
 _AROUND = 0.2
 _BELOW = 0.25
+# where from: off the way in which the first finger closes, so that its membrane is seen, and the
+# arrows on it; deg
+_ASIDE = 50.0
+_ABOVE = -25.0
+_PULL_STIFFNESS = 30.0  # N/m of the mouse's way: what weighs 60 g is lifted by 2 cm
 _HELD = 0.5  # s; a page that says nothing for so long pulls no longer
 _STAGE = """
 <mujoco model="no scene"><statistic center="0 0 0.01" extent="0.09"/>
@@ -47,6 +53,14 @@ def shown_model(model: mujoco.MjModel, fingers: Sequence[Felt]) -> mujoco.MjMode
     # where the camera looks at first
     shown.stat.center = middle - [0.0, 0.0, _BELOW * _AROUND]
     shown.stat.extent = _AROUND
+    closes = next((felt.pose.R_WS[:, 2] for felt in fingers if felt.pose is not None), None)
+    if closes is not None:
+        shown.vis.global_.azimuth = math.degrees(math.atan2(closes[1], closes[0])) + _ASIDE
+        shown.vis.global_.elevation = _ABOVE
+    # MuJoCo pulls with so many N/m for each kg: nothing is seen of that where things weigh grams
+    free = model.jnt_bodyid[model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)]
+    if len(free):
+        shown.vis.map.stiffness = _PULL_STIFFNESS / float(model.body_subtreemass[free].min())
     return shown
 
 

@@ -14,11 +14,12 @@ from typing import Any
 
 from mujoco.studio import app, viewer_handle, viewer_protocol
 
+from mjtactile.core import signals
 from mjtactile.core.errors import Interrupted, MjtactileError
 from mjtactile.run.controller import load_controller
 from mjtactile.run.grasp import run_grasp
 from mjtactile.studio.desk import Desk
-from mjtactile.studio.loopback import launch
+from mjtactile.studio.loopback import launch, looked_at
 from mjtactile.studio.mirror import Mirror
 from mjtactile.studio.panel import Panel
 from mjtactile.studio.show import Restart, Show
@@ -53,10 +54,16 @@ def launch_window(
 
 
 def watch(
-    show: Show, *, port: int = 0, browser: bool = True, native: bool = False, runs: int = 0
+    show: Show,
+    *,
+    port: int = 0,
+    browser: bool = True,
+    native: bool = False,
+    runs: int = 0,
+    wait: bool = False,
 ) -> None:
     """Run grasp after grasp, each watched, until the viewer is closed or Ctrl-C; `runs`: at most so
-    many.
+    many; with `wait` the first begins when a page looks.
 
     Raises what `run_grasp` raises of the first run; later ones are said in the panel, which goes
     on.
@@ -77,6 +84,8 @@ def watch(
     before = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH_INTERVAL)
     try:
+        if wait and not native:
+            _wait_for_page(show)
         while not show.closed.is_set():
             show.restart.clear()
             _run(show)
@@ -88,6 +97,14 @@ def watch(
         show.closed.set()
         studio.join(5.0)
         sys.setswitchinterval(before)
+
+
+def _wait_for_page(show: Show) -> None:
+    """Until a page looks: who opens it misses nothing. Raises Interrupted."""
+    if not looked_at.is_set():
+        show.message("the grasp begins when the page is open (--no-wait: at once)")
+    while not (looked_at.wait(0.1) or show.closed.is_set()):
+        signals.check()
 
 
 def _run(show: Show) -> None:

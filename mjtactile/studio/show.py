@@ -104,6 +104,7 @@ class Show(Observer):
     def add_reference(
         self, stage: str, images: Sequence[Sequence[Image]], pressure_gauge: Sequence[float | None]
     ) -> None:
+        self.said = ""  # that it is taken
         if self._halted:  # nothing moves yet that the supervisor could retreat
             raise DeviceError(RED_BUTTON)
         if self.restart.is_set() or self.closed.is_set():
@@ -154,6 +155,11 @@ class Show(Observer):
     def moment(self) -> Moment | None:
         """What is to be shown now."""
         return self.latest
+
+    @property
+    def pulls(self) -> float:
+        """N that the mouse pulls with."""
+        return 0.0 if self.pull is None else float(np.linalg.norm(self.pull[:, :3], axis=1).max())
 
     def ask(self, task: Task) -> None:
         """Have the session's thread do `task` when the world stands still next."""

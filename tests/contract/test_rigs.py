@@ -16,6 +16,7 @@ from mjtactile.core.calibration import Calibration, ForceScale, Lens, stamp
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.core.scenario import Scenario
+from mjtactile.core.task import load_task
 from mjtactile.core.types import Command
 from mjtactile.emulator.process import EmulatorProcess
 from mjtactile.emulator.rig import build_emulated_rig
@@ -333,6 +334,36 @@ def test_gentle_grasps_on_the_emulated_rig_and_commands_its_air(emulator, tmp_pa
     held = load_recording(tmp_path).columns["phase"] == "hold"
     assert pressures[held].min() == pytest.approx(600.0, abs=60)
     assert pressures[held].max() == pytest.approx(2000.0, abs=60)
+
+
+@pytest.mark.slow
+@ONE_EMULATOR
+@pytest.mark.clock
+@pytest.mark.parametrize("task", ["lift", "place"])
+def test_adaptive_does_tasks_on_the_emulated_rig(emulator, task, tmp_path):
+    """The same file that runs in simulation. Of `place` the robot is told a place 20 mm high, and
+    there is none: it goes on down until the table carries."""
+    rig = build_emulated_rig(
+        patient_rig_file(), DESIGN, object_name="egg", seed=0, emulator=emulator
+    )
+    rig = replace(rig, told=load_task(task).orders.told())
+    heights = {}
+    try:
+        session = Session(rig)
+        session.take_references()
+
+        def look(cycle):
+            heights[cycle.sent.phase] = emulator.truth()["object_height"]
+
+        last = session.run(load_controller("adaptive"), time_limit=60.0, on_cycle=look)
+        stands = emulator.truth()["object_height"]
+    finally:
+        rig.close()
+    assert last.phase == "done" and not last.reason
+    # in the last image of the hold; the servos' goals are rounded, and the pinions have play
+    assert heights["hold"] - 0.0315 == pytest.approx(rig.told.lift_height, abs=5e-3)
+    assert stands == pytest.approx(0.0315, abs=2e-3)  # in its cup again
+    assert last.lift_height == pytest.approx(0.0, abs=4e-3)
 
 
 def test_gentle_on_a_replay_wants_what_it_wanted(tmp_path):

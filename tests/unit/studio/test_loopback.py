@@ -82,3 +82,12 @@ def test_the_page_gets_its_model_and_no_other_page_may_read_it(port, headers):
     assert "Access-Control-Allow-Origin" not in said
     assert said["Cross-Origin-Resource-Policy"] == "same-origin"
     assert said["Cross-Origin-Embedder-Policy"] == "require-corp"  # its threads need it
+
+
+def test_a_page_that_looks_is_known_and_a_stranger_is_none(port):
+    loopback.looked_at.clear()
+    get(port, "/")
+    get(port, "/state", Origin="https://evil.example")
+    assert not loopback.looked_at.is_set()
+    get(port, "/state?sid=1")
+    assert loopback.looked_at.is_set()

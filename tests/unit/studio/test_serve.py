@@ -1,5 +1,7 @@
 """Where Studio opens."""
 
+import threading
+
 import pytest
 
 from mjtactile.core.errors import DeviceError, Interrupted, MjtactileError
@@ -47,3 +49,20 @@ def test_what_mujocos_window_lacks_is_named(monkeypatch):
         match=r"does not work here \(no library of that " r"name\): leave --native away",
     ):
         serve.launch_window(None, [])
+
+
+def test_a_grasp_waits_for_its_page(monkeypatch):
+    """It is said what for, and Studio's end or a signal ends the waiting."""
+    said = []
+    show = Show(say=said.append)
+    looked = threading.Event()
+    monkeypatch.setattr(serve, "looked_at", looked)
+    threading.Timer(0.05, looked.set).start()
+    serve._wait_for_page(show)
+    assert looked.is_set() and "--no-wait" in said[0]
+    serve._wait_for_page(show)
+    assert len(said) == 1  # it is open
+    looked.clear()
+    threading.Timer(0.05, show.closed.set).start()
+    serve._wait_for_page(show)
+    assert not looked.is_set()
