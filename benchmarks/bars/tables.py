@@ -12,6 +12,9 @@ COMPONENTS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 LEAST = 0.02
 NOTHING = 1e-3
 FAR = 5.0  # standard deviations that none may be off
+COARSE = ("edge", "feature")
+"""What it says of itself where the mesh is too coarse for what touches: the true force is that of
+vertices."""
 UNSURE = ("penetration", "wrinkles")
 """What the simulation says of itself where its contact is not right: these scenes' touches are
 counted apart."""
@@ -37,6 +40,10 @@ def summary(scenes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "everything that is ok": known,
         "nothing touches": [row for row in steady if abs(_force(row)) < NOTHING],
         "touches": sure,
+        "touches that nothing flags": [row for row in sure if not row["flags"]],
+        "touches of edges and tips that the mesh is flagged for": [
+            row for row in sure if set(COARSE) & set(row["flags"])
+        ],
     }
     for key in ("kind", "sensor", "shape"):
         for value in sorted({row[key] for row in sure}):

@@ -14,6 +14,7 @@ class StatusCode(StrEnum):
     NO_ANSWER = "no answer"  # what looks at the images does not answer, or failed
     TOO_FEW_MARKERS = "too few markers"
     NO_SHAPE = "no shape"  # the markers fit no shape that the membrane can have
+    OVERLOADED = "overloaded"  # and did not since they showed a large force
     # the rest is not what it was: temperature, a camera that moved
     REFERENCE_LOST = "reference lost"
     AIR_MOVES = "air moves"  # the chamber's pressure changes too fast to be followed

@@ -53,6 +53,8 @@ from mjtactile.sensing.state import ChainState, Reference
 from mjtactile.sensing.touch import slip
 from mjtactile.sensing.touch.patches import find_patches, together
 
+_OVERLOADS_SURE = 2  # images in a row: a torn picture is no overload
+
 
 class Chain:
     """The sensing chain of one sensor: operators made from its design once; nothing changes.
@@ -385,13 +387,39 @@ class Chain:
         estimate = self.estimator.estimate(state, state.reference, markers, time, reading)
         unknown = replace(unknown, markers=estimate.markers)
         if not self.estimator.is_explained(estimate.shape):
-            status = Status(StatusCode.NO_SHAPE, "the markers fit no membrane shape")
+            state = self._lost(estimate.state)
+            status = self._why_lost(state)
             lost = slip.unknown(status.code, "shape not explained")
-            return replace(unknown, slip=lost, status=status), estimate.state.without_history()
+            return replace(unknown, slip=lost, status=status), state
         moved = estimate.rest.pressure_gauge - state.reference.rest.pressure_gauge
         moved = moved if math.isfinite(moved) else 0.0  # no gauge
         traction = self._traction(estimate, moved, time)
         return self._judge(replace(unknown, traction=traction), traction, estimate, moved)
+
+    def _lost(self, state: ChainState) -> ChainState:
+        """After an image that nothing explains. The next one begins where the last that something
+        did left off (a torn picture is gone then), unless that is long ago."""
+        shape = state.shape
+        force = state.lost_at
+        if force is None and shape is not None:
+            force = self.inverse.force(shape)
+        missed = state.unexplained + 1
+        if missed > self.settings.inverse.remembered_images:
+            shape = None
+        return replace(state.without_history(), shape=shape, unexplained=missed, lost_at=force)
+
+    def _why_lost(self, state: ChainState) -> Status:
+        """What an image that nothing explains says: one of several after a large force was too much
+        of it."""
+        force = state.lost_at
+        most = self.settings.inverse.overload_least
+        if force is None or state.unexplained < _OVERLOADS_SURE or np.linalg.norm(force) < most:
+            return Status(StatusCode.NO_SHAPE, "the markers fit no membrane shape")
+        return Status(
+            StatusCode.OVERLOADED,
+            "overloaded: the markers fit no membrane shape since they showed "
+            f"{-force[2]:.1f} N of pressing and {np.hypot(force[0], force[1]):.1f} N of shear",
+        )
 
     def _traction(self, estimate: Estimate, moved: float, time: float) -> Traction:
         """The tractions, as a measured force scale has them; `moved` Pa by which the chamber's
@@ -399,6 +427,9 @@ class Chain:
         before = estimate.state.detection
         elapsed = math.inf if before is None else time - before.time
         traction = self.inverse.traction(estimate.shape, estimate.state.shape, elapsed, moved)
+        if estimate.other is not None:
+            other = self.inverse.traction(estimate.other).wrench - traction.wrench
+            traction = replace(traction, wrench_cov=traction.wrench_cov + np.outer(other, other))
         force = self._measured.force
         return traction if force is None else force.apply(traction)
 
@@ -421,7 +452,9 @@ class Chain:
         found = zero.detect_touch(touch.time, traction, before, s.zero)
         patches = self._patches(estimate) if found.touching else ()
         judged, history = slip.judge(touch.time, self.inverse, shape, patches, state.slip, s.slip)
-        state = replace(state, shape=shape, detection=found, slip=history)
+        state = replace(
+            state, shape=shape, detection=found, slip=history, unexplained=0, lost_at=None
+        )
         quiet = (
             before is not None
             and not found.touching

@@ -20,12 +20,14 @@ _SET_ASIDE_SHARE = 0.03  # of the markers, and at least one: more are not dirt
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """The `shape` that the `markers` show, measured against the sensor at `rest`, and the `state`
-    in which the gas is known as well as gauge and shape say."""
+    in which the gas is known as well as gauge and shape say. Where without a history two shapes
+    explain them, `other` is the one that is less likely."""
 
     markers: Markers
     shape: Shape
     rest: InverseRest
     state: ChainState
+    other: Shape | None = None
 
 
 class ShapeEstimator:
@@ -40,6 +42,7 @@ class ShapeEstimator:
     def __init__(self, design: SensorDesign, inverse: InverseMembrane, settings: Settings):
         self._design = design
         self._inverse = inverse
+        self._steady = inverse.with_steady_camera()
         self._settings = settings
         self.gauge = GaugeFilter(design.chamber, settings.gauge)
 
@@ -65,6 +68,8 @@ class ShapeEstimator:
             The estimate; `is_explained` says whether its shape fits.
         """
         found = self._with_gas(state, reference, without(markers, state.set_aside), time, reading)
+        if state.shape is None:
+            found = self._if_steady(state, reference, found, time, reading)
         if state.knocked < KNOCKS_SURE:
             found = self._if_knocked(state, reference, found, time, reading)
         allowed = max(1, round(_SET_ASIDE_SHARE * self._design.markers.count))
@@ -88,8 +93,26 @@ class ShapeEstimator:
         the reference is lost."""
         s = self._settings
         drifted = shape.drift > s.zero.drift_most
-        sharp = float(shape.excess[0].mean()) > s.inverse.excess_most and not drifted
+        load = float(np.linalg.norm(self._inverse.force(shape)))
+        most = s.inverse.excess_most * max(1.0, load / s.inverse.overload_least) ** 2
+        sharp = float(shape.excess[0].mean()) > most and not drifted
         return not sharp and shape.misfit < s.inverse.misfit_most
+
+    def _if_steady(
+        self,
+        state: ChainState,
+        reference: Reference,
+        found: Estimate,
+        time: float,
+        reading: PressureReading | None,
+    ) -> Estimate:
+        """What is found without a history. A large load and a camera that has changed may explain
+        one image as well, and nothing before it says which: then the camera is as it was."""
+        load = float(np.linalg.norm(self._inverse.force(found.shape)))
+        if load < self._settings.inverse.cold_load:
+            return found
+        again = self._with_gas(state, reference, found.markers, time, reading, inverse=self._steady)
+        return replace(again, other=found.shape) if self.is_explained(again.shape) else found
 
     def _if_knocked(
         self,
@@ -117,23 +140,26 @@ class ShapeEstimator:
         markers: Markers,
         time: float,
         reading: PressureReading | None,
+        *,
+        inverse: InverseMembrane | None = None,
     ) -> Estimate:
         """The shape, and the gas as well as it is known.
 
         In a sealed chamber a reading is weighed with the volume that the image shows; where it says
         much that was not known, the image is looked at again.
         """
+        inverse = inverse or self._inverse
         rest = reference.rest
         gas = self._gas_before(state.gas, rest, time, reading)
         if gas is None:
-            shape = self._fit(state, rest, markers)
+            shape = self._fit(inverse, state, rest, markers)
             return Estimate(markers, shape, rest, state)
-        shape, rest, volume = self._shape_with(gas, rest, state, markers, time)
+        shape, rest, volume = self._shape_with(inverse, gas, rest, state, markers, time)
         seen = self.gauge.saw(gas, time, volume, self._settings.inverse.dent_share)
         if reading is not None and not gas.is_open:
             seen, told = self.gauge.read(seen, reading)
             if told:
-                shape, rest, volume = self._shape_with(seen, rest, state, markers, time)
+                shape, rest, volume = self._shape_with(inverse, seen, rest, state, markers, time)
                 seen = seen.seen_again(volume)
         state = replace(state, gas=seen, reference=replace(reference, rest=rest))
         return Estimate(markers, shape, rest, state)
@@ -153,21 +179,30 @@ class ShapeEstimator:
         return gas
 
     def _shape_with(
-        self, gas: GasState, rest: InverseRest, state: ChainState, markers: Markers, time: float
+        self,
+        inverse: InverseMembrane,
+        gas: GasState,
+        rest: InverseRest,
+        state: ChainState,
+        markers: Markers,
+        time: float,
     ) -> tuple[Shape, InverseRest, float]:
         """The shape with what is known of the gas, the sensor at rest with it, and the gas's
         volume, m^3."""
         chamber = self._design.chamber
         now, sd = self.gauge.gas_at(gas, time)
         rest = self._inverse.with_gas(rest, now, sd, gas.seen[-1][1])
-        shape = self._fit(state, rest, markers)
+        shape = self._fit(inverse, state, rest, markers)
         volume = self._inverse.volume(shape.c)
         pressure = now.pressure_gauge(volume, chamber.ambient, chamber.heat_ratio)
         return replace(shape, pressure_gauge=pressure), rest, volume
 
-    def _fit(self, state: ChainState, rest: InverseRest, markers: Markers) -> Shape:
+    @staticmethod
+    def _fit(
+        inverse: InverseMembrane, state: ChainState, rest: InverseRest, markers: Markers
+    ) -> Shape:
         knocked = state.knocked >= KNOCKS_SURE
-        return self._inverse.estimate(markers, rest, state.shape, knocked=knocked)
+        return inverse.estimate(markers, rest, state.shape, knocked=knocked)
 
 
 def without(markers: Markers, ids: Sequence[int]) -> Markers:

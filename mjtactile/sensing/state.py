@@ -30,7 +30,8 @@ class ChainState:
     of touch and slip, the markers' `tracks`, how far they stand `apart` (M, 3) m from the
     zero, the `gas`, where a gauge measures it, the markers `set_aside` since nothing explains
     where they seem to be, and in how many images up to this one the camera seemed `knocked`: from
-    `KNOCKS_SURE` on it was."""
+    `KNOCKS_SURE` on it was; since nothing explains the markers, for how many images, `unexplained`,
+    and the force (3,) N in the last one before that they did explain, `lost_at`."""
 
     flat: FlatReference
     expected: Array
@@ -43,10 +44,20 @@ class ChainState:
     gas: GasState | None = None
     set_aside: tuple[int, ...] = ()
     knocked: int = 0
+    unexplained: int = 0
+    lost_at: Array | None = None
 
     def without_history(self) -> ChainState:
         """The same references, as if no image had been seen since; what is known of the gas
         stays."""
         return replace(
-            self, shape=None, detection=None, slip=None, tracks=None, apart=None, set_aside=()
+            self,
+            shape=None,
+            detection=None,
+            slip=None,
+            tracks=None,
+            apart=None,
+            set_aside=(),
+            unexplained=0,
+            lost_at=None,
         )

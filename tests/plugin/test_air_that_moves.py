@@ -105,6 +105,21 @@ def test_a_gauge_s_noise_is_averaged_and_its_leak_is_followed() -> None:
         assert sd < most
 
 
+def test_a_gauge_s_scale_is_doubted_far_from_where_it_was_zeroed() -> None:
+    """Half a per cent of the 1 kPa that a valve has let go, and nothing of what is as at rest."""
+    chamber = mjtactile.load_sensor("dense").chamber
+    follow = GaugeFilter(chamber)
+    begun = follow.begin(Gas(1000.0), 0.0, 24e-6)
+    found = []
+    for pressure in (1000.0, 0.0):
+        state = begun
+        for k in range(1, 300):
+            state, _ = follow.read(state, reading(pressure, k / 30, is_open=True))
+        found.append(follow.gas_at(state, state.time)[1])
+    at_rest, vented = found
+    assert vented**2 - at_rest**2 == pytest.approx(5.0**2, rel=0.02)
+
+
 def test_a_reading_that_is_known_already_changes_nothing() -> None:
     chamber = mjtactile.load_sensor("dense").chamber
     follow = GaugeFilter(chamber)

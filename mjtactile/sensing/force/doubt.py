@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjtactile.core.design import SensorDesign
+from mjtactile.core.design import MarkerLayout, SensorDesign
 from mjtactile.core.types import Array
 from mjtactile.sensing.settings import DEFAULTS, DoubtSettings
 
@@ -45,8 +45,9 @@ class Doubt:
         frame = design.frame
         self._sharp_most = settings.sharp_most
         s = settings
-        self._shares = np.array([s.share, s.lateral, s.sharp, s.outside, s.change], float)[:, AXES]
-        self._outside = (np.abs(nodes) > np.abs(layout.p_SM[:, :2]).max(axis=0) + 1e-9).any(axis=1)
+        self._shares = np.array([s.share, s.lateral, s.sharp, s.outside, s.burst], float)[:, AXES]
+        self._change = np.array(s.change)[AXES]
+        self._outside = _outside(layout, nodes)
         self._sparse = max(1.0, layout.pitch_x * layout.pitch_y / settings.cell)
         self._resistance = (
             settings.drag * frame.length * frame.width * sheet.young * sheet.thickness
@@ -63,12 +64,27 @@ class Doubt:
                 [size * self._sparse],
                 [float(sums[:2].sum())],
                 [size * min(felt.excess, self._sharp_most)],
-                [float(sums[:, self._outside].sum())],
+                [float((sums @ self._outside).sum())],
+                [_burst(float(np.linalg.norm(felt.change[:3])), size)],
             ]
         )
-        variance = np.square(self._shares[:4] * loads).sum(axis=0) + np.square(
-            self._shares[4] * felt.change / self._unit
+        variance = np.square(self._shares * loads).sum(axis=0) + np.square(
+            self._change * felt.change / self._unit
         )
-        variance[2] += (self._shares[4, 2] * self._area * felt.air_moved) ** 2
+        variance[2] += (self._change[2] * self._area * felt.air_moved) ** 2
         variance[:2] += (self._resistance * felt.velocity[:2]) ** 2
         return self._unit**2 * variance
+
+
+def _outside(layout: MarkerLayout, nodes: Array) -> Array:
+    """How far (J,) nodes are beyond the outermost markers: 1 from half their distance on, 0 from as
+    far within, where markers see all around."""
+    most = np.abs(layout.p_SM[:, :2]).max(axis=0)
+    beyond = (np.abs(nodes) - most) / [layout.pitch_x, layout.pitch_y]
+    return np.clip(beyond + 0.5, 0.0, 1.0).max(axis=1)
+
+
+def _burst(change: float, size: float) -> float:
+    """The part of a `change`, N, that comes at once: none while it is less than half of the force
+    `size`, N."""
+    return change * min(max(2 * change / max(size, 1e-9) - 1, 0.0), 1.0)

@@ -25,7 +25,8 @@ class GasState:
     absolute ambient one; sealed, the logarithm of its amount over `amount` (p V^gamma). `rate` 1/s
     is its change and `cov` (2, 2) the covariance of both; `surprise` a mean of the last readings'
     deviations over their sd. `seen` are (time s, volume m^3) of the last images, the newest last;
-    `zero` is how much more gas the membrane at rest shows than the gauge, a share."""
+    `zero` is how much more gas the membrane at rest shows than the gauge, a share; `rest` Pa the
+    pressure at which that was seen."""
 
     time: float
     is_open: bool
@@ -36,6 +37,7 @@ class GasState:
     seen: tuple[tuple[float, float], ...]
     surprise: float = 0.0
     zero: float = 0.0
+    rest: float = math.nan
 
     def corrected(self, share: float) -> GasState:
         """The same when the membrane at rest says that there is more gas by a `share`: the gauge's
@@ -75,6 +77,7 @@ class GaugeFilter:
             0.0,
             np.diag([self.settings.drift, self.settings.rate]) ** 2,
             ((time, volume),),
+            rest=pressure - self._ambient,
         )
 
     def gas_at(self, state: GasState, time: float) -> tuple[Gas, float]:
@@ -82,12 +85,18 @@ class GaugeFilter:
         ahead = time - state.time
         value = state.value + state.rate * ahead
         cov = _moved(state.cov, ahead) + self._noise(state, abs(ahead))
-        sd = math.hypot(math.sqrt(cov[0, 0]) * self._ambient, self.settings.floor)
         if state.is_open:
-            return Gas((value + state.zero) * self._ambient), sd
-        amount = state.amount * math.exp(value + state.zero)
-        volume = state.seen[-1][1]
-        return Gas(amount / volume**self._gamma - self._ambient, amount), sd
+            gas = Gas((value + state.zero) * self._ambient)
+        else:
+            amount = state.amount * math.exp(value + state.zero)
+            volume = state.seen[-1][1]
+            gas = Gas(amount / volume**self._gamma - self._ambient, amount)
+        s = self.settings
+        # a gauge's scale is as wrong as it is far from where its zero was seen
+        sd = math.hypot(
+            math.sqrt(cov[0, 0]) * self._ambient, s.floor, s.scale * (gas.gauge - state.rest)
+        )
+        return gas, sd
 
     def saw(self, state: GasState, time: float, volume: float, dent_share: float) -> GasState:
         """After an image at `time` s that shows `volume` m^3, wrong by `dent_share` of its

@@ -17,6 +17,7 @@ arithmetic is in mjtactile/kernels/inverse.c.
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass, replace
 
@@ -225,6 +226,16 @@ class InverseMembrane:
             held = self.sheet.gas_pressure(self.sheet.state(c), gas)[0]
         return replace(rest, gas=gas, c=c, gas_sd=sd, gas_volume=volume, pressure_gauge=held)
 
+    def force(self, shape: Shape) -> Array:
+        """Net force (3,) N on the sheet."""
+        return shape.traction @ self.node_area
+
+    def with_steady_camera(self) -> InverseMembrane:
+        """The same estimator for a camera that is as it was at the references."""
+        steady = copy.copy(self)
+        steady.settings = replace(self.settings, drift_zoom=0.0, drift_size=0.0, drift_levels=0.0)
+        return steady
+
     def positions(self, c: Array) -> Array:
         """Marker centres (N, 3) m in S."""
         return self._material + self._at_markers @ c.T
@@ -425,11 +436,14 @@ class InverseMembrane:
         wrench = _net(force, positions)
         nodal = np.zeros((len(self.y), len(self.x), 3))
         nodal[1:-1, 1:-1] = force.reshape(3, len(self.x) - 2, len(self.y) - 2).transpose(2, 1, 0)
-        before = shape if before is None else before
-        moved = self._at_nodes @ (shape.c - before.c).T
+        change = wrench  # without a history all of it may have come just now
+        moved = np.zeros((len(self.nodes), 3))
+        if before is not None:
+            change = wrench - _net(before.traction * self.node_area, positions)
+            moved = self._at_nodes @ (shape.c - before.c).T
         felt = Felt(
             force,
-            wrench - _net(before.traction * self.node_area, positions),
+            change,
             self.node_area @ moved / (self.node_area.sum() * max(seconds, 1e-3)),
             float(shape.excess[0].mean()),
             air_moved,

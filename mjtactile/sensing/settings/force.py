@@ -102,6 +102,17 @@ class InverseSettings:
         "of the bulge's height, with which the stiffness is corrected at rest",
         "the height goes with the stiffness to a power between -1 and -1/3",
     )
+    cold_load: float = number(
+        0.3,
+        "N found without a history, from which on the camera is taken to be as at the references",
+        "bench bars: bodies held from before; a camera that changed then costs accuracy",
+    )
+    remembered_images: int = number(
+        15, "images that nothing explains after which what was before is forgotten", "half a second"
+    )
+    overload_least: float = number(
+        1.0, "N, before the markers fit no shape any more, that are said to be too much", "trial"
+    )
     excess_most: float = number(
         80.0,
         "mean `excess` of all markers above which nothing smooth explains them",
@@ -133,11 +144,21 @@ class DoubtSettings:
     )
     sharp_most: float = number(20.0, "that excess at most", _BARS)
     outside: tuple[float, float, float, float] = number(
-        (0.18, 0.1, 0.45, 0.62), "of the load beyond the outermost markers", _BARS, low=0.0
+        (0.15, 0.1, 0.4, 0.4),
+        "of the load beyond the outermost markers, and of half of that beside them",
+        _BARS,
+        low=0.0,
     )
     change: tuple[float, float, float, float] = number(
         (0.15, 0.25, 0.38, 0.45),
         "of the change since the last image: forces come and go within a few ms",
+        _BARS,
+        low=0.0,
+    )
+    burst: tuple[float, float, float, float] = number(
+        (0.03, 0.2, 0.5, 0.05),
+        "of a change that is most of the force, the first image of a tap: what comes that fast "
+        "drags where it presses",
         _BARS,
         low=0.0,
     )

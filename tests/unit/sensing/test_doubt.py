@@ -14,14 +14,17 @@ from mjtactile.sensing.settings import DEFAULTS
 DENSE = load_sensor("dense")
 NODES = np.array([[0.0, 0.0], [18e-3, 0.0]])  # the second is beyond the outermost markers, at 16 mm
 NOTHING = DEFAULTS.override(
-    {f"doubt.{name}": (0.0,) * 4 for name in ("share", "lateral", "sharp", "outside", "change")}
+    {
+        f"doubt.{name}": (0.0,) * 4
+        for name in ("share", "lateral", "sharp", "outside", "change", "burst")
+    }
     | {"doubt.drag": 0.0}
 ).doubt
 AT_REST = Felt(np.zeros((3, 2)), np.zeros(6), np.zeros(3), 0.0)
 
 
-def sd(felt, design=DENSE, **shares):
-    return np.sqrt(Doubt(design, NODES, replace(NOTHING, **shares)).variance(felt))
+def sd(felt, design=DENSE, nodes=NODES, **shares):
+    return np.sqrt(Doubt(design, nodes, replace(NOTHING, **shares)).variance(felt))
 
 
 def loaded(*forces, **more):
@@ -46,6 +49,31 @@ def test_only_what_lies_beyond_the_markers_is_outside():
     shares = {"outside": (0.0, 0.5, 0.0, 0.0)}
     assert sd(loaded([0.0, 0.0, -1.0], [0.0, 0.0, 0.0]), **shares)[2] == 0.0
     assert sd(loaded([0.0, 0.0, 0.0], [0.0, 0.0, -1.0]), **shares)[2] == pytest.approx(0.5)
+
+
+def test_beside_the_outermost_markers_half_counts_and_half_a_pitch_within_nothing():
+    """Those of `dense` are at 16 mm, 4 mm apart."""
+    pressed = loaded([0.0, 0.0, -1.0])
+    found = [
+        sd(pressed, nodes=np.array([[x, 0.0]]), outside=(0.0, 0.5, 0.0, 0.0))[2]
+        for x in (0.0, 14e-3, 15e-3, -16e-3, 18e-3, 19.9e-3)
+    ]
+    assert found == pytest.approx([0.0, 0.0, 0.125, 0.25, 0.5, 0.5])
+
+
+def test_a_force_that_comes_at_once_may_press_anywhere():
+    """All of 0.4 N is new; of 0.4 N, 0.3 are; 0.2 are: half, and no burst."""
+    shares = {"burst": (0.0, 0.5, 1.0, 0.0)}
+    first, mostly, half = (
+        sd(
+            loaded([0.0, 0.0, -0.4], [0.0, 0.0, 0.0], change=np.array([0, 0, -new, 0, 0, 0])),
+            **shares,
+        )
+        for new in (0.4, 0.3, 0.2)
+    )
+    assert first == pytest.approx([0, 0, 0.2, 1.2e-3, 1.2e-3, 0])
+    assert mostly[2] == pytest.approx(0.5 * 0.3 * 0.5)
+    assert half[2] == 0.0
 
 
 def test_what_is_sharp_counts_up_to_a_limit():

@@ -172,6 +172,63 @@ def test_zero_is_frozen_in_contact_and_a_lost_zero_is_said():
     assert touch.status.code in ("reference lost", "no shape") and np.isnan(touch.force_normal)
 
 
+@pytest.fixture
+def loaded(sensor):
+    """A chain, what it sees under 1.5 N, and its state after two images of that."""
+    estimator, _ = sensor
+    chain = Chain(load_sensor("paper16"))
+    rest_markers = seen(estimator, estimator.sheet.equilibrium(Gas(SUPPLY)))
+    state = chain.set_rest(chain.begin(), rest_markers, SUPPLY)
+    assert state.reference is not None
+    strong = seen(estimator, pressed(estimator, state.reference.rest, np.array([0, 0, -1.5]))[0])
+    surface = chain.fitter.fit(rest_markers)
+    for k in range(8):
+        shown = strong if k else rest_markers
+        touch, state = chain.feel(state, shown, surface, k * FRAME)
+    assert touch.force_normal == pytest.approx(1.5, abs=5 * touch.force_normal_sd)
+    return chain, strong, surface, state
+
+
+def torn(markers):
+    """Places that no sheet has: 3 mm from where they were, in turn to either side."""
+    off = np.zeros_like(markers.p_SM)
+    off[:, 0] = 3e-3 * (-1.0) ** np.arange(len(markers))
+    return replace(markers, p_SM=markers.p_SM + off)
+
+
+def test_after_a_torn_picture_it_goes_on_where_it_was(loaded):
+    chain, strong, surface, state = loaded
+    before = chain.feel(state, strong, surface, 0.3)[0]
+    touch, lost = chain.feel(state, torn(strong), surface, 0.3)
+    assert touch.status.code == "no shape" and lost.shape is state.shape
+    again, state = chain.feel(lost, strong, surface, 0.3)
+    assert again.status == "ok" and state.unexplained == 0
+    assert again.force_normal == pytest.approx(before.force_normal, abs=1e-3)
+
+
+def test_what_fits_no_shape_after_a_large_force_is_an_overload_and_says_of_how_much(loaded):
+    chain, strong, surface, state = loaded
+    said = []
+    for k in range(20):
+        touch, state = chain.feel(state, torn(strong), surface, 0.3 + k * FRAME)
+        said.append(touch.status)
+    assert [status.code for status in said[:3]] == ["no shape", "overloaded", "overloaded"]
+    assert "1.5 N of pressing and 0.0 N of shear" in said[-1]
+    assert state.shape is None  # half a second ago is forgotten
+    touch, state = chain.feel(state, strong, surface, 1.0)
+    assert touch.status == "ok" and state.lost_at is None
+
+
+def test_a_first_image_may_be_the_middle_of_a_blow(loaded):
+    """All of its force may have come just now: a quarter of it is doubted, and no more of the next
+    image's."""
+    chain, strong, surface, state = loaded
+    first, state = chain.feel(state.without_history(), strong, surface, 0.3)
+    second, _ = chain.feel(state, strong, surface, 0.3 + FRAME)
+    assert 0.25 * 1.5 < first.force_normal_sd < 0.5 * 1.5
+    assert second.force_normal_sd < 0.06 * 1.5
+
+
 def parabola(estimator, force, place, radius=5e-3):
     """Nodal tractions (3, J) Pa of a parabolic patch with resultant (3,) N at `place` (2,) m of the
     flat sheet."""
