@@ -118,6 +118,8 @@ def obstacle(
 def pooled(bodies: Sequence[Obstacle], grid: tuple[int, int]) -> tuple[Array, Array | None]:
     """Numbers (k, NUMBERS) of all bodies, and their pools one after the other (None: there are
     none); InputError where heights are not over the nodes of `grid`."""
+    if len(bodies) == 1 and not bodies[0].pool.size:
+        return bodies[0].numbers[None], None
     for body in bodies:
         if body.kind == "heights" and (shape := (*body.numbers[1:3].astype(int),)) != grid:
             raise InputError(f"heights are over {shape} nodes, not {grid}", field="obstacle")

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,7 +21,7 @@ from mjtactile.film.derivatives import FilmDerivatives, Shape, changed_bodies, g
 from mjtactile.film.law import law_numbers, tension_slope
 from mjtactile.film.state import FOUND, FilmBatch, FilmState, Status
 from mjtactile.film.sticking import Patch, patch_of
-from mjtactile.kernels import band_stride, kernel
+from mjtactile.kernels import band_stride, bound, kernel
 
 TOLERANCE = 5e-7  # m, of what is left of the displacements
 _MOST_STEPS = 40
@@ -93,10 +96,26 @@ class Film:
         self._numbers = np.array([*sides, *self.grid, stretch, *law, *tensions, *gas, *depths])
         self._room = np.empty(kernel("film_room")(self._numbers))
         self._kept = np.empty(kernel("film_kept")(self._numbers), np.float32)
+        self._rest = np.zeros((3, *self.grid))
+        self._rooms: list[Array] = []  # of a batch's threads
+        self._bind()
         self.rest = self._inflate()
+        self._rest[:] = self.rest.x
         absolute = self.pressure_gauge + chamber.ambient
         volume = design.chamber_volume_flat + self.rest.volume
         self._gas = absolute * volume**chamber.heat_ratio if sealed else self.pressure_gauge
+
+    def _bind(self) -> None:
+        later = (1, 0, 1, *[...] * 9)
+        self._solve_one = bound("film_solve", *self._fixed(self._room), *later)
+
+    def __getstate__(self) -> dict[str, Any]:
+        kept = {name: value for name, value in vars(self).items() if name != "_solve_one"}
+        return {**kept, "_rooms": []}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._bind()
 
     @staticmethod
     def obstacle(
@@ -147,7 +166,7 @@ class Film:
         x, force, found = start.x.copy(), start.force.copy(), np.empty(FOUND)
         trend = np.zeros((4, *self.grid)) if start.trend is None else start.trend.copy()
         settings = np.array([self._gas, self.sealed, TOLERANCE, _MOST_STEPS])
-        self._run(settings, rows, pool, x, force, trend, found)
+        self._run(settings, rows, pool, (x, force, trend, found))
         return _judged(FilmState(x, force, found, trend))
 
     def solve_batch(
@@ -191,17 +210,20 @@ class Film:
                 trend[~lost] = batch.trend[~lost]
         found = np.empty((count, FOUND))
         settings = np.tile([self._gas, self.sealed, TOLERANCE, _MOST_STEPS], (count, 1))
-        cuts = np.linspace(0, count, max(1, min(threads, count)) + 1).astype(int)
+        cuts = np.linspace(0, count, max(1, min(threads, count)) + 1).astype(int).tolist()
+        self._rooms += [np.empty_like(self._room) for _ in range(len(self._rooms), len(cuts) - 1)]
 
-        def some(begin: int, end: int) -> None:
-            room = np.empty_like(self._room)
-            self._run(settings, rows, pool, x, force, trend, found, room=room, part=(begin, end))
+        def some(number: int) -> None:
+            part = (cuts[number], cuts[number + 1])
+            room = self._rooms[number]
+            self._run(settings, rows, pool, (x, force, trend, found), room=room, part=part)
 
-        if len(cuts) == 2:
-            some(0, count)
-        else:
-            with ThreadPoolExecutor(len(cuts) - 1) as workers:
-                list(workers.map(some, cuts[:-1].tolist(), cuts[1:].tolist()))
+        others = [_workers(os.getpid()).submit(some, number) for number in range(1, len(cuts) - 1)]
+        try:
+            some(0)
+        finally:
+            for other in others:
+                other.result()
         return FilmBatch(x, force, found, trend)
 
     def derivatives(
@@ -298,24 +320,25 @@ class Film:
         settings: Array,
         rows: Array,
         pool: Array | None,
-        x: Array,
-        force: Array,
-        trend: Array,
-        found: Array,
+        fields: tuple[Array, Array, Array, Array],
         *,
         room: Array | None = None,
         part: tuple[int, int] = (0, 1),
     ) -> None:
-        """The kernel, on environments `part` of (n, ...) fields; of one alone, that axis is left
-        out."""
-        rest = self.rest.x if hasattr(self, "rest") else x
-        room = self._room if room is None else room
-        count = settings.size // 4
-        kept = (self._kept.size, self._kept)
-        fixed = (self._numbers, self._law, *self.grid, *kept, rest, room.size, room)
+        """The kernel, on displacements, forces, trend and what is found: of one environment alone,
+        or, in `room`, of (n, ...) fields on environments `part` of them."""
         pooled = 0 if pool is None else pool.size
-        given = (settings, len(rows) // count, rows, pooled, pool)
-        kernel("film_solve")(*fixed, count, *part, *given, x, force, trend, found)
+        if room is None:
+            self._solve_one(settings, len(rows), rows, pooled, pool, *fields)
+            return
+        count = len(settings)
+        given = (count, *part, settings, len(rows) // count, rows, pooled, pool)
+        kernel("film_solve")(*self._fixed(room), *given, *fields)
+
+    def _fixed(self, room: Array) -> tuple[Any, ...]:
+        kept = (self._kept.size, self._kept)
+        law = (self._numbers, self._law, *self.grid)
+        return (*law, *kept, self._rest, room.size, room)
 
     def _keep(self, x: Array) -> None:
         """Factors of the stiffness at displacements `x`, for all solutions that follow."""
@@ -339,7 +362,7 @@ class Film:
                 break
             settings = np.array([share * self.pressure_gauge, 0.0, _INFLATED, 4 * _MOST_STEPS])
             trend = np.zeros((4, *self.grid))
-            self._run(settings, np.zeros((0, bodies.NUMBERS)), None, x, force, trend, found)
+            self._run(settings, np.zeros((0, bodies.NUMBERS)), None, (x, force, trend, found))
             if not FilmState(x, force, found).converged:
                 break
         else:
@@ -348,6 +371,12 @@ class Film:
             f"sensor {self.design.name}: the sheet finds no rest at {self.pressure_gauge:g} Pa",
             field="pressure_gauge",
         )
+
+
+@cache
+def _workers(process: int) -> ThreadPoolExecutor:
+    """Threads that stay for the next batch, of this process; a forked one has none of another's."""
+    return ThreadPoolExecutor(os.cpu_count() or 1, thread_name_prefix=f"film-{process}")
 
 
 def _judged(state: FilmState) -> FilmState:

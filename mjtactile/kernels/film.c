@@ -44,7 +44,7 @@ typedef struct { double tension, gas; float *area_by, *volume_by, *y1, *y2; } Wh
 
 typedef struct {
     Seen seen;
-    double *x, *force, *start, *trend;   /* (3, count), (count), (4, count) twice; x has room behind it */
+    double *x, *force;                   /* (3, count), (count); x has room behind it */
     SheetFields fine;
     SheetFieldsFloat fast;
     float *residual;                     /* (3, count): elastic forces less the gas's */
@@ -59,7 +59,7 @@ typedef struct {
     SheetSums sums;
 } Work;
 
-static long doubles_of(const Film *f) { return film_seen_size(f) + (3 + 1 + 4 + 4 + 3 + 3) * f->count + 8; }
+static long doubles_of(const Film *f) { return film_seen_size(f) + (3 + 1 + 3 + 3) * f->count + 8; }
 
 static long floats_of(const Film *f) {
     return (3 + 3 + 1 + 1 + 3 + 1 + 1 + 1 + 1 + 2 + 4) * f->count + film_plane_room(f) + film_heights_room(f) +
@@ -88,8 +88,7 @@ static Work work_in(const Film *f, const RestHeights *rest, const float *plane_f
     const long n = f->count;
     Work w = {.plane_factor = plane_factor};
     w.seen = film_seen_in(f, &room);
-    w.x = film_take(&room, 3 * n + 8), w.force = film_take(&room, n), w.start = film_take(&room, 4 * n);
-    w.trend = film_take(&room, 4 * n);
+    w.x = film_take(&room, 3 * n + 8), w.force = film_take(&room, n);
     memset(w.x, 0, (3 * n + 8) * sizeof *w.x);
     w.fine.elastic = film_take(&room, 3 * n), w.fine.gradient = film_take(&room, 3 * n);
     w.fine.along_x = w.seen.along_x, w.fine.along_y = w.seen.along_y;
@@ -143,7 +142,7 @@ static void see_sheet(const Film *f, const Settings *set, int parts, Work *w) {
 static int widen_window(const Film *f, double near, Work *w) {
     const double *z = w->x + 2 * f->count;
     long first = f->columns, last = -1;
-    for (long k = f->line; k < f->count - f->line; k++) {
+    for (long k = w->seen.box[0] * f->line; k < w->seen.box[1] * f->line; k++) {
         if (!w->seen.touching[k] && !(w->seen.obstacle[k] - w->seen.lower[k] - z[k] < near)) continue;
         const long i = k / f->line;
         first = i < first ? i : first, last = i > last ? i : last;
@@ -160,7 +159,7 @@ static int widen_window(const Film *f, double near, Work *w) {
 static void stiffen_edges(const Film *f, const double *z, double by, Work *w) {
     const Seen *s = &w->seen;
     float *residual = w->residual + 2 * f->count;
-    for (long k = f->line; k < f->count - f->line; k++) {
+    for (long k = s->box[0] * f->line; k < s->box[1] * f->line; k++) {
         if (!s->touching[k]) continue;
         double *links[4] = {s->along_x + k, s->along_x + k - f->line, s->along_y + k, s->along_y + k - 1};
         for (int side = 0; side < 4; side++) {
@@ -218,8 +217,9 @@ static int decide_contact(const Film *f, const Bodies *bodies, double loose, int
     const double released = -loose * RELEASED * f->dx * f->dy, attached = loose * ATTACHED;
     Seen *s = &w->seen;
     int changed = 0;
-    for (long i = 1; i < f->columns - 1; i++)
-        for (long k = i * f->line + 1; k < i * f->line + f->rows - 1; k++) {
+    for (long i = most(s->box[0], 1); i < least(s->box[1], f->columns - 1); i++)
+        for (long k = i * f->line + s->box[2]; k < i * f->line + s->box[3]; k++) {
+            if (k % f->line < 1 || k % f->line > f->rows - 2) continue;
             const double over = z[k] + (after_step ? (double)w->moved[k] : 0) - s->obstacle[k] + s->lower[k];
             const double force = after_step ? (double)w->pushed[k] : w->force[k];
             const int touches = s->touching[k] ? isfinite(over) && (!may_release || force > released) : over > attached;
@@ -230,10 +230,13 @@ static int decide_contact(const Film *f, const Bodies *bodies, double loose, int
     return changed;
 }
 
+/* Largest size of a whole number of eights. */
 static double largest_of(const float *values, long n) {
-    float largest = 0;
-    for (long k = 0; k < n; k++) largest = most_float(largest, fabsf(values[k]));
-    return (double)largest;
+    float largest[8] = {0};
+    for (long k = 0; k < n; k += 8)
+        for (long l = 0; l < 8; l++) largest[l] = fabsf(values[k + l]) > largest[l] ? fabsf(values[k + l]) : largest[l];
+    for (long l = 1; l < 8; l++) largest[0] = most_float(largest[0], largest[l]);
+    return (double)largest[0];
 }
 
 /* Heights and contact, with the sheet's stiffness as it is now; found anew as long as others touch. */
@@ -275,30 +278,45 @@ static double step_plane(const Film *f, Work *w) {
 
 /* -- all of it --------------------------------------------------------------------------------------------------------- */
 
-/* Goes on as the film last went, as far as the bodies that touch did. */
-static void go_on(const Film *f, Work *w) {
-    const long n = f->count;
+/* Goes on as the film last went, `trend` (4, nodes) of displacements and forces, as far as the bodies that touch did. */
+static void go_on(const Film *f, const double *trend, Work *w) {
+    const long n = f->count, nodes = f->columns * f->rows;
     const Seen *s = &w->seen;
-    const double *trend = w->trend;
     double along = 0, trends = 0, gaps = 0;
-    for (long k = 0; k < n; k++) {
-        if (!s->touching[k] || isinf(s->obstacle[k])) continue;
-        const double gap = s->obstacle[k] - s->lower[k] - w->x[2 * n + k];
-        const double went = trend[2 * n + k] - s->slope[k] * trend[k] - s->slope[n + k] * trend[n + k];
-        along += gap * went, trends += square(went), gaps += square(gap);
-    }
+    for (long i = s->box[0]; i < s->box[1]; i++)
+        for (long j = s->box[2]; j < s->box[3]; j++) {
+            const long k = i * f->line + j, node = i * f->rows + j;
+            if (!s->touching[k] || isinf(s->obstacle[k])) continue;
+            const double gap = s->obstacle[k] - s->lower[k] - w->x[2 * n + k];
+            const double went = trend[2 * nodes + node] - s->slope[k] * trend[node] - s->slope[n + k] * trend[nodes + node];
+            along += gap * went, trends += square(went), gaps += square(gap);
+        }
     const double share = along / trends; /* not finite where nothing went on */
     if (!(fabs(share) < MOST_TREND && along * share > LEAST_EXPLAINED * gaps)) return;
-    for (long k = 0; k < 3 * n; k++) w->x[k] += share * trend[k];
-    for (long k = 0; k < n; k++) w->force[k] = s->touching[k] ? most(w->force[k] + share * trend[3 * n + k], 0) : 0;
+    for (long i = 0; i < 3 * f->columns; i++)
+        for (long j = 0; j < f->rows; j++) w->x[i * f->line + j] += share * trend[i * f->rows + j];
+    for (long i = 0; i < f->columns; i++)
+        for (long j = 0; j < f->rows; j++) {
+            const long k = i * f->line + j;
+            w->force[k] = s->touching[k] ? most(w->force[k] + share * trend[3 * nodes + i * f->rows + j], 0) : 0;
+        }
     follow_bodies(f, w->x, &w->seen);
+}
+
+/* Writes padded fields, and, into `change`, what that changed. */
+static void hand_over(const Film *f, long fields, const double *from, double *to, double *change) {
+    for (long i = 0; i < fields * f->columns; i++)
+        for (long j = 0; j < f->rows; j++) {
+            const double value = from[i * f->line + j];
+            change[i * f->rows + j] = value - to[i * f->rows + j], to[i * f->rows + j] = value;
+        }
 }
 
 /* Bodies at the nodes, `lifted` m off where they are. */
 static void look(const Film *f, const Bodies *bodies, double lifted, int step, Work *w) {
     if (step < LOOKS) {
         see_bodies(f, bodies, w->x, &w->seen);
-        for (long k = 0; k < f->count; k++)
+        for (long k = w->seen.box[0] * f->line; k < w->seen.box[1] * f->line; k++)
             if (w->seen.touching[k]) find_edges(f, bodies, w->x, k, EDGE_HALVES, &w->seen);
     } else {
         follow_bodies(f, w->x, &w->seen);
@@ -327,20 +345,34 @@ static double step_both(const Film *f, const Settings *set, const Bodies *bodies
     return isfinite(*lift) && isfinite(shift) ? most(*lift, shift) : NAN;
 }
 
+/* What touches, and the box of it, which grows with what is seen of bodies. */
+static void start_box(const Film *f, Work *w) {
+    long *box = w->seen.box;
+    box[0] = f->columns, box[1] = 0, box[2] = f->rows, box[3] = 0;
+    for (long i = 0; i < f->columns; i++)
+        for (long j = 0; j < f->rows; j++) {
+            const int touches = w->force[i * f->line + j] > 0;
+            w->seen.touching[i * f->line + j] = (uint8_t)touches;
+            if (!touches) continue;
+            box[0] = i < box[0] ? i : box[0], box[1] = i + 1 > box[1] ? i + 1 : box[1];
+            box[2] = j < box[2] ? j : box[2], box[3] = j + 1 > box[3] ? j + 1 : box[3];
+        }
+}
+
 /* Returns a status. */
-static int come_to_rest(const Film *f, const Settings *set, const Bodies *bodies, double lifted, int with_trend, double *found, Work *w) {
+static int come_to_rest(const Film *f, const Settings *set, const Bodies *bodies, double lifted, const double *trend, double *found, Work *w) {
     const long n = f->count;
     double last_before = FIRST_STEP, lift;
     int far = 0;
     Learnt *l = &w->learnt;
     film_forget(l);
     w->heights.first = f->columns, w->heights.last = -1;
-    for (long k = 0; k < n; k++) w->seen.touching[k] = w->force[k] > 0;
+    start_box(f, w);
     for (int step = 0; step < (int)set->most_steps; step++) {
         look(f, bodies, lifted, step, w);
         const int misplaced = step ? CONVERGED : against_the_frame(f, &w->seen);
         if (misplaced) return misplaced;
-        if (!step && with_trend) go_on(f, w);
+        if (!step && trend) go_on(f, trend, w);
         const int wider = widen_window(f, step ? 0 : NEAR, w);
         see_sheet(f, set, FILM_HEIGHTS, w);
         if (w->sums.least_turn < LEAST_TURN) return INSIDE_OUT;
@@ -366,7 +398,7 @@ static int come_to_rest(const Film *f, const Settings *set, const Bodies *bodies
 /* Too large a jump: from rest, with bodies that come in smaller ones. */
 static int come_from_rest(const Film *f, const Settings *set, const Bodies *bodies, const double *rest, double *found, Work *w) {
     film_pad(f, 3, rest, w->x), memset(w->force, 0, f->count * sizeof *w->force);
-    see_bodies(f, bodies, w->x, &w->seen);
+    start_box(f, w), see_bodies(f, bodies, w->x, &w->seen);
     double deep = 0;
     int status = NOT_CONVERGED;
     for (long k = 0; k < f->count; k++) deep = most(deep, w->x[2 * f->count + k] - w->seen.obstacle[k]);
@@ -393,17 +425,14 @@ int64_t film_solve(const double *numbers, const double *law, int64_t columns, in
         const Bodies own_bodies = {bodies, body + e * bodies * FILM_BODY, pool};
         const Settings *set = (const Settings *)settings + e;
         memset(own, 0, FOUND * sizeof *own);
-        film_pad(&f, 3, own_x, w.x), film_pad(&f, 1, own_force, w.force), film_pad(&f, 4, own_trend, w.trend);
-        memcpy(w.start, w.x, 3 * n * sizeof *w.x), memcpy(w.start + 3 * n, w.force, n * sizeof *w.x);
-        int status = come_to_rest(&f, set, &own_bodies, 0, 1, own, &w);
+        film_pad(&f, 3, own_x, w.x), film_pad(&f, 1, own_force, w.force);
+        int status = come_to_rest(&f, set, &own_bodies, 0, own_trend, own, &w);
         if (set->most_steps > 1 && (status == NOT_CONVERGED || status == INSIDE_OUT || status == BROKEN_DOWN))
             status = come_from_rest(&f, set, &own_bodies, rest, own, &w);
         own[STATUS] = status;
         for (long k = 0; k < n; k++) w.seen.cell[k] = (double)w.swells[k];
         if (status == CONVERGED) add_up(&f, w.x, w.force, own, &w.seen);
-        for (long k = 0; k < 3 * n; k++) w.trend[k] = w.x[k] - w.start[k];
-        for (long k = 0; k < n; k++) w.trend[3 * n + k] = w.force[k] - w.start[3 * n + k];
-        film_unpad(&f, 3, w.x, own_x), film_unpad(&f, 1, w.force, own_force), film_unpad(&f, 4, w.trend, own_trend);
+        hand_over(&f, 3, w.x, own_x, own_trend), hand_over(&f, 1, w.force, own_force, own_trend + 3 * nodes);
     }
     return 0;
 }

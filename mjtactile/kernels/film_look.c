@@ -16,12 +16,12 @@ long film_seen_size(const Film *f) { return (1 + 1 + 2 + 1 + 2 + 4 + 4 + 1 + 1 +
 Seen film_seen_in(const Film *f, double **room) {
     const long n = f->count;
     Seen s;
-    memset(*room, 0, film_seen_size(f) * sizeof **room);
     s.obstacle = film_take(room, n), s.level = film_take(room, n), s.slope = film_take(room, 2 * n), s.lower = film_take(room, n);
     s.away = film_take(room, 2 * n), s.edge = film_take(room, 4 * n), s.spring = film_take(room, 4 * n);
     s.along_x = film_take(room, n), s.along_y = film_take(room, n), s.cell = film_take(room, n);
     s.touching = (uint8_t *)film_take(room, n / 8); /* lines are whole eights */
-    for (long k = 0; k < n; k++) s.obstacle[k] = s.level[k] = INFINITY;
+    memset(s.slope, 0, 2 * n * sizeof *s.slope), memset(s.along_x, 0, 2 * n * sizeof *s.along_x), memset(s.touching, 0, n);
+    s.box[0] = s.box[2] = 0, s.box[1] = f->columns, s.box[3] = f->rows;
     return s;
 }
 
@@ -88,13 +88,27 @@ static int see_ridge(const Film *f, const Bodies *bodies, double x, double y, in
     return found;
 }
 
+/* Nodes that a body may be over, wherever between their neighbours they are. */
+static void grow_box(const Film *f, const FilmBody *b, long box[4]) {
+    const double reach = b->reach + f->numbers.half_thickness, sides[2] = {f->numbers.length_x, f->numbers.length_y}, by[2] = {f->dx, f->dy};
+    const long counts[2] = {f->columns, f->rows};
+    for (int c = 0; c < 2; c++) {
+        const double middle = (b->p[c] + sides[c] / 2) / by[c], wide = reach / by[c];
+        const long from = (long)clip(floor(middle - wide) - 1, 0, counts[c]), to = (long)clip(ceil(middle + wide) + 2, 0, counts[c]);
+        box[2 * c] = from < box[2 * c] ? from : box[2 * c], box[2 * c + 1] = to > box[2 * c + 1] ? to : box[2 * c + 1];
+    }
+}
+
 /* Heights of all bodies over the nodes where they are now. */
 void see_bodies(const Film *f, const Bodies *bodies, const double *x, Seen *seen) {
     int thin = 0, sharp = 0;
     for (long b = 0; b < bodies->count; b++) sharp |= body_of(bodies, b)->least == 0;
     for (long b = 0; b < bodies->count; b++) thin |= body_of(bodies, b)->least < most(f->dx, f->dy);
-    for (long i = 0; i < f->columns; i++)
-        for (long j = 0; j < f->rows; j++) {
+    for (long b = 0; b < bodies->count; b++) grow_box(f, body_of(bodies, b), seen->box);
+    memset(seen->edge, 0, f->count * sizeof *seen->edge);
+    for (long k = 0; k < f->count; k++) seen->obstacle[k] = seen->level[k] = INFINITY;
+    for (long i = seen->box[0]; i < seen->box[1]; i++)
+        for (long j = seen->box[2]; j < seen->box[3]; j++) {
             const long k = i * f->line + j;
             const double at_x = i * f->dx - f->numbers.length_x / 2 + x[k];
             const double at_y = j * f->dy - f->numbers.length_y / 2 + x[f->count + k];
@@ -157,7 +171,7 @@ double rises_over_edge(const Film *f, const Seen *seen, const double *z, long k,
 double find_springs(const Film *f, const double *z, Seen *seen) {
     double which = 0;
     memset(seen->spring, 0, 4 * f->count * sizeof *seen->spring);
-    for (long k = f->line; k < f->count - f->line; k++) {
+    for (long k = seen->box[0] * f->line; k < seen->box[1] * f->line; k++) {
         if (!seen->touching[k]) continue;
         const double links[4] = {seen->along_x[k], seen->along_x[k - f->line], seen->along_y[k], seen->along_y[k - 1]};
         for (int side = 0; side < 4; side++) {
@@ -172,7 +186,7 @@ double find_springs(const Film *f, const double *z, Seen *seen) {
 
 /* The same by the slopes that were seen last: `level` holds what a slope leaves of a height. */
 void follow_bodies(const Film *f, const double *x, Seen *seen) {
-    for (long k = 0; k < f->count; k++)
+    for (long k = seen->box[0] * f->line; k < seen->box[1] * f->line; k++)
         seen->obstacle[k] = seen->level[k] + seen->slope[k] * x[k] + seen->slope[f->count + k] * x[f->count + k];
 }
 
@@ -182,8 +196,8 @@ void lower_round_bodies(const Film *f, Seen *seen) {
     const double *h = seen->obstacle;
     const long rows = f->line;
     memset(seen->lower, 0, f->count * sizeof *seen->lower);
-    for (long i = 1; i < f->columns - 1; i++)
-        for (long j = 1; j < f->rows - 1; j++) {
+    for (long i = most(seen->box[0], 1); i < least(seen->box[1], f->columns - 1); i++)
+        for (long j = most(seen->box[2], 1); j < least(seen->box[3], f->rows - 1); j++) {
             const long k = i * rows + j;
             if (!isfinite(h[k])) continue;
             double bend = 0;
@@ -196,8 +210,8 @@ void lower_round_bodies(const Film *f, Seen *seen) {
 
 int against_the_frame(const Film *f, const Seen *seen) {
     const double *h = seen->obstacle;
-    for (long i = 0; i < f->columns; i++)
-        for (long j = 0; j < f->rows; j++) {
+    for (long i = seen->box[0]; i < seen->box[1]; i++)
+        for (long j = seen->box[2]; j < seen->box[3]; j++) {
             const long k = i * f->line + j;
             if ((i == 0 || j == 0 || i == f->columns - 1 || j == f->rows - 1) && h[k] < 0) return AT_THE_RIM;
             if (h[k] - f->numbers.half_thickness <= -f->numbers.depth) return ON_THE_GLASS;

@@ -22,6 +22,7 @@ typedef struct {
     double *along_x, *along_y;                /* the sheet's links, see film_sheet.h */
     double *cell;                             /* m^2 of the plane that a node stands for */
     uint8_t *touching;
+    long box[4];                              /* of nodes, lines and places on them, beyond which there is no body: from, to behind */
 } Seen;
 
 static inline double *film_take(double **from, long n) {
@@ -31,7 +32,7 @@ static inline double *film_take(double **from, long n) {
 }
 
 long film_seen_size(const Film *film);
-Seen film_seen_in(const Film *film, double **room); /* nothing seen yet */
+Seen film_seen_in(const Film *film, double **room); /* nothing seen yet, in a box of all nodes */
 
 /* Between Python's fields of nodes alone and padded ones; `fields` of them, one after the other. */
 void film_pad(const Film *film, long fields, const double *from, double *to);

@@ -1,6 +1,7 @@
 """The film against independent solutions of the full membrane, against statics, and against
 itself."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -114,6 +115,15 @@ def test_a_batch_is_each_of_its_films_with_any_number_of_threads(coarse):
     np.testing.assert_array_equal(one.found, three.found)
     alone = coarse.solve(obstacles[3][0])
     np.testing.assert_array_equal(one[3].x, alone.x)
+    on = [coarse.solve_batch(obstacles, one, threads=threads) for threads in (2, 5)]
+    np.testing.assert_array_equal(on[0].force, on[1].force)
+    np.testing.assert_array_equal(on[0].trend, on[1].trend)
+
+
+def test_a_film_that_went_to_another_process_is_the_same(coarse):
+    film = pickle.loads(pickle.dumps(coarse))
+    body = ball(coarse, 8, (1, 2), 9.5)
+    np.testing.assert_array_equal(film.solve(body).x, coarse.solve(body).x)
 
 
 @pytest.mark.parametrize(
