@@ -47,7 +47,9 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
     switched = [
         row.name
         for row in EFFECTS
-        if row.built and not row.fixed and row.name not in (Effect.LATENCY, Effect.IMAGES)
+        if row.built
+        and not row.fixed
+        and row.name not in (Effect.LATENCY, Effect.IMAGES, Effect.SHEET)
     ]
     names = [Effect.BENDING, Effect.GAS] if quick else switched
     effects = {}
@@ -223,7 +225,7 @@ def _nothing_left(design: SensorDesign) -> dict[str, Any]:
         )
         / _BLOCK
     )
-    off = GraspWorld(design, "egg", effects=frozenset())
+    off = GraspWorld(design, "egg", effects=frozenset({Effect.SHEET}))
     return {
         "mujoco_us": 1e3 * float(np.min(pairs[:, 0])),
         "world_us": 1e3 * float(np.min(pairs[:, 1])),

@@ -22,6 +22,7 @@ from mjtactile.commands.output import (
 from mjtactile.core import signals
 from mjtactile.recording.files import write_json
 from mjtactile.recording.strip import Strip
+from mjtactile.run.grasp import level_texts
 from mjtactile.run.progress import Progress
 
 if TYPE_CHECKING:
@@ -260,11 +261,8 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
         f"  holding   {newton('hold_force_N')} on each finger (true {newton('hold_force_true_N')})"
     )
     print(f"  at most   {newton('peak_force_N')} (true {newton('peak_force_true_N')})")
-    if not summary.get("images", True):
-        print(
-            "  images    none were drawn: markers with errors drawn in their place (--effects "
-            "-images)"
-        )
+    for name, text in level_texts(summary).items():
+        print(f"  {name:<9} {text}")
     if math.isfinite(summary["slip_mm_true"]):
         print(f"  slipped   {summary['slip_mm_true']:.2f} mm (true)")
     if "force_error_estimate_N" in summary:

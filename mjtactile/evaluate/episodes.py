@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile.core.errors import Interrupted, MjtactileError
+from mjtactile.core.levels import LEFT_OUT
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.task import load_task
 from mjtactile.recording.observer import Observer
@@ -152,8 +153,7 @@ def run_episode(
         "time_s": facts.time,
         "phases": " > ".join(facts.phases),
     }
-    if not summary.get("images", True):
-        line["images"] = False
+    line |= {name: False for name in LEFT_OUT if summary.get(name) is False}
     return line | {
         "break_force_N": facts.break_force,
         "flags": dict(facts.flags),

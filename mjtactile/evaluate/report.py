@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from mjtactile.core.levels import level_texts
 from mjtactile.evaluate import svg
 from mjtactile.evaluate.episodes import OUTCOMES
-from mjtactile.evaluate.statistics import NO_IMAGES, pair_text, stopped_text, summarise
+from mjtactile.evaluate.statistics import pair_text, stopped_text, summarise
 from mjtactile.evaluate.varied import measures
 from mjtactile.evaluate.wilson import Line
 from mjtactile.report.html import data_uri, document, table
@@ -67,7 +68,10 @@ def _head(manifest: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
     return (
         f"<h1>{controllers}: {summary['episodes']} episodes</h1>"
         f"<p>{escape(said)}<br>{escape(versions)}</p>"
-        + ("" if summary.get("images", True) else f"<p>{escape(NO_IMAGES)}</p>")
+        + "".join(
+            f"<p>{name.capitalize()}: {escape(text)}.</p>"
+            for name, text in level_texts(summary).items()
+        )
     )
 
 

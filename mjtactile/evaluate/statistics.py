@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from mjtactile.core.levels import LEFT_OUT, level_texts
 from mjtactile.evaluate.episodes import JUDGED, OUTCOMES, STOPPED
 from mjtactile.evaluate.varied import MEASURES, against, measures
 from mjtactile.evaluate.wilson import Line, wilson
@@ -115,9 +116,9 @@ def summarise(lines: Sequence[Line]) -> dict[str, Any]:
             {"first": first, "second": second, **paired(own[first], own[second])}
             for second in controllers[k + 1 :]
         ]
-    return result | (
-        {"images": False} if any(line.get("images") is False for line in lines) else {}
-    )
+    return result | {
+        name: False for name in LEFT_OUT if any(line.get(name) is False for line in lines)
+    }
 
 
 def _by_flag(lines: Sequence[Line]) -> dict[str, Any]:
@@ -166,9 +167,6 @@ def _spread(values: Iterable[float | None]) -> dict[str, float | None]:
     }
 
 
-NO_IMAGES = "No images were drawn (`--effects -images`): markers with errors drawn in their place."
-
-
 def table(summary: Mapping[str, Any]) -> str:
     """The summary as Markdown."""
     lines = [
@@ -202,8 +200,8 @@ def table(summary: Mapping[str, Any]) -> str:
                 f"{name}: the simulation doubts its own numbers in {flagged} of "
                 f"{mine['episodes']} episodes ({kinds}).",
             ]
-    if not summary.get("images", True):
-        lines += ["", NO_IMAGES]
+    for name, text in level_texts(summary).items():
+        lines += ["", f"{name.capitalize()}: {text}."]
     return "\n".join(lines) + "\n"
 
 

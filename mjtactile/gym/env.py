@@ -17,6 +17,7 @@ import gymnasium
 import numpy as np
 
 from mjtactile.core.errors import DeviceError, InputError, SimulationError
+from mjtactile.core.levels import left_out_of
 from mjtactile.core.policy import policy_command
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.task import load_task
@@ -259,7 +260,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
             "phase": self._cycle.last.phase,
             "force_normal_true_N": np.array(score.forces()),
             **{k: v for k, v in found.items() if math.isfinite(v)},
-            **({} if self._pictures else {"images": False}),
+            **dict.fromkeys(left_out_of(rig.scene.effects), False),
             **({"varied": dict(varied)} if varied else {}),
             "flags": dict(rig.flags()),
             **({"problem": self._problem} if self._problem else {}),

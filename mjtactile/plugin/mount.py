@@ -25,7 +25,7 @@ import mujoco
 
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.plugin.sim_finger import OUTPUTS, SimFinger
-from mjtactile.sim.attach import DEFAULT_MESH, Attachment, attach_membrane
+from mjtactile.sim.attach import Attachment, attach_membrane
 from mjtactile.sim.sensor.switches import CAMERA, PHYSICS
 
 
@@ -67,7 +67,7 @@ def attach(
     *,
     site: mujoco.MjsSite | str,
     prefix: str = "tactile_",
-    mesh: tuple[int, int] = DEFAULT_MESH,
+    mesh: tuple[int, int] | None = None,
     mass: float = 0.05,
     contact: str = "auto",
     effects: Collection[str] = PHYSICS | CAMERA,

@@ -19,8 +19,8 @@ from mjtactile.sensing.chain import Perception
 from mjtactile.sim.attach import Attachment
 from mjtactile.sim.camera import SimCamera
 from mjtactile.sim.rig import SimValve
+from mjtactile.sim.sensor.any import AnySensor
 from mjtactile.sim.sensor.loads import membrane_wrench
-from mjtactile.sim.sensor.runtime import TactileSensor
 from mjtactile.sim.step import advance
 from mjtactile.sim.stepper import Stepper
 
@@ -135,7 +135,7 @@ class SimFinger:
         mesh = self._membrane.mesh
         effects = self._membrane.effects
         rest = at_rest(self.design, (mesh.nx, mesh.ny), effects, self._seed)
-        self.sensor: TactileSensor = self._membrane.bind(self._model, self._data)
+        self.sensor: AnySensor = self._membrane.bind(self._model, self._data)
         """The membrane, its gas and its valve."""
         self.sensor.inflate(rest.displacements, rest.pressure_gauge)
         self._camera = SimCamera(self.sensor, self._seed, effects)

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.errors import InputError, SimulationError
+from mjtactile.core.levels import left_out_of
+from mjtactile.core.levels import level_texts as level_texts
 from mjtactile.core.scenario import TIME_LIMIT, Scenario
 from mjtactile.core.task import load_task
 from mjtactile.recording.observer import Observer, Observers
@@ -43,9 +45,9 @@ class GraspResult:
     peak_stress_true: float = math.nan
     """Pa, von Mises, of a soft object; `peak_energy_true` J/m^3."""
     peak_energy_true: float = math.nan
-    images: bool = True
-    """False: no image was drawn (`--effects -images`); markers had errors drawn in place of those
-    of the image stages."""
+    left_out: tuple[str, ...] = ()
+    """Of "sheet" (a film lay in its place), "chain" (touch was drawn) and "images" (markers had
+    errors drawn): what `--effects` left out."""
     flags: Mapping[str, str] = field(default_factory=dict)
     """What makes the simulation's numbers worse than usual: the kind of doubt, and its reason."""
 
@@ -74,8 +76,7 @@ class GraspResult:
         found |= self.measures
         if self.reason:
             found["reason"] = self.reason
-        if not self.images:
-            found["images"] = False
+        found |= dict.fromkeys(self.left_out, False)
         if self.force_error_estimate is not None:
             found["force_error_estimate_N"] = self.force_error_estimate
         return found | {"scenario": self.scenario.to_dict()}
@@ -273,7 +274,7 @@ def _result(
         reason="; ".join(
             filter(None, [score.reason() if score else log.ended(), log.gave_up(period)])
         ),
-        images=score is None or "images" in score.world.effects,
+        left_out=() if score is None else left_out_of(score.world.effects),
         peak_stress_true=score.peak_stress if score else math.nan,
         peak_energy_true=score.peak_energy if score else math.nan,
         measures=score.measures() if score else {},

@@ -29,6 +29,7 @@ import mujoco
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.sim.sensor import features, limits
+from mjtactile.sim.sensor.film_sensor import FILM_GRID, FilmSensor, add_feeler
 from mjtactile.sim.sensor.membrane import ANYTHING, BODY, FLEX, add_membrane
 from mjtactile.sim.sensor.mesh import MembraneMesh, make_mesh
 from mjtactile.sim.sensor.runtime import TactileSensor
@@ -80,13 +81,15 @@ class Attachment:
     contact: str = "auto"
     effects: frozenset[Effect] = PHYSICS
 
-    def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> TactileSensor:
+    def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> TactileSensor | FilmSensor:
         """Return the sensor's runtime, and finish the model: pre-stretch and contact stiffness.
 
         Call it again after `spec.recompile`. Raises InputError when the model's options cannot
         carry the sensor or the model was not compiled from the spec.
         """
         check_options(model.opt, source="bind")
+        if Effect.SHEET not in self.effects:
+            return FilmSensor(model, data, self.design, self.mesh, self.prefix, self.effects)
         return TactileSensor(
             model, data, self.design, self.mesh, self.prefix, self.contact, self.effects
         )
@@ -98,7 +101,7 @@ def attach_membrane(
     *,
     site: mujoco.MjsSite | str,
     prefix: str = "tactile_",
-    mesh: tuple[int, int] = DEFAULT_MESH,
+    mesh: tuple[int, int] | None = None,
     mass: float = 0.05,
     contact: str = "auto",
     effects: Collection[str] = PHYSICS,
@@ -115,6 +118,8 @@ def attach_membrane(
     """
     on = effects_named(effects)
     design = set_law(load_sensor(sensor), on)
+    if mesh is None:
+        mesh = DEFAULT_MESH if Effect.SHEET in on else FILM_GRID
     check_options(spec.option, source="attach")
     limits.check_design(design, mesh)
     if contact not in ("auto", *features.CONTACT_MODELS):
@@ -143,8 +148,11 @@ def attach_membrane(
     # a robot that does not feel its own weight does not feel the sensor's either
     body.gravcomp = target.parent.gravcomp
     _add_housing(body, design, mass)
-    add_membrane(child, body, design, grid)
-    set_physics(child, grid, on)
+    if Effect.SHEET in on:
+        add_membrane(child, body, design, grid)
+        set_physics(child, grid, on)
+    else:
+        add_feeler(body, design)
     try:
         spec.attach(child, site=target, prefix=prefix)
     except ValueError as error:

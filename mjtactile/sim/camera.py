@@ -10,7 +10,7 @@ from mjtactile.rig.specimen import NOMINAL, SpecimenConfig, camera_pose, marker_
 from mjtactile.sim.picture.renderer import Renderer
 from mjtactile.sim.picture.sighting import Sighter
 from mjtactile.sim.picture.troubles import TroubledPicture
-from mjtactile.sim.sensor.runtime import TactileSensor
+from mjtactile.sim.sensor.any import AnySensor
 from mjtactile.sim.sensor.switches import CAMERA, Effect, set_picture
 
 _EXPOSURE = 8e-3  # s, for motion blur
@@ -23,7 +23,7 @@ class SimCamera:
 
     def __init__(
         self,
-        sensor: TactileSensor,
+        sensor: AnySensor,
         seed: int,
         effects: frozenset[str] = CAMERA,
         specimen: SpecimenConfig = NOMINAL,

@@ -13,9 +13,9 @@ import mujoco
 import numpy as np
 
 from mjtactile.core.errors import SimulationError
+from mjtactile.sim.sensor.any import AnySensor
 from mjtactile.sim.sensor.limits import GROWS, Flags
 from mjtactile.sim.sensor.monitor import SceneMonitor
-from mjtactile.sim.sensor.runtime import TactileSensor
 from mjtactile.sim.step import advance
 
 _LOOK_PERIOD = 0.02  # s between the checks that cost more than a few microseconds
@@ -29,9 +29,7 @@ class Stepper:
     so far. Each of `watchers` is called at every look, 20 ms apart, and returns flags of its own.
     """
 
-    def __init__(
-        self, model: mujoco.MjModel, data: mujoco.MjData, sensors: Sequence[TactileSensor]
-    ):
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, sensors: Sequence[AnySensor]):
         self._model = model
         self._data = data
         self._sensors = tuple(sensors)

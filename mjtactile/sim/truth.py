@@ -18,11 +18,13 @@ from mjtactile.kernels import kernel
 from mjtactile.sim.scenes.objects import PREFIX, moving_bodies
 from mjtactile.sim.sensor import loads
 from mjtactile.sim.sensor.contacts import listed
+from mjtactile.sim.sensor.film_sensor import FilmSensor
 
 if TYPE_CHECKING:
     from mjtactile.sim.scenes.hand_world import HandWorld
     from mjtactile.sim.scenes.strain import SoftSolid
     from mjtactile.sim.scenes.world import World
+    from mjtactile.sim.sensor.any import AnySensor
     from mjtactile.sim.sensor.runtime import TactileSensor
 
 
@@ -31,6 +33,9 @@ def contact_forces(world: World, sensor: int) -> tuple[Array, Array, Array]:
     m, and penetration depths (n,) m, one row per contact, in the order of MuJoCo's contact list."""
     data = world.data
     device = world.sensors[sensor]
+    if isinstance(device, FilmSensor):
+        f_S, p_S = device.contact_forces()
+        return f_S, p_S, np.zeros(len(f_S))
     R_WS, p_WS = _pose(world, device)
     rows, sides = loads.on_membrane(data, device)
     f_S = loads.forces(data, rows, sides, R_WS)
@@ -43,9 +48,11 @@ def contact_force(world: World, sensor: int) -> Array:
     return contact_loads(world, [world.sensors[sensor]])[0]
 
 
-def contact_loads(world: World, devices: Sequence[TactileSensor]) -> Array:
+def contact_loads(world: World, devices: Sequence[AnySensor]) -> Array:
     """Total forces (n, 3) N that the world exerts on the membranes of `devices`, each in its frame
     S."""
+    if any(isinstance(device, FilmSensor) for device in devices):
+        return np.array([loads.membrane_wrench(world.data, device)[:3] for device in devices])
     f_W = np.empty((len(devices), 3))
     kernel("membrane_loads")(
         *listed(world.data),
@@ -146,6 +153,8 @@ def contact_area(world: World, sensor: int, spacing: float = 4e-4) -> float:
     less, that it crosses.
     """
     device = world.sensors[sensor]
+    if isinstance(device, FilmSensor):
+        return device.contact_area
     forces, points, _ = contact_forces(world, sensor)
     force = -float(forces[:, 2].sum())
     if force <= 0:
@@ -296,5 +305,5 @@ def hand_position(world: HandWorld) -> Array:
     return world.data.xpos[world.start.hand].copy()
 
 
-def _pose(world: World, device: TactileSensor) -> tuple[Array, Array]:
+def _pose(world: World, device: AnySensor) -> tuple[Array, Array]:
     return world.data.xmat[device.body_id].reshape(3, 3), world.data.xpos[device.body_id]

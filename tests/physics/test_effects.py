@@ -40,7 +40,7 @@ def press_world(effects, **kwargs):
 
 
 def test_all_off_leaves_no_element_behind():
-    off, on = (press_world(effects).model for effects in (frozenset(), PHYSICS))
+    off, on = (press_world(effects).model for effects in ({"sheet"}, PHYSICS))
     assert off.ntendon == 0 and on.ntendon == 1
     assert off.na == on.na == 0
     # frictionless contacts have one row, not three
@@ -49,7 +49,7 @@ def test_all_off_leaves_no_element_behind():
 
 
 def test_all_off_writes_its_load_once():
-    world = press_world(frozenset())
+    world = press_world({"sheet"})
     sensor = world.sensors[0]
     sensor.open_valve(500.0)
     world.step()
@@ -272,5 +272,7 @@ def test_an_effect_is_its_name_and_a_misspelt_one_is_refused():
         == {Effect.GAS, Effect.LED_SHADING}
         == {"gas", "LED shading"}
     )
-    with pytest.raises(InputError, match=r"'frction' is not an effect \(valid: gas, .*shadows"):
+    with pytest.raises(
+        InputError, match=r"'frction' is not an effect \(valid: sheet, gas, .*shadows"
+    ):
         PressWorld(DENSE, Indenter("sphere", 0.016), mesh=MESH, effects={"frction"})

@@ -325,6 +325,11 @@ def _over(value: float, limit: float, what: str) -> tuple[bool, str]:
 
 
 EFFECTS: tuple[Entry, ...] = (
+    Entry(
+        Effect.SHEET,
+        "physics",
+        lambda s: (True, "without, a film lies on what touches, beside MuJoCo's model"),
+    ),
     Entry(Effect.GAS, "physics", _gas),
     Entry(Effect.LARGE_DEFLECTION, "the membrane's elements", _large_deflection, fixed=True),
     Entry(Effect.BENDING, "physics", _bending),

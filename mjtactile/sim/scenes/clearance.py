@@ -6,7 +6,7 @@ from __future__ import annotations
 from mjtactile.core.errors import InputError
 from mjtactile.sim.scenes.objects import PREFIX, ObjectModel
 from mjtactile.sim.scenes.world import World
-from mjtactile.sim.sensor.runtime import TactileSensor
+from mjtactile.sim.sensor.any import AnySensor
 
 
 def touched_by_sensors(world: World) -> set[tuple[str, str, str]]:
@@ -43,7 +43,7 @@ def require_clear(world: World, grasped: ObjectModel, opening: float) -> None:
         )
 
 
-def _is_part(world: World, sensor: TactileSensor, geom: int, flex: int) -> bool:
+def _is_part(world: World, sensor: AnySensor, geom: int, flex: int) -> bool:
     """Whether a side of a contact is the sensor's housing or membrane."""
     if geom < 0:
         return flex == sensor.flex_id

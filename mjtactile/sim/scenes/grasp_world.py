@@ -12,7 +12,6 @@ from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.simulated import SimRigFile
-from mjtactile.sim.attach import DEFAULT_MESH
 from mjtactile.sim.scenes.clearance import require_clear
 from mjtactile.sim.scenes.hand_world import DEFAULT_TIMESTEP, HandWorld
 from mjtactile.sim.scenes.objects import PREFIX, ObjectModel, add_object, load_object
@@ -41,7 +40,7 @@ class GraspWorld(HandWorld):
         *,
         rig: SimRigFile | str | Path = "sim",
         timestep: float = DEFAULT_TIMESTEP,
-        mesh: tuple[int, int] = DEFAULT_MESH,
+        mesh: tuple[int, int] | None = None,
         object_pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
         opening: float | None = None,
         effects: frozenset[str] = PHYSICS,

@@ -12,7 +12,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.rig.simulated import SimRigFile
-from mjtactile.sim.attach import DEFAULT_MESH, attach_membrane, recommend_options
+from mjtactile.sim.attach import attach_membrane, recommend_options
 from mjtactile.sim.scenes.actuators import PositionActuator
 from mjtactile.sim.scenes.jaws import Jaws
 from mjtactile.sim.scenes.lifts import make_lift
@@ -39,7 +39,7 @@ class HandWorld(World):
         tip_height: float,
         *,
         timestep: float = DEFAULT_TIMESTEP,
-        mesh: tuple[int, int] = DEFAULT_MESH,
+        mesh: tuple[int, int] | None = None,
         opening: float | None = None,
         grip: float | None = None,
         effects: frozenset[str] = PHYSICS,

@@ -100,16 +100,7 @@ class Happenings:
 
     def _is_held(self) -> bool:
         """Whether any membrane touches anything."""
-        contact = self._world.data.contact
-        return any(
-            bool(np.isin(contact.geom, sensor.vertex_geom_ids).any() or _touches(contact, sensor))
-            for sensor in self._world.sensors
-        )
-
-
-def _touches(contact: object, sensor: object) -> bool:
-    """Whether the faces of the sensor's membrane are in a contact."""
-    return bool((contact.flex == sensor.flex_id).any())  # type: ignore[attr-defined]
+        return any(sensor.is_touched for sensor in self._world.sensors)
 
 
 def _shaken(gravity: Array, event: Event, time: float, done: float) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
-from mjtactile.sim.attach import DEFAULT_MESH, attach_membrane, recommend_options
+from mjtactile.sim.attach import attach_membrane, recommend_options
 from mjtactile.sim.scenes.meshes import SUFFIXES, add_solid, convex_parts, load_solid
 from mjtactile.sim.scenes.mjcf import read_mjcf
 from mjtactile.sim.scenes.world import World
@@ -114,7 +114,7 @@ class PressWorld(World):
         at: tuple[float, float] = (0.0, 0.0),
         tilt: float = 0.0,
         timestep: float = 4e-3,
-        mesh: tuple[int, int] = DEFAULT_MESH,
+        mesh: tuple[int, int] | None = None,
         contact: str = "auto",
         effects: frozenset[str] = PHYSICS,
         mount: tuple[float, float, float] = (0.0, 0.0, 0.0),

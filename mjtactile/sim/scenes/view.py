@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
 from mjtactile.sim.scenes.world import World
+from mjtactile.sim.sensor.film_sensor import FilmSensor
 
 _SHOWN = 3  # MuJoCo's viewers hide the geoms of this group and above
 # edges around and along a round body
@@ -39,6 +40,8 @@ class SceneView:
     R_WS: Array
     hidden: tuple[NDArray[np.int64], ...]
     state: Array
+    films: tuple[tuple[Array, NDArray[np.int64]], ...] = ()
+    """Points (n, 3) m in W and triangles of the sheets that are no part of the model."""
 
     @classmethod
     def of(cls, world: World) -> SceneView:
@@ -58,6 +61,15 @@ class SceneView:
             data.xmat[bodies].reshape(-1, 3, 3).copy(),
             spheres,
             state,
+            tuple(
+                (
+                    sensor.p_SV @ data.xmat[sensor.body_id].reshape(3, 3).T
+                    + data.xpos[sensor.body_id],
+                    sensor.mesh.triangles,
+                )
+                for sensor in world.sensors
+                if isinstance(sensor, FilmSensor)
+            ),
         )
 
     def triangles(self) -> tuple[Array, Array]:
@@ -93,6 +105,8 @@ class SceneView:
                 continue
             faces = index[start : start + 3 * count].reshape(-1, 3) + model.flex_vertadr[flex]
             yield self.vertex_p_W, faces, model.flex_rgba[flex] if solid else _SHEET
+        for points, faces in self.films:
+            yield points, faces, _SHEET
 
 
 def _shape(model: mujoco.MjModel, geom: int) -> tuple[Array, Array]:

@@ -11,8 +11,8 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.sim.attach import Attachment
 from mjtactile.sim.log import route_warnings
+from mjtactile.sim.sensor.any import AnySensor
 from mjtactile.sim.sensor.limits import Flags
-from mjtactile.sim.sensor.runtime import TactileSensor
 from mjtactile.sim.stepper import Stepper
 
 
@@ -41,7 +41,7 @@ class World:
         self.data = mujoco.MjData(self.model)
         place(self.model, self.data)
         mujoco.mj_forward(self.model, self.data)
-        self.sensors: tuple[TactileSensor, ...] = tuple(
+        self.sensors: tuple[AnySensor, ...] = tuple(
             a.bind(self.model, self.data) for a in attachments
         )
         self._stepper = Stepper(self.model, self.data, self.sensors)

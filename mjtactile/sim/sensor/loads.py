@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from mjtactile.core import geometry
 from mjtactile.core.types import Array
-from mjtactile.sim.sensor.runtime import TactileSensor
+from mjtactile.sim.sensor.any import AnySensor
+from mjtactile.sim.sensor.film_sensor import FilmSensor
 
 
 def on_membrane(
-    data: mujoco.MjData, sensor: TactileSensor
+    data: mujoco.MjData, sensor: AnySensor
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Rows (n,) of MuJoCo's contact list that are the membrane's, and which of the contacts' two
     sides it is: (n, 2)."""
@@ -43,8 +44,10 @@ def forces(
     return f_W @ R_WS
 
 
-def membrane_wrench(data: mujoco.MjData, sensor: TactileSensor) -> Array:
+def membrane_wrench(data: mujoco.MjData, sensor: AnySensor) -> Array:
     """Force, N, and torque about the origin of S, N m, (6,) on the membrane, frame S."""
+    if isinstance(sensor, FilmSensor):
+        return sensor.wrench
     R_WS = data.xmat[sensor.body_id].reshape(3, 3)
     rows, sides = on_membrane(data, sensor)
     f_S = forces(data, rows, sides, R_WS)
@@ -52,7 +55,7 @@ def membrane_wrench(data: mujoco.MjData, sensor: TactileSensor) -> Array:
     return np.concatenate([f_S.sum(axis=0), geometry.cross(points, f_S).sum(axis=0)])
 
 
-def frame_load(data: mujoco.MjData, sensor: TactileSensor) -> float:
+def frame_load(data: mujoco.MjData, sensor: AnySensor) -> float:
     """Size of the force, N, on the sensor's frame and housing, which no marker sees."""
     sides = np.isin(data.contact.geom, sensor.housing_geom_ids)
     rows = np.flatnonzero(sides.any(axis=1))

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from mjtactile.core import geometry
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor import features, limits, loads
+from mjtactile.sim.sensor.any import AnySensor
 from mjtactile.sim.sensor.limits import Flags
-from mjtactile.sim.sensor.runtime import TactileSensor
 
 PENETRATION = 0.05  # share of the indentation
 _SUNK = 0.5  # share of the indentation at which a force means nothing
@@ -30,9 +30,7 @@ class SceneMonitor:
     """Looks at a running world now and then: penetration, things that went through, objects too
     fast for the step."""
 
-    def __init__(
-        self, model: mujoco.MjModel, data: mujoco.MjData, sensors: tuple[TactileSensor, ...]
-    ):
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, sensors: tuple[AnySensor, ...]):
         self._model = model
         self._data = data
         self._sensors = sensors
@@ -100,7 +98,7 @@ class SceneMonitor:
             flags |= self._too_fast(places)
         return flags, stop
 
-    def _shapes(self, sensor: TactileSensor, rows: NDArray[np.int64]) -> Flags:
+    def _shapes(self, sensor: AnySensor, rows: NDArray[np.int64]) -> Flags:
         """What is to be said of the geoms that touch in the contacts `rows`: too small for the
         mesh, edges, hollows."""
         flags: Flags = {}
@@ -165,7 +163,7 @@ class SceneMonitor:
             "N, which touch does not tell: the camera sees the membrane alone"
         }
 
-    def _geoms_in(self, sensors: tuple[TactileSensor, ...]) -> list[Array]:
+    def _geoms_in(self, sensors: tuple[AnySensor, ...]) -> list[Array]:
         """Centres (g, 3) m of what may touch, in each sensor's frame."""
         data = self._data
         return [

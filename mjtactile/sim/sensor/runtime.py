@@ -20,6 +20,7 @@ from mjtactile.sim.sensor.points import ContactPoints
 from mjtactile.sim.sensor.rubber import Rubber
 from mjtactile.sim.sensor.sleep import Sleeper
 from mjtactile.sim.sensor.stiction import Stiction
+from mjtactile.sim.sensor.stretches import stretches_of
 from mjtactile.sim.sensor.switches import PHYSICS, make_gas, make_geometry, make_load
 from mjtactile.sim.sensor.turning import Turning
 
@@ -135,6 +136,14 @@ class TactileSensor:
     def is_asleep(self) -> bool:
         return self._sleeper.asleep
 
+    @property
+    def is_touched(self) -> bool:
+        """Whether anything is in a contact with the membrane, at the last step."""
+        contact = self._data.contact
+        geom = contact.geom
+        spheres = (geom >= self.vertex_geom_ids[0]) & (geom <= self.vertex_geom_ids[-1])
+        return bool(spheres.any() or (contact.flex == self.flex_id).any())
+
     def wake(self) -> None:
         """Go on from where the sensor fell asleep; needed by hand only after a change of the
         model's own numbers."""
@@ -239,15 +248,7 @@ class TactileSensor:
     def stretches(self) -> tuple[Array, Array]:
         """Principal stretches (m, 2), small and large, of each triangle against the free sheet, and
         its area (m,) m^2."""
-        now = self.p_SV[self.mesh.triangles]
-        moved = now[:, 1:] - now[:, :1]
-        F = self.mesh.inverse_edges @ moved  # rows: dx/dX and dx/dY, (m, 2, 3)
-        xx, yy, xy = (np.einsum("ki,ki->k", F[:, i], F[:, j]) for i, j in ((0, 0), (1, 1), (0, 1)))
-        mean = (xx + yy) / 2
-        spread = np.hypot((xx - yy) / 2, xy)
-        squares = np.maximum(np.stack([mean - spread, mean + spread], axis=1), 0.0)
-        area = np.sqrt(np.maximum(xx * yy - xy * xy, 0.0)) * self.mesh.triangle_areas
-        return self.design.membrane.pre_stretch * np.sqrt(squares), area
+        return stretches_of(self.design, self.mesh, self.p_SV)
 
     def tensions(self) -> Array:
         """Tension (n,) N/m of the sheet at its vertices, not negative: the geometric mean of its

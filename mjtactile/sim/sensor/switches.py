@@ -30,6 +30,7 @@ class Effect(StrEnum):
     """What a simulation can have or leave out; sim/effects/catalog.py says when each is needed. An
     effect equals its name."""
 
+    SHEET = "sheet"
     GAS = "gas"
     LARGE_DEFLECTION = "large deflection"
     BENDING = "bending"
@@ -54,7 +55,14 @@ class Effect(StrEnum):
 
 
 PHYSICS = frozenset(
-    {Effect.GAS, Effect.FRICTION, Effect.GRAVITY, Effect.FOLLOWER_PRESSURE, Effect.HYPERELASTICITY}
+    {
+        Effect.SHEET,
+        Effect.GAS,
+        Effect.FRICTION,
+        Effect.GRAVITY,
+        Effect.FOLLOWER_PRESSURE,
+        Effect.HYPERELASTICITY,
+    }
 )
 """What a membrane does when nobody says otherwise."""
 CAMERA = frozenset(

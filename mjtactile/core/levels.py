@@ -1,0 +1,22 @@
+"""What a simulation may leave out that makes its results those of another level, and how results
+say so. Nothing mixes levels silently."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+
+LEFT_OUT: Mapping[str, str] = {
+    "sheet": "left out: a film lay on what touched, in place of the mesh (--effects -sheet)",
+    "images": "none were drawn: markers with errors drawn in their place (--effects -images)",
+}
+"""By the effect's name: what its absence means. A result that lacks it has the name with false."""
+
+
+def left_out_of(effects: Collection[str]) -> tuple[str, ...]:
+    """Which of LEFT_OUT a simulation with `effects` leaves out."""
+    return tuple(name for name in LEFT_OUT if name not in effects)
+
+
+def level_texts(result: Mapping[str, object]) -> dict[str, str]:
+    """What a result says that was left out, by name."""
+    return {name: text for name, text in LEFT_OUT.items() if result.get(name) is False}

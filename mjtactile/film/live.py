@@ -1,0 +1,196 @@
+"""`LiveFilm`: a film that is followed from step to step in place, beside a simulation.
+
+`Film` makes a state for every solution; this one keeps one, with its own room, so that films of
+many environments can be followed in threads. What sticks to it is held by the sheet in the plane
+(docs/equations.md, X7) with the stiffness of the sheet at rest, whose inverse is made once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.core.types import Array
+from mjtactile.film import bodies
+from mjtactile.film.film import Film
+from mjtactile.film.state import AREA, FOUND, PRESSURE, STATUS, TENSION, VOLUME, WRENCH, Status
+from mjtactile.kernels import band_stride, bound, kernel
+
+_TOLERANCE = 1e-6  # m, of what is left of the displacements
+_MOST_STEPS = 40
+_HEAT_RATIO = 14  # place of the gas's exponent in a film's numbers
+_RAMP = 200.0  # Pa that the gas may rise or fall by in one solution
+
+
+class LiveFilm:
+    """One film's present state. SI units, frame S.
+
+    Attributes:
+        film: What it is of; shared, never changed.
+        x: (3, nx, ny) m of displacements.
+        force: (nx, ny) N of contact at each node, along -z.
+    """
+
+    def __init__(self, film: Film, rows: Array, pool: Array | None):
+        """`rows` (k, NUMBERS) are the bodies, read at every solution; `pool` what they have of
+        planes."""
+        self.film = film
+        self.x = np.zeros_like(film.rest.x)
+        self.force = np.zeros_like(film.rest.force)
+        self._trend = np.zeros((4, *film.grid))
+        self.rows = rows
+        self._found = np.zeros(FOUND)
+        self._settings = np.array([0.0, 0.0, _TOLERANCE, float(_MOST_STEPS)])
+        self._numbers = film._numbers.copy()
+        room = np.empty_like(film._room)
+        kept = (film._kept.size, film._kept)
+        fixed = (self._numbers, film._law, *film.grid, *kept, film.rest.x, room.size, room)
+        pooled = 0 if pool is None else pool.size
+        given = (self._settings, len(rows), rows, pooled, pool)
+        self._solve = bound(
+            "film_solve", *fixed, 1, 0, 1, *given, self.x, self.force, self._trend, self._found
+        )
+
+    def rest_on(self, gas: float, sealed: bool, exponent: float) -> Status:
+        """Come to rest on the bodies.
+
+        Args:
+            gas: p V^exponent of the absolute pressure where `sealed`, else the gauge pressure, Pa.
+            sealed: Whether the gas stays in.
+            exponent: Of the gas, for what happens within a step.
+
+        Returns:
+            How it ended. What did not converge leaves displacements that mean nothing.
+        """
+        self._numbers[_HEAT_RATIO] = exponent
+        self._settings[:2] = gas, sealed
+        self._solve()
+        return Status(int(self._found[STATUS]))
+
+    def go_to_pressure(self, pressure_gauge: float) -> Status:
+        """Come to rest at a gauge pressure that may be far from the present one, in small steps."""
+        start = float(self._found[PRESSURE])
+        count = max(1, int(np.ceil(abs(pressure_gauge - start) / _RAMP)))
+        status = Status.CONVERGED
+        for pressure in np.linspace(start, pressure_gauge, count + 1)[1:]:
+            status = self.rest_on(float(pressure), False, 1.0)
+        return status
+
+    def lie_flat(self) -> None:
+        """Be the mounted sheet, without a pressure."""
+        self.x[:] = 0.0
+        self.force[:] = 0.0
+        self._trend[:] = 0.0
+        self._found[:] = 0.0
+
+    def keep(self) -> tuple[Array, Array, Array]:
+        """The present state, for `restore`."""
+        return self.x.copy(), self.force.copy(), self._found.copy()
+
+    def restore(self, kept: tuple[Array, Array, Array]) -> None:
+        """Go back to what `keep` gave."""
+        for place, was in zip((self.x, self.force, self._found), kept, strict=True):
+            place[:] = was
+        self._trend[:] = 0.0
+
+    @property
+    def volume(self) -> float:
+        """m^3 between the film and the frame's plane."""
+        return float(self._found[VOLUME])
+
+    @property
+    def pressure_gauge(self) -> float:
+        """Pa, of the last solution."""
+        return float(self._found[PRESSURE])
+
+    @property
+    def tension(self) -> float:
+        """N/m, mean over the sheet."""
+        return float(self._found[TENSION])
+
+    @property
+    def area(self) -> float:
+        """m^2 of the sheet in contact."""
+        return float(self._found[AREA])
+
+    @property
+    def wrench(self) -> Array:
+        """(6,) N and N m about the origin of S of the bodies on the film, frictionless; a view."""
+        return self._found[WRENCH]
+
+
+@dataclass(frozen=True, eq=False)
+class Grip:
+    """How a set of nodes that stick is held.
+
+    Attributes:
+        middle: (2,) m, what it turns about.
+        stiffness: (3, 3) of force along x and y, N, and torque about z, N m, by displacements along
+            x and y, m, and a turn about z, rad.
+        spread: (2, inner, 3) displacements of all inner nodes by the three strains.
+        nodes: (m,) numbers of the nodes among those that move.
+    """
+
+    middle: Array
+    stiffness: Array
+    spread: Array
+    nodes: NDArray[np.intp]
+
+
+class Sticking:
+    """The sheet of one film in the plane, inverted once for all contacts.
+
+    Costs 8 (inner nodes)^2 x 4 bytes: 2.3 MB at 21 x 16.
+    """
+
+    def __init__(self, film: Film):
+        self.film = film
+
+    @cached_property
+    def compliance(self) -> Array:
+        """(2 inner, 2 inner) m/N; x and y of each node in turn."""
+        from scipy.linalg import cho_solve_banded  # takes a while to import
+
+        film = self.film
+        columns, rows = film.grid
+        width = 2 * rows - 1
+        factor = np.empty((2 * (columns - 2) * (rows - 2), band_stride(width)))
+        fixed = (film._numbers, film._law, *film.grid)
+        kernel("film_plane")(*fixed, film.rest.x, film._room.size, film._room, factor)
+        band = np.ascontiguousarray(factor[:, : width + 1].T)
+        return cho_solve_banded((band, True), np.eye(len(factor)))
+
+    def grip(self, x: Array, force: Array) -> Grip:
+        """Say how the nodes that touch are held when they move as one body.
+
+        Args:
+            x: (3, nx, ny) m, the film's displacements.
+            force: (nx, ny) N, of contact.
+
+        Returns:
+            The grip; `force` must be positive somewhere.
+        """
+        film = self.film
+        i, j = np.nonzero(force > 0)
+        share = force[i, j]
+        places = np.stack([film.x[i] + x[0, i, j], film.y[j] + x[1, i, j]], axis=1)
+        middle = share @ places / share.sum()
+        off = places - middle
+        nodes = (i - 1) * (film.grid[1] - 2) + j - 1
+        picked = np.stack([2 * nodes, 2 * nodes + 1], axis=1).ravel()
+        rigid = np.zeros((len(picked), 3))
+        rigid[0::2, 0] = rigid[1::2, 1] = 1.0
+        rigid[0::2, 2], rigid[1::2, 2] = -off[:, 1], off[:, 0]
+        columns = self.compliance[:, picked]
+        loads = np.linalg.solve(columns[picked], rigid)
+        stiffness = rigid.T @ loads
+        spread = (columns @ loads).reshape(-1, 2, 3).transpose(1, 0, 2)
+        return Grip(middle, (stiffness + stiffness.T) / 2, spread, nodes)
+
+
+def empty_rows(count: int) -> Array:
+    """Rows (count, NUMBERS) for bodies that are not there."""
+    return np.zeros((count, bodies.NUMBERS))
