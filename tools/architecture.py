@@ -20,6 +20,7 @@ ROOMS = {
     "cli": "the command line",
     "commands": "a module a command",
     "studio": "a session, watched live",
+    "explore": "whole objects by touch",
     "experiments": "the paper's figures",
     "evaluate": "many grasps, statistics",
     "gym": "Gymnasium",
@@ -55,7 +56,7 @@ INSIDE = (
 
 COLOURS = {
     "cli commands studio": "#fde8cf",
-    "experiments evaluate gym make calibrate plugin doctor fit export report": "#fdf6d8",
+    "explore experiments evaluate gym make calibrate plugin doctor fit export report": "#fdf6d8",
     "run": "#fbd9d9",
     "sim devices emulator replay": "#d8e8fb",
     "sensing": "#dcf3dd",

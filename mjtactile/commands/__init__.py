@@ -12,6 +12,7 @@ COMMANDS = {
     "experiments": "the paper's experiments again: figures, and our numbers beside its own",
     "inflate": "inflate a sensor's membrane and compare its height with theory",
     "press": "drive an indenter into a sensor and compare the felt with the true force",
+    "explore": "touch an unknown object here and there until its surface is known",
     "locate": "find circular markers in images and say where they are in 3D",
     "reconstruct": "reconstruct a membrane's surface and contact from recorded frames",
     "calibrate": "calibrate camera, valve, frame, force or gripper, "

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -22,7 +23,7 @@ from mjtactile.sim.sensor.switches import PHYSICS
 SHAPES = ("sphere:R_mm", "cylinder:R_mm", "box:A_mm", "FILE.stl", "FILE.obj", "FILE.xml")
 _LENGTH = 0.03  # m, of a cylinder along its axis
 _CLEARANCE = 0.002  # m above first touch at which the indenter waits
-_AWAY = 0.05  # m above the world's origin of the drive, where no bulge reaches the indenter
+AWAY = 0.05  # m above the world's origin of the drive, where no bulge reaches the indenter
 # m/s: vertices in contact keep moving this fast by the solver's tolerance; the force by 0.1 %
 _STILL = 2e-4
 _SHEAR_SPEED = 2e-3  # m/s, of a press that shears
@@ -30,6 +31,12 @@ _FILES = {**dict.fromkeys(SUFFIXES, "mesh"), ".xml": "model"}
 # N/m and kg of the drive: gives way by 5 um at 1 N
 _STIFFNESS = 2e5
 _MASS = 0.2
+
+
+class Presses(Protocol):
+    """What a `PressWorld` drives into its sensor."""
+
+    def add_to(self, spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -109,7 +116,7 @@ class PressWorld(World):
     def __init__(
         self,
         sensor: SensorDesign | str | Path,
-        indenter: Indenter,
+        indenter: Presses,
         *,
         at: tuple[float, float] = (0.0, 0.0),
         tilt: float = 0.0,
@@ -129,7 +136,7 @@ class PressWorld(World):
             spec, sensor, site="base", prefix="sensor/", mesh=mesh, contact=contact, effects=effects
         )
         self.design = attachment.design
-        body = carrier.add_body(name="indenter", pos=[*at, _AWAY], gravcomp=1.0)
+        body = carrier.add_body(name="indenter", pos=[*at, AWAY], gravcomp=1.0)
         for axis, direction in (("x", [1, 0, 0]), ("z", [0, 0, 1])):
             body.add_joint(name=f"drive_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction)
             drive = spec.add_actuator(
@@ -226,7 +233,7 @@ class PressWorld(World):
 
     def lift_off(self) -> None:
         """Put the indenter where nothing touches it."""
-        self._place(_AWAY)
+        self._place(AWAY)
 
     def _find_touch(self) -> None:
         """Lower the indenter by its distance from the smooth membrane until that is nothing, then
@@ -246,7 +253,7 @@ class PressWorld(World):
             )
         points = self._surface.marker_poses(sensor.p_SV)[0]
         probe = int(sensor.vertex_geom_ids[0])
-        height = _AWAY
+        height = AWAY
         R_WS = self.data.xmat[sensor.body_id].reshape(3, 3).copy()
         p_WS = self.data.xpos[sensor.body_id].copy()
         for _ in range(50):

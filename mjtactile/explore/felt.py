@@ -1,0 +1,234 @@
+"""From what a sensor felt in one press to a patch of the object's surface."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import RegularGridInterpolator
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.types import Array, FeltShape, Surface, Touch
+from mjtactile.explore.patch import Patch
+
+_RINGS = (0.45, 0.85)  # of the way from a patch's middle to its border, where points are taken
+_SPOKES = 8
+_LINE = 7  # points along an edge
+_SHRINK = 0.9  # of a face with a rim: its border is where the sheet leaves it
+_CLEAR = 2e-3  # m from a patch, from where on the sheet is called free
+_FREE_STEP = 4  # of the surface's grid
+_STAGE = 2e-5  # m, sd of a stage's or jaws' own place
+_FACE_SD = 4e-5  # m, of the sheet's height on what it touches, from image to image
+_AGREES = 1e-4  # m between the believed body and the sheet that lies on it
+_MOST = 0.6  # of a patch's points, that agree
+_HARD = 0.25  # of the strongest node's force
+_SHEET_SPREAD = (5e-5, 0.01, 15.0, 6e-5)
+_TOLD = 3.0  # sd from which on an object is said to give way
+
+
+@dataclass(frozen=True, eq=False)
+class Pressed:
+    """One press of one sensor.
+
+    Attributes:
+        touches: Images of it, oldest first.
+        R_SH: (3, 3) From the holder's axes to the sensor's.
+        p_SH: (n, 3) m, the holder's origin in S at each image.
+        shape: What body the newest shows.
+    """
+
+    touches: tuple[Touch, ...]
+    R_SH: Array
+    p_SH: Array
+    shape: FeltShape
+
+
+def patch_of(pressed: Pressed, design: SensorDesign) -> Patch | None:
+    """What a press says of the surface.
+
+    Args:
+        pressed: The press.
+        design: The sensor.
+
+    Returns:
+        The patch; None where nothing was felt.
+    """
+    touch = pressed.touches[-1]
+    if touch.surface is None or touch.contact is None or not touch.touching:
+        return None
+    shape = pressed.shape
+    told = _of_body(shape, touch, design) if len(shape.outline) >= 3 else None
+    points_S, normal_S, spread = _of_sheet(touch, design) if told is None else told
+    compliance, compliance_sd = give(pressed)
+    free_S = _free(touch, points_S, design)
+    force = float(touch.force_normal)
+    if compliance > _TOLD * compliance_sd:  # as it was before it gave way
+        points_S = points_S + compliance * force * normal_S
+    R_HS = pressed.R_SH.T
+    origin = pressed.p_SH[-1]
+    return Patch(
+        (points_S - origin) @ R_HS.T,
+        (free_S - origin) @ R_HS.T,
+        R_HS @ normal_S,
+        shape.kind,
+        force,
+        compliance,
+        compliance_sd,
+        spread,
+    )
+
+
+def give(pressed: Pressed) -> tuple[float, float]:
+    """By how much an object gives way, from a press.
+
+    Args:
+        pressed: The press.
+
+    Returns:
+        m/N and its sd: the way of the holder that the sheet did not go where it was touched first,
+        over the force; NaN where it was seen in fewer than three images.
+    """
+    first = pressed.touches[0].traction
+    if first is None or len(pressed.touches) < 3:
+        return math.nan, math.nan
+    row, column = np.unravel_index(int(first.force[:, :, 2].argmin()), first.force.shape[:2])
+    at = np.array([[first.x[column], first.y[row]]])
+    rows = [
+        (touch.force_normal, place[2] - float(_sheet(touch.surface, at)[0]))
+        for touch, place in zip(pressed.touches, pressed.p_SH, strict=True)
+        if touch.surface is not None and math.isfinite(touch.force_normal)
+    ]
+    force, way = np.array(rows).T
+    spread = force - force.mean()
+    weight = float(spread @ spread)
+    if len(rows) < 3 or weight < 1e-3:
+        return math.nan, math.nan
+    # the holder goes down as the force grows
+    return float(-(spread @ way) / weight), _FACE_SD / math.sqrt(weight)
+
+
+def _sheet(surface: Surface, xy: Array) -> Array:
+    """Heights (N,) m of the sheet over places (N, 2) m."""
+    grid = RegularGridInterpolator((surface.y, surface.x), surface.z)
+    low, high = (surface.x[0], surface.y[0]), (surface.x[-1], surface.y[-1])
+    return grid(np.clip(xy, low, high)[:, ::-1])
+
+
+_Told = tuple[Array, Array, tuple[float, float, float, float]]
+"""Points (N, 3) m in S, the outward normal, and spreads as `Patch` has them."""
+
+
+def _of_body(shape: FeltShape, touch: Touch, design: SensorDesign) -> _Told | None:
+    """Points of the believed body inside its outline; None where the sheet is not on it, since then
+    it is the wrong body."""
+    middle = shape.outline.mean(axis=0)
+    if shape.kind == "edge":
+        xy = _along(shape, middle)
+    else:
+        shrink = _SHRINK if shape.kind == "face" else 1.0
+        xy = _inside(shape.outline, middle, shrink)
+    x, y = (xy - shape.p_SO[:2]).T
+    z, slope = _heights(shape, x, y)
+    points = np.column_stack([xy, shape.p_SO[2] + z])
+    assert touch.surface is not None
+    off = points[:, 2] - _sheet(touch.surface, xy) - design.membrane.thickness / 2
+    on = np.abs(off) < _AGREES
+    if on.sum() < max(_MOST * len(off), 3):
+        return None
+    normal = np.array([slope[0], slope[1], -1.0])
+    return points[on], normal / np.linalg.norm(normal), _spread(shape)
+
+
+def _heights(shape: FeltShape, x: Array, y: Array) -> tuple[Array, Array]:
+    """Of a body over its own point that is nearest the sensor, and its slope (2,) in the middle of
+    these places."""
+    if shape.kind == "face" or shape.family == "cylinder":
+        z_axis = shape.R_SO[:, 2]
+        plane = -z_axis[:2] / z_axis[2]
+    else:
+        plane = np.zeros(2)
+    most, least = np.nan_to_num(shape.curvatures)
+    angle = shape.direction if math.isfinite(shape.direction) else 0.0
+    c, s = math.cos(angle), math.sin(angle)
+    along, across = c * x + s * y, c * y - s * x
+    z = plane[0] * x + plane[1] * y + _bent(least, along) + _bent(most, across)
+    middle_along, middle_across = along.mean(), across.mean()
+    slope = plane + np.array(
+        [
+            least * middle_along * c - most * middle_across * s,
+            least * middle_along * s + most * middle_across * c,
+        ]
+    )
+    return z, slope
+
+
+def _bent(curvature: float, way: Array) -> Array:
+    """What a circle of a curvature rises over its lowest point; no further than half its radius."""
+    if abs(curvature) < 1e-3:
+        return 0.5 * curvature * way**2
+    radius = 1 / curvature
+    short = np.minimum(np.abs(way), 0.8 * abs(radius))
+    return radius - math.copysign(1, radius) * np.sqrt(radius**2 - short**2)
+
+
+def _inside(outline: Array, middle: Array, shrink: float) -> Array:
+    """Places over a patch: its middle and rings."""
+    off = outline - middle
+    angle = np.arctan2(off[:, 1], off[:, 0])
+    far = np.hypot(off[:, 0], off[:, 1])
+    spokes = np.arange(_SPOKES) * (2 * math.pi / _SPOKES)
+    order = np.argsort(angle)
+    reach = shrink * np.interp(spokes, angle[order], far[order], period=2 * math.pi)
+    rays = np.column_stack([np.cos(spokes), np.sin(spokes)])
+    return np.concatenate([[middle], *(middle + share * reach[:, None] * rays for share in _RINGS)])
+
+
+def _along(shape: FeltShape, middle: Array) -> Array:
+    """Places along an edge, as far as it touches."""
+    ray = np.array([math.cos(shape.direction), math.sin(shape.direction)])
+    across = np.array([-ray[1], ray[0]])
+    on = middle + across * (across @ (shape.p_SO[:2] - middle))
+    ways = (shape.outline - on) @ ray
+    return on + np.linspace(0.8 * ways.min(), 0.8 * ways.max(), _LINE)[:, None] * ray
+
+
+def _spread(shape: FeltShape) -> tuple[float, float, float, float]:
+    """What is not known of the body's place, tilt and curvatures."""
+    variance = np.nan_to_num(np.diag(shape.pose_cov))
+    height = math.hypot(math.sqrt(max(variance[2], 0.0)), _STAGE)
+    bent = float(np.nanmax(np.abs(np.nan_to_num(shape.curvatures))))
+    aside = math.sqrt(max(variance[0], variance[1], 0.0))
+    tilt = math.sqrt(max(variance[3], variance[4], 0.0) + (bent * aside) ** 2)
+    curvature = float(np.nanmax(np.nan_to_num(shape.curvatures_sd)))
+    if shape.kind in ("edge", "tip"):  # how far the faces turn is not told by what they touch
+        return height + 5e-5, 0.1, curvature, 5e-5
+    return height, max(tilt, 3e-3), max(curvature, 1.0), 2e-5
+
+
+def _of_sheet(touch: Touch, design: SensorDesign) -> _Told:
+    """The sheet's own outer face where it is pressed hardest, with less belief."""
+    assert touch.surface is not None and touch.contact is not None and touch.traction is not None
+    traction = touch.traction
+    pressing = -traction.force[:, :, 2] * touch.contact.mask
+    rows, columns = np.nonzero(pressing > _HARD * pressing.max())
+    xy = np.column_stack([traction.x[columns], traction.y[rows]])
+    z = _sheet(touch.surface, xy)
+    points = np.column_stack([xy, z + design.membrane.thickness / 2])
+    off = points - points.mean(axis=0)
+    normal = np.array([0.0, 0.0, -1.0])
+    if len(points) >= 4:
+        slope = np.linalg.lstsq(off[:, :2], off[:, 2], rcond=1e-2)[0]
+        normal = np.array([*slope, -1.0]) / math.hypot(*slope, 1.0)
+    return points, normal, _SHEET_SPREAD
+
+
+def _free(touch: Touch, points_S: Array, design: SensorDesign) -> Array:
+    """Places of the sheet's outer face that are clear of the patch."""
+    assert touch.surface is not None
+    s = touch.surface
+    x, y = np.meshgrid(s.x[::_FREE_STEP], s.y[::_FREE_STEP])
+    z = s.z[::_FREE_STEP, ::_FREE_STEP]
+    sheet = np.column_stack([x.ravel(), y.ravel(), z.ravel() + design.membrane.thickness / 2])
+    away = np.linalg.norm(sheet[:, None, :2] - points_S[None, :, :2], axis=2).min(axis=1)
+    return sheet[away > _CLEAR]

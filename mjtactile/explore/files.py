@@ -1,0 +1,68 @@
+"""Files of an explored surface: PLY with what is known of each vertex, and STL for a printer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from mjtactile.core.types import Array
+from mjtactile.explore.run import Explored
+
+SOFT = 4e-3
+"""m/N: what gives way so much has the colour of the softest."""
+_STIFF_COLOUR = np.array([58, 96, 170])
+_SOFT_COLOUR = np.array([214, 72, 56])
+_UNKNOWN_COLOUR = np.array([150, 150, 150])
+
+
+def colours(compliance: Array) -> Array:
+    """(V, 3) uint8: from blue, stiff, to red, soft; grey where it is not known."""
+    share = np.clip(np.sqrt(np.maximum(np.nan_to_num(compliance), 0.0) / SOFT), 0, 1)[:, None]
+    mixed = (1 - share) * _STIFF_COLOUR + share * _SOFT_COLOUR
+    known = np.isfinite(compliance)[:, None]
+    return np.where(known, mixed, _UNKNOWN_COLOUR).round().astype(np.uint8)
+
+
+def write_ply(path: Path, found: Explored) -> None:
+    """Write the surface in mm, binary: vertices with normals, `sd` mm, `compliance` mm/N and
+    colours, and triangles."""
+    mesh = found.mesh
+    named = [
+        *((name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz", "sd", "compliance")),
+        *((name, "u1") for name in ("red", "green", "blue")),
+    ]
+    rows = np.zeros(len(mesh.vertices), named)
+    numbers = np.column_stack(
+        [1e3 * mesh.vertices, mesh.normals, 1e3 * mesh.sd, 1e3 * found.stiffness.by_vertex]
+    )
+    for (name, _), column in zip(named[:8], numbers.T, strict=True):
+        rows[name] = column
+    for (name, _), column in zip(named[8:], colours(found.stiffness.by_vertex).T, strict=True):
+        rows[name] = column
+    faces = np.zeros(len(mesh.triangles), [("count", "u1"), ("at", "<i4", 3)])
+    faces["count"] = 3
+    faces["at"] = mesh.triangles
+    kinds = {"<f4": "float", "u1": "uchar"}
+    head = [
+        "ply",
+        "format binary_little_endian 1.0",
+        "comment mjtactile explore: mm, sd mm, compliance mm/N",
+        f"element vertex {len(rows)}",
+        *(f"property {kinds[kind]} {name}" for name, kind in named),
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        "end_header",
+    ]
+    path.write_bytes("\n".join([*head, ""]).encode("ascii") + rows.tobytes() + faces.tobytes())
+
+
+def write_stl(path: Path, found: Explored) -> None:
+    """Write the surface in mm, binary."""
+    corners = 1e3 * found.mesh.vertices[found.mesh.triangles]
+    rows = np.zeros(len(corners), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("_", "<u2")])
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    rows["normal"] = normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-12)[:, None]
+    rows["corners"] = corners
+    title = b"mjtactile explore, mm".ljust(80)
+    path.write_bytes(title + np.uint32(len(rows)).tobytes() + rows.tobytes())

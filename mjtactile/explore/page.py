@@ -1,0 +1,141 @@
+"""`explore.html`: the explored surface to turn, in one file that asks for nothing over a network;
+and a picture of it."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjtactile.core.types import Array
+from mjtactile.explore.files import SOFT, colours
+from mjtactile.explore.plan import Mesh
+from mjtactile.explore.run import Explored
+from mjtactile.explore.solid import mesh_of
+from mjtactile.explore.stiffness import Stiffness
+from mjtactile.recording.files import to_json
+from mjtactile.report.html import document, table
+
+_EDGE = 1.6e-3  # m, of triangles that a browser turns smoothly
+_UNSURE = 1e-3  # m of sd: the darkest
+_STYLE = """#solid{width:100%;height:520px;touch-action:none;border:1px solid #e6e6e6;
+box-sizing:border-box;cursor:grab}.hint{color:#666;font-size:13px}"""
+_FACTS = (
+    ("outcome", "ended", ""),
+    ("touches", "touches", ""),
+    ("surface_sd_mm", "surface known to", "mm"),
+    ("surface_error_mm_true", "its error, true", "mm"),
+    ("size_error_true", "error of its size, true", ""),
+    ("volume_mL", "volume", "mL"),
+    ("area_mm2", "area", "mm\u00b2"),
+    ("stiffness_N_m", "stiffness", "N/m"),
+    ("stiffness_least_N_m", "stiffness at least", "N/m"),
+)
+
+
+def write_page(path: Path, found: Explored, summary: Mapping[str, Any]) -> None:
+    """Write the page of an exploration.
+
+    Args:
+        path: Of the page.
+        found: What was explored.
+        summary: Its JSON.
+    """
+    mesh = mesh_of(found.surface, _EDGE)
+    soft = Stiffness.of(found.patches, mesh).by_vertex
+    data = {
+        "vertices": (1e3 * mesh.vertices).round(2).tolist(),
+        "normals": mesh.normals.round(3).tolist(),
+        "triangles": mesh.triangles.tolist(),
+        "colours": {"stiffness": colours(soft).tolist(), "doubt": _doubt(mesh).tolist()},
+        "words": {
+            "stiffness": f"Blue is stiff, red gives way by {1e6 * SOFT / 1e3:.0f} mm under 1 N; "
+            "grey is not known. Dots are touches.",
+            "doubt": "White is known to 0.03 mm and better, orange to 1 mm and worse. Dots are "
+            "touches.",
+        },
+        "touched": [
+            {"place": 1e3 * patch.middle, "normal": patch.normal} for patch in found.patches
+        ],
+    }
+    page = document(f"{summary.get('object', 'explored')}", _body(data, summary), style=_STYLE)
+    part = path.with_name(path.name + ".part")
+    part.write_text(page, encoding="utf-8")
+    part.replace(path)
+
+
+def _doubt(mesh: Mesh) -> Array:
+    """(V, 3) colours of how well each vertex is known."""
+    low, high = math.log(3e-5), math.log(_UNSURE)
+    share = np.clip((np.log(np.maximum(mesh.sd, 1e-9)) - low) / (high - low), 0, 1)[:, None]
+    mixed = (1 - share) * np.array([245, 245, 240]) + share * np.array([217, 108, 30])
+    return mixed.round().astype(int)
+
+
+def _body(data: Mapping[str, Any], summary: Mapping[str, Any]) -> Iterator[str]:
+    yield f"<h1>{escape(str(summary.get('object', 'an object')))}, as touched</h1>"
+    rows = [
+        [escape(label), escape(_words(summary[key], unit))]
+        for key, label, unit in _FACTS
+        if _is_known(summary.get(key))
+    ]
+    size = " x ".join(f"{value:.1f}" for value in summary["size_mm"])
+    yield table([], [*rows, ["size", f"{size} mm"]])
+    yield (
+        '<p><select id="mode"><option value="stiffness">stiffness</option><option value="doubt">'
+        'how well it is known</option></select> <span class="hint">drag: turn; wheel: closer</span>'
+        '</p><canvas id="solid"></canvas><p id="readout" class="hint"></p><noscript>The surface '
+        "needs JavaScript.</noscript>"
+    )
+    flags = summary.get("flags", {})
+    if flags:
+        yield table(["doubt", "reason"], [[escape(k), escape(v)] for k, v in flags.items()])
+    content = json.dumps(to_json(data), allow_nan=False, separators=(",", ":"))
+    safe = content.replace("<", "\\u003c")
+    yield f'<script type="application/json" id="data">{safe}</script>'
+    script = (Path(__file__).parent / "page.js").read_text(encoding="utf-8")
+    yield f"<script>{script}</script>"
+
+
+def _is_known(value: Any) -> bool:
+    return value not in (None, "") and not (isinstance(value, float) and math.isnan(value))
+
+
+def _words(value: Any, unit: str) -> str:
+    return f"{value:#.3g} {unit}".strip() if isinstance(value, float) else f"{value} {unit}".strip()
+
+
+def draw(figure: Any, found: Explored) -> None:
+    """Draw the surface from two sides: stiffness, and how well it is known, with the touches."""
+    mesh = mesh_of(found.surface, _EDGE)
+    soft = Stiffness.of(found.patches, mesh).by_vertex
+    for number, (colour, title) in enumerate(
+        ((colours(soft), "stiffness: blue stiff, red soft"), (_doubt(mesh), "doubt: orange 1 mm"))
+    ):
+        axes = figure.add_subplot(1, 2, number + 1, projection="3d")
+        _paint(axes, mesh, np.asarray(colour) / 255, found)
+        axes.set_title(title, fontsize=10)
+
+
+def _paint(axes: Any, mesh: Mesh, colour: Array, found: Explored) -> None:
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    corners = 1e3 * mesh.vertices[mesh.triangles]
+    normal = mesh.normals[mesh.triangles].mean(axis=1)
+    light = 0.5 + 0.5 * np.clip(normal @ np.array([0.55, -0.6, 0.58]), 0, 1)
+    faces = light[:, None] * colour[mesh.triangles].mean(axis=1)
+    axes.add_collection3d(Poly3DCollection(corners, facecolors=faces, edgecolors=faces, lw=0.2))
+    places = 1e3 * np.stack([p.middle + 8e-4 * p.normal for p in found.patches])
+    axes.scatter(*places.T, s=10, c="k", depthshade=False)
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    middle, half = (low + high) / 2, float((high - low).max()) / 2
+    for set_limits, at in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), middle, strict=True):
+        set_limits(at - half, at + half)
+    axes.set_box_aspect((1, 1, 1))
+    axes.set(xlabel="x, mm", ylabel="y, mm", zlabel="z, mm")
+    axes.view_init(elev=20, azim=-55)

@@ -1,0 +1,90 @@
+"""Where to touch next: where the surface is least known, of what can be reached."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mjtactile.core.types import Array
+from mjtactile.explore.patch import Patch, tangents
+
+_REACH = 5e-3  # m, of a touch
+_BENT = 6.0  # power of the mean normal's length: 0.1 on a right angle's edge
+_NEAR = 4e-3  # m: nearer to a patch there is little news
+
+
+@dataclass(frozen=True, eq=False)
+class Aim:
+    """A place `p_H` (3,) m to touch, and the outward normal `n_H` that is believed there."""
+
+    p_H: Array
+    n_H: Array
+
+    def R_SH(self) -> Array:
+        """(3, 3) The holder turned so that the normal points at the sensor."""
+        u, v = tangents(self.n_H)
+        return np.stack([u, -v, -self.n_H])
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A believed surface in triangles: `vertices` (V, 3) m, `triangles` (T, 3), outward `normals`
+    (V, 3), and `sd` (V,) m of each vertex along its normal."""
+
+    vertices: Array
+    triangles: Array
+    normals: Array
+    sd: Array
+
+    def areas(self) -> Array:
+        """(V,) m^2, a third of each triangle's for each of its vertices."""
+        a, b, c = (self.vertices[self.triangles[:, k]] for k in range(3))
+        third = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6
+        return np.bincount(self.triangles.ravel(), np.repeat(third, 3), len(self.vertices))
+
+    def error(self) -> float:
+        """Root mean square of its own sd over the surface, m."""
+        return float(np.sqrt(np.average(self.sd**2, weights=self.areas())))
+
+
+def _around(mesh: Mesh) -> Array:
+    """What a touch at each vertex is worth, m: how little is known about it as far as a touch
+    reaches; less where the surface is bent, since an edge or a corner tells little but itself."""
+    tree = cKDTree(mesh.vertices)
+    near = tree.query_ball_point(mesh.vertices, _REACH)
+    areas = mesh.areas()
+    worth = np.empty(len(near))
+    for vertex, others in enumerate(near):
+        weights = areas[others] / max(areas[others].sum(), 1e-12)
+        flat = np.linalg.norm(weights @ mesh.normals[others])
+        worth[vertex] = flat**_BENT * (weights @ mesh.sd[others])
+    return worth
+
+
+def next_aim(
+    mesh: Mesh, patches: Sequence[Patch], tried: Sequence[Aim], reaches: Callable[[Aim], bool]
+) -> Aim | None:
+    """Choose where to touch.
+
+    Args:
+        mesh: The surface as it is believed.
+        patches: What was felt.
+        tried: What was aimed at, also in vain.
+        reaches: Whether a rig gets there.
+
+    Returns:
+        The place; None where none is left.
+    """
+    past = [patch.middle for patch in patches] + [aim.p_H for aim in tried]
+    worth = _around(mesh)
+    if past:
+        way = np.linalg.norm(mesh.vertices[:, None] - np.stack(past)[None], axis=2).min(axis=1)
+        worth = worth * np.minimum(way / _NEAR, 1.0)
+    for vertex in np.argsort(-worth):
+        aim = Aim(mesh.vertices[vertex], mesh.normals[vertex])
+        if worth[vertex] > 0 and reaches(aim):
+            return aim
+    return None

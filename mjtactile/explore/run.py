@@ -1,0 +1,231 @@
+"""Exploring: touch where the surface is least known, fuse, until it is known or enough."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import InputError, SimulationError
+from mjtactile.core.types import Array
+from mjtactile.explore.felt import Pressed, patch_of
+from mjtactile.explore.patch import Patch
+from mjtactile.explore.plan import Aim, Mesh, next_aim
+from mjtactile.explore.solid import mesh_of
+from mjtactile.explore.stiffness import Stiffness
+from mjtactile.explore.surface import Surface, fuse
+from mjtactile.recording.files import to_json
+
+_PLAN_EDGE = 1.5e-3  # m, of triangles while it goes on
+_EDGE = 0.8e-3  # m, of the result's
+_IN_VAIN = 6  # touches in a row that find nothing, after which there is nothing
+
+Say = Callable[[str], None]
+
+
+class Bench(Protocol):
+    """Where an object is touched: a stage, a gripper."""
+
+    @property
+    def design(self) -> SensorDesign: ...
+
+    @property
+    def flags(self) -> Mapping[str, str]: ...
+
+    def reaches(self, aim: Aim) -> bool:
+        """Whether the sensor gets there."""
+        ...
+
+    def touch(self, aim: Aim, force: float) -> tuple[Pressed, ...]:
+        """Press there up to a force, N, and let go."""
+        ...
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """When to stop: after so many `touches`, or when the surface is as sure as `accuracy` m (root
+    mean square of its own standard deviation); `force` N is what a touch presses with."""
+
+    touches: int = 12
+    accuracy: float = 0.0
+    force: float = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Explored:
+    """What was found. `outcome`: "accurate", "touches" (as many as were asked), "nothing left",
+    "nothing there" or "interrupted"."""
+
+    patches: tuple[Patch, ...]
+    surface: Surface
+    mesh: Mesh
+    stiffness: Stiffness
+    outcome: str
+    tried: int
+    flags: Mapping[str, str] = field(default_factory=dict)
+    failures: tuple[str, ...] = ()
+
+    def summary(self) -> dict[str, Any]:
+        """The JSON of `mjtactile explore`; unknown is NaN here and null there."""
+        sizes, _ = principal_sizes(self.mesh)
+        return {
+            "outcome": self.outcome,
+            "touches": self.tried,
+            "patches": len(self.patches),
+            "surface_sd_mm": 1e3 * self.mesh.error(),
+            "surface_sd_worst_mm": 1e3 * float(self.mesh.sd.max()),
+            "size_mm": [1e3 * float(size) for size in sizes],
+            "area_mm2": 1e6 * float(self.mesh.areas().sum()),
+            "volume_mL": 1e6 * volume(self.mesh),
+            **self.stiffness.summary(),
+            "touched": [_row(patch) for patch in self.patches],
+            "failures": list(self.failures),
+            "flags": dict(self.flags),
+        }
+
+
+def _row(patch: Patch) -> dict[str, Any]:
+    return {
+        "place_mm": 1e3 * patch.middle,
+        "normal": patch.normal,
+        "kind": patch.kind,
+        "force_N": patch.force,
+        "gave_way_mm_per_N": 1e3 * patch.compliance,
+        "gave_way_sd_mm_per_N": 1e3 * patch.compliance_sd,
+    }
+
+
+def volume(mesh: Mesh) -> float:
+    """m^3 inside of a closed mesh."""
+    a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
+    return float(np.einsum("ni,ni->", a, np.cross(b, c)) / 6)
+
+
+def principal_sizes(mesh: Mesh) -> tuple[Array, Array]:
+    """Extents (3,) m of a surface along its own principal axes, the largest first, and these axes
+    as columns (3, 3)."""
+    weights = mesh.areas()
+    off = mesh.vertices - np.average(mesh.vertices, axis=0, weights=weights)
+    axes = np.linalg.eigh((off * weights[:, None]).T @ off)[1][:, ::-1]
+    return np.ptp(off @ axes, axis=0), axes
+
+
+def explore(
+    bench: Bench,
+    wanted: Wanted,
+    *,
+    known: Sequence[Patch] = (),
+    begun: int = 0,
+    say: Say = lambda _: None,
+    keep: Callable[[Patch], None] = lambda _: None,
+    stopped: Callable[[], bool] = lambda: False,
+) -> Explored:
+    """Explore an object.
+
+    Args:
+        bench: Where it is touched.
+        wanted: When to stop.
+        known: Patches from before.
+        begun: Touches that these took.
+        say: Is given a line for each touch.
+        keep: Is given each patch as soon as it is known.
+        stopped: Asked between touches whether somebody wants to stop.
+
+    Returns:
+        What was found, also when it was stopped.
+    """
+    patches = list(known)
+    surface = fuse(patches)
+    tried: list[Aim] = []
+    failures: list[str] = []
+    vain = 0
+    outcome = "touches"
+    while begun + len(tried) < wanted.touches:
+        mesh = mesh_of(surface, _PLAN_EDGE)
+        if patches and mesh.error() <= wanted.accuracy:
+            outcome = "accurate"
+        elif vain >= _IN_VAIN and not patches:
+            outcome = "nothing there"
+        elif stopped():
+            outcome = "interrupted"
+        if outcome != "touches":
+            break
+        aim = next_aim(mesh, patches, tried, bench.reaches)
+        if aim is None:
+            outcome = "nothing left"
+            break
+        tried.append(aim)
+        try:
+            felt = bench.touch(aim, wanted.force)
+        except SimulationError as error:
+            failures.append(str(error))
+            felt = ()
+        new = [patch for one in felt if (patch := patch_of(one, bench.design)) is not None]
+        for patch in new:
+            keep(patch)
+        patches += new
+        vain = 0 if new else vain + 1
+        surface = fuse(patches, surface)
+        say(_line(begun + len(tried), new, mesh if not new else mesh_of(surface, _PLAN_EDGE)))
+    if not patches:
+        outcome = outcome if outcome == "interrupted" else "nothing there"
+    return explored(patches, outcome, begun + len(tried), bench.flags, failures, surface)
+
+
+def explored(
+    patches: Sequence[Patch],
+    outcome: str,
+    tried: int,
+    flags: Mapping[str, str],
+    failures: Sequence[str] = (),
+    surface: Surface | None = None,
+) -> Explored:
+    """Patches as a result."""
+    surface = fuse(patches) if surface is None else surface
+    mesh = mesh_of(surface, _EDGE)
+    stiffness = Stiffness.of(patches, mesh)
+    return Explored(
+        tuple(patches), surface, mesh, stiffness, outcome, tried, dict(flags), tuple(failures)
+    )
+
+
+def _line(number: int, new: Sequence[Patch], mesh: Mesh) -> str:
+    felt = ", ".join(f"{patch.kind} at {patch.force:.2f} N" for patch in new) or "nothing felt"
+    doubt = f"surface known to {1e3 * mesh.error():.2f} mm"
+    return f"touch {number}: {felt}; {doubt}"
+
+
+class Store:
+    """The patches of an exploration in a file, a line each, written as they come: what was touched
+    is not lost, whatever happens next."""
+
+    def __init__(self, path: Path):
+        self.path = path
+
+    def write(self, patch: Patch) -> None:
+        """Add a patch."""
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(to_json(patch.to_dict())) + "\n")
+
+    def read(self) -> list[Patch]:
+        """The patches that are there; a line that was cut off while it was written is left out.
+
+        Raises InputError for a file that is none.
+        """
+        lines = self.path.read_text(encoding="utf-8").splitlines()
+        patches = []
+        for number, line in enumerate(lines):
+            try:
+                patches.append(Patch.from_dict(json.loads(line)))
+            except (ValueError, KeyError, TypeError) as error:
+                if number + 1 == len(lines):
+                    break
+                raise InputError(
+                    f"line {number + 1} is no patch: {error}", source=self.path
+                ) from error
+        return patches

@@ -1,0 +1,100 @@
+"""A believed surface in triangles, and files of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Array
+from mjtactile.explore.plan import Mesh
+from mjtactile.explore.surface import Surface
+
+_MARGIN = 4e-3  # m around what was touched and believed
+_SLOPE_STEP = 5e-5  # m
+
+
+def mesh_of(surface: Surface, edge: float = 1e-3) -> Mesh:
+    """Triangles of a surface.
+
+    Args:
+        surface: The surface.
+        edge: m, of a triangle.
+
+    Returns:
+        The mesh: closed.
+
+    Raises:
+        InputError: Where manifold3d is not installed.
+    """
+    try:
+        from manifold3d import Manifold
+    except ImportError as error:
+        raise InputError(
+            "needs manifold3d: pip install 'mjtactile[explore]'", source="explore"
+        ) from error
+    low, high = _box(surface)
+    counts = np.ceil((high - low) / edge).astype(int) + 1
+    axes = [low[k] + edge * np.arange(counts[k]) for k in range(3)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    outside = surface.distance(grid)
+    inside = _between(outside.tolist(), counts.tolist(), low.tolist(), edge)
+    bounds = [*(low + edge), *(high - edge)]
+    found = Manifold.level_set(inside, bounds, edge).to_mesh()
+    return with_doubt(surface, np.array(found.vert_properties[:, :3], float), found.tri_verts)
+
+
+def _between(
+    outside: list[float], counts: list[int], low: list[float], edge: float
+) -> Callable[[float, float, float], float]:
+    """How far a place is inside, between the nodes of a grid; in plain numbers, since it is asked
+    place by place, a hundred thousand times."""
+    nx, ny, nz = (count - 2 for count in counts)
+    row, plane = counts[2], counts[1] * counts[2]
+    x0, y0, z0 = low
+    per = 1 / edge
+
+    def inside(x: float, y: float, z: float) -> float:
+        u, v, w = (x - x0) * per, (y - y0) * per, (z - z0) * per
+        i, j, k = min(max(int(u), 0), nx), min(max(int(v), 0), ny), min(max(int(w), 0), nz)
+        u, v, w = u - i, v - j, w - k
+        at = i * plane + j * row + k
+        near = (1 - v) * ((1 - w) * outside[at] + w * outside[at + 1]) + v * (
+            (1 - w) * outside[at + row] + w * outside[at + row + 1]
+        )
+        at += plane
+        far = (1 - v) * ((1 - w) * outside[at] + w * outside[at + 1]) + v * (
+            (1 - w) * outside[at + row] + w * outside[at + row + 1]
+        )
+        return -((1 - u) * near + u * far)
+
+    return inside
+
+
+def with_doubt(surface: Surface, vertices: Array, triangles: Array) -> Mesh:
+    """A mesh with its normals and standard deviations."""
+    slope = np.stack(
+        [
+            surface.distance(vertices + step) - surface.distance(vertices - step)
+            for step in _SLOPE_STEP * np.eye(3)
+        ],
+        axis=1,
+    ) / (2 * _SLOPE_STEP)
+    steep = np.maximum(np.linalg.norm(slope, axis=1), 0.2)
+    normals = slope / np.maximum(np.linalg.norm(slope, axis=1), 1e-9)[:, None]
+    sd = surface.distance_sd(vertices) / steep
+    return Mesh(vertices, np.asarray(triangles, int), normals, sd)
+
+
+def _box(surface: Surface) -> tuple[Array, Array]:
+    """Corners, m, around all of it."""
+    reach = 1e-3 * float(np.linalg.norm(np.exp(surface.theta[6:9])))
+    middle = 1e-3 * surface.theta[:3]
+    coarse = np.linspace(-1.2 * reach, 1.2 * reach, 33)
+    grid = np.stack(np.meshgrid(coarse, coarse, coarse, indexing="ij"), axis=-1).reshape(-1, 3)
+    inside = grid[surface.distance(middle + grid) < 0] + middle
+    if not len(inside):
+        inside = middle[None]
+    step = coarse[1] - coarse[0]
+    return inside.min(axis=0) - step - _MARGIN, inside.max(axis=0) + step + _MARGIN

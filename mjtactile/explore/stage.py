@@ -1,0 +1,124 @@
+"""A simulated stage: an object in a holder, turned and lowered onto one sensor that looks up."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.types import Array, FeltShape, Touch
+from mjtactile.experiments.station import View, take_references
+from mjtactile.explore.felt import Pressed
+from mjtactile.explore.plan import Aim
+from mjtactile.sim.scenes.mounted import Mounted, MountedWorld
+from mjtactile.sim.scenes.objects import ObjectModel
+
+MESH = (25, 21)
+"""On which the simulated sheet has the shape that rubber has (`mjtactile press` says so, too)."""
+_STEP = 2.5e-4  # m, by which the stage goes down between images
+_TRAVEL = 2.6e-3  # m below first touch: before the frame's rim
+_STILL = 0.1  # s that it stands before an image
+_SEEN = 0.08  # N, from which on images tell of the body
+
+Say = Callable[[str], None]
+
+
+class Stage:
+    """One sensor under a stage.
+
+    Args:
+        design: The sensor.
+        model: The object.
+        p_HO: (3,) m, where it is in the holder: nobody tells who explores.
+        R_HO: (3, 3) how it is turned there.
+        mesh: Vertices of the simulated sheet.
+        seed: Of the camera's noise.
+        world: More for the world (`timestep`, `effects`).
+    """
+
+    def __init__(
+        self,
+        design: SensorDesign,
+        model: ObjectModel,
+        *,
+        p_HO: Array,
+        R_HO: Array,
+        mesh: tuple[int, int] = MESH,
+        seed: int = 0,
+        **world,
+    ):
+        self.design = design
+        self.world = MountedWorld(design, Mounted(model, p_HO, R_HO), mesh=mesh, **world)
+        self._view = View(self.world, design, seed=seed)
+        take_references(self.world, [self._view], design.chamber.supply_gauge)
+
+    @property
+    def flags(self) -> dict[str, str]:
+        """What makes the simulation's numbers worse than usual."""
+        return dict(self.world.flags)
+
+    def reaches(self, aim: Aim) -> bool:
+        """Whether the holder lets the sensor there: not from below, where it holds."""
+        return aim.n_H[2] > -math.cos(_HOLDER)
+
+    def touch(self, aim: Aim, force: float) -> tuple[Pressed, ...]:
+        """Touch at one place.
+
+        Args:
+            aim: Where.
+            force: N, up to which the object is pressed.
+
+        Returns:
+            The press; nothing where nothing was felt.
+        """
+        R_SH = aim.R_SH()
+        p_H = self._over_the_middle(R_SH, aim.p_H)
+        self.world.turn(R_SH, p_H)
+        touches: list[Touch] = []
+        places: list[Array] = []
+        depth = 0.0
+        while depth < _TRAVEL:
+            depth += _STEP
+            self._lower(depth)
+            touch = self._view.touch()
+            felt = touch.force_normal
+            if math.isfinite(felt) and felt > _SEEN:
+                touches.append(touch)
+                places.append(self.world.p_SH)
+            if not math.isfinite(felt) or felt >= force:
+                break
+        self.world.lift_off()
+        if not touches:
+            return ()
+        shape: FeltShape = self._view.perception.shape(touches)
+        return (Pressed(tuple(touches), R_SH, np.array(places), shape),)
+
+    def _over_the_middle(self, R_SH: Array, p_H: Array) -> Array:
+        """Feel lightly where the object is first met, and have that over the sensor's middle."""
+        for _ in range(_LOOKS):
+            self.world.turn(R_SH, p_H)
+            depth = 0.0
+            while depth < _TRAVEL:
+                depth += _STEP
+                self._lower(depth)
+                touch = self._view.touch()
+                if touch.contact is not None and touch.force_normal > _SEEN:
+                    break
+            else:
+                return p_H
+            at = touch.contact.centroid
+            if np.hypot(*at) < _ASIDE:
+                return p_H
+            p_H = p_H + R_SH.T @ (at[0], at[1], 0.0)
+        return p_H
+
+    def _lower(self, depth: float) -> None:
+        self.world.drive(depth)
+        self.world.step(round(_STILL / self.world.timestep))
+
+
+_LOOKS = 2
+_ASIDE = 5e-3  # m from the sensor's middle, from where on another look is worth it
+_HOLDER = math.radians(35)

@@ -1,0 +1,55 @@
+"""How much an explored object gives way, here and there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mjtactile.core.types import Array
+from mjtactile.explore.patch import Patch
+from mjtactile.explore.plan import Mesh
+
+_REACH = 8e-3  # m: so far a touch speaks for its neighbourhood
+_TOLD = 2.0  # sd
+
+
+@dataclass(frozen=True, eq=False)
+class Stiffness:
+    """Compliance m/N, force for force, of each vertex (V,), and of all touches together with its
+    sd."""
+
+    by_vertex: Array
+    mean: float
+    mean_sd: float
+
+    @classmethod
+    def of(cls, patches: Sequence[Patch], mesh: Mesh) -> Stiffness:
+        """From what gave way where it was touched: near a touch as that touch says, far from all
+        the mean."""
+        told = [patch for patch in patches if math.isfinite(patch.compliance)]
+        if not told:
+            return cls(np.full(len(mesh.vertices), math.nan), math.nan, math.nan)
+        values = np.array([patch.compliance for patch in told])
+        weights = np.array([patch.compliance_sd**-2 for patch in told])
+        mean = float(np.average(values, weights=weights))
+        way = np.linalg.norm(
+            mesh.vertices[:, None] - np.stack([patch.middle for patch in told])[None], axis=2
+        )
+        near = np.exp(-0.5 * (way / _REACH) ** 2) * weights
+        far = 1e-3 * weights.sum()
+        by_vertex = (near @ values + far * mean) / (near.sum(axis=1) + far)
+        return cls(np.maximum(by_vertex, 0.0), mean, float(weights.sum() ** -0.5))
+
+    def summary(self) -> dict[str, Any]:
+        """`stiffness_N_m`, unknown where the object gave way by less than can be seen, and then
+        `stiffness_least_N_m` says what it has at least."""
+        least = 1 / (max(self.mean, 0.0) + _TOLD * self.mean_sd)
+        seen = self.mean > _TOLD * self.mean_sd
+        return {
+            "stiffness_N_m": 1 / self.mean if seen else math.nan,
+            "stiffness_least_N_m": least if math.isfinite(self.mean) else math.nan,
+        }

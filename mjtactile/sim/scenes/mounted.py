@@ -1,0 +1,78 @@
+"""`MountedWorld`: a sensor that looks up, and an object in a holder that a stage turns, shifts and
+lowers onto it, again and again."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Array
+from mjtactile.sim.scenes.indentation import AWAY, PressWorld
+from mjtactile.sim.scenes.objects import PREFIX, ObjectModel, read_spec
+
+
+class Mounted:
+    """The object of a file in a holder, `p_HO` (3,) m and `R_HO` (3, 3) of its body there."""
+
+    def __init__(self, model: ObjectModel, p_HO: Array, R_HO: Array):
+        if model.flesh is not None:
+            raise InputError(
+                f"{model.name!r} is one soft body of finite elements, which no holder holds",
+                source="explore",
+                field="object",
+            )
+        self.model = model
+        self._p_HO = p_HO
+        self._R_HO = R_HO
+
+    def add_to(self, spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
+        """Put it on `body` of `spec`, without its free joint and what else stands in its world."""
+        held = read_spec(self.model)
+        thing = held.body("object")
+        for other in list(held.worldbody.bodies):
+            if other.name != "object":
+                held.delete(other)
+        for joint in list(thing.joints):
+            if joint.type == mujoco.mjtJoint.mjJNT_FREE:
+                held.delete(joint)
+        thing.pos = [0.0, 0.0, 0.0]
+        thing.quat = [1.0, 0.0, 0.0, 0.0]
+        frame = body.add_frame(pos=self._p_HO, quat=quaternion(self._R_HO))
+        spec.attach(held, frame=frame, prefix=PREFIX)
+
+
+class MountedWorld(PressWorld):
+    """The holder's frame is H. `world` goes to `PressWorld` (mesh, timestep, effects)."""
+
+    def __init__(self, sensor: SensorDesign, mounted: Mounted, **world):
+        super().__init__(sensor, mounted, **world)
+        self._body = self.model.body("indenter").id
+        self._holder = self.model.body("holder").id
+
+    def turn(self, R_SH: Array, p_H: Array) -> None:
+        """Lift off, turn the holder to `R_SH`, and come down with its point `p_H` (3,) m over the
+        sensor's middle to just above first touch."""
+        self.lift_off()
+        self.settle()
+        over = R_SH @ p_H
+        self.model.body_quat[self._holder] = quaternion(R_SH)
+        self.model.body_pos[self._body, :2] = -over[:2]
+        self._find_touch()
+
+    @property
+    def p_SH(self) -> Array:
+        """(3,) m, the holder's origin in S, as the stage shows it."""
+        drive = [self.data.qpos[joint] for joint in self._joints]
+        return np.array([drive[0], 0.0, drive[1] + AWAY]) + [
+            *self.model.body_pos[self._body, :2],
+            0.0,
+        ]
+
+
+def quaternion(R: Array) -> Array:
+    """(4,) Of a rotation (3, 3)."""
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(R).ravel())
+    return quat

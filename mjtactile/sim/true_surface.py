@@ -1,0 +1,84 @@
+"""Where an object's surface truly is, for scoring only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mjtactile.core.types import Array
+from mjtactile.sim.scenes.objects import ObjectModel, read_spec
+
+_RAYS = 6000
+_FAR = 0.15  # m, from where rays start
+
+
+@dataclass(frozen=True, eq=False)
+class TrueSurface:
+    """Points (N, 3) m spread evenly over an object's outside, in its body's axes; `model` and
+    `data` are of the object alone."""
+
+    points: Array
+    model: mujoco.MjModel
+    data: mujoco.MjData
+
+    @classmethod
+    def of(cls, grasped: ObjectModel, seed: int = 0) -> TrueSurface:
+        """Of an object at rest: what random lines meet first of all that can be touched. (Such
+        lines meet each part of a surface as often as it is large.)"""
+        spec = read_spec(grasped)
+        thing = spec.body("object")
+        for other in list(spec.worldbody.bodies):
+            if other.name != "object":
+                spec.delete(other)
+        thing.pos = [0.0, 0.0, 0.0]
+        for joint in list(thing.joints):
+            if joint.type == mujoco.mjtJoint.mjJNT_FREE:
+                spec.delete(joint)
+        model = spec.compile()
+        model.geom_group[:] = np.where(model.geom_contype & 1, 0, 5)
+        model.geom_rgba[:, 3] = 1.0  # rays go through what cannot be seen
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        radius = float(np.abs(model.geom_aabb[:, 3:]).sum()) if model.ngeom else 0.05
+        radius = min(radius, 0.1)
+        return cls(_met(model, data, radius, seed), model, data)
+
+    def off(self, p: Array, n: Array) -> Array:
+        """How far believed points (N, 3) m with outward normals are outside of it, along these
+        normals, (N,) m; where such a line does not meet it, the distance to it."""
+        off = np.array(
+            [
+                _FAR - _ray(self.model, self.data, at + _FAR * out, -out)
+                for at, out in zip(p, n, strict=True)
+            ]
+        )
+        nearest = cKDTree(self.points).query(p)[0]
+        wild = (off > 0.1) | (np.abs(off) > 3 * nearest + 2e-3)
+        return np.where(wild, nearest, off)
+
+
+_GROUPS = np.array([1, 1, 1, 1, 1, 0], np.uint8)
+
+
+def _ray(model: mujoco.MjModel, data: mujoco.MjData, start: Array, way: Array) -> float:
+    """m from `start` along the unit vector `way`; negative where nothing is."""
+    return mujoco.mj_ray(model, data, start, way, _GROUPS, 1, -1, None)
+
+
+def _met(model: mujoco.MjModel, data: mujoco.MjData, radius: float, seed: int) -> Array:
+    rng = np.random.default_rng(seed)
+    found = []
+    for _ in range(_RAYS):
+        way = rng.normal(size=3)
+        way /= np.linalg.norm(way)
+        aside = rng.normal(size=3)
+        aside -= (aside @ way) * way
+        aside /= np.linalg.norm(aside)
+        start = radius * np.sqrt(rng.random()) * aside - 2 * _FAR * way
+        distance = _ray(model, data, start, way)
+        if distance >= 0:
+            found.append(start + distance * way)
+    return np.array(found)
