@@ -38,7 +38,14 @@ from mjtactile.core.fields import (
     write,
 )
 from mjtactile.core.toml import Section, read_json
-from mjtactile.core.types import Array, Markers, PressureReading, Traction, ValveState
+from mjtactile.core.types import (
+    Array,
+    FiducialsSeen,
+    Markers,
+    PressureReading,
+    Traction,
+    ValveState,
+)
 
 FORMAT = "mjtactile-calibration"
 VERSION = 1
@@ -112,6 +119,7 @@ class RestMarkers:
     def to_table(self) -> dict[str, Any]:
         """What stands in the file."""
         m = self.markers
+        seen = m.fiducials
         return {
             "pressure_kPa": self.pressure_gauge / KPA,
             "sealed": self.sealed,
@@ -119,6 +127,9 @@ class RestMarkers:
             "p_SM_mm": (m.p_SM / MM).tolist(),
             "n_S": m.n_S.tolist(),
             "cov_p_mm2": (m.cov_p / MM**2).tolist(),
+            **(
+                {} if seen is None or not seen.has_levels else {"fiducials": _fiducials_table(seen)}
+            ),
         }
 
     @classmethod
@@ -131,9 +142,33 @@ class RestMarkers:
             section.array("p_SM_mm", (n, 3)) * MM,
             section.array("n_S", (n, 3)),
             section.array("cov_p_mm2", (n, 3, 3)) * MM**2,
+            fiducials=_fiducials_seen(section.optional("fiducials")),
         )
         pressure = section.number("pressure_kPa", -_FAR, _FAR, KPA)
         return cls(markers, pressure, section.flag("sealed", True))
+
+
+def _fiducials_table(seen: FiducialsSeen) -> dict[str, Any]:
+    return {name: np.asarray(value).tolist() for name, value in vars(seen).items()}
+
+
+def _fiducials_seen(section: Section | None) -> FiducialsSeen | None:
+    """What stands in the file of the fiducials; None: nothing does."""
+    if section is None:
+        return None
+    ids = section.array("ids", (None,))
+    n = len(ids)
+    seen = FiducialsSeen(
+        ids.astype(np.int64),
+        section.array("center_px", (n, 2)),
+        section.array("radius_px", (n,)),
+        section.array("cov", (n, 3, 3)),
+        section.array("inside", (n,)),
+        section.array("outside", (n,)),
+        section.array("blur_px", (n,)),
+    )
+    section.done()
+    return seen
 
 
 @dataclass(frozen=True, eq=False)

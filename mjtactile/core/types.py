@@ -77,7 +77,8 @@ class Ellipses:
     (N,) rad.
 
     `cov` (N, 5, 5) is the covariance of (u, v, a, b, angle); `status` (N,) strings; `darkness` (N,)
-    the logarithm of the level inside over that outside (None: unknown).
+    the logarithm of the level inside over that `outside` (N,), and `blur_px` (N,) the edge's sd
+    (None: unknown).
     """
 
     center_px: Array
@@ -86,6 +87,8 @@ class Ellipses:
     cov: Array
     status: NDArray[np.str_]
     darkness: Array | None = None
+    outside: Array | None = None
+    blur_px: Array | None = None
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.center_px))
@@ -94,8 +97,10 @@ class Ellipses:
         _freeze(self, "angle", self.angle, (n,))
         _freeze(self, "cov", self.cov, (n, 5, 5))
         _freeze(self, "status", self.status, (n,), np.str_)
-        if self.darkness is not None:
-            _freeze(self, "darkness", self.darkness, (n,))
+        for name in ("darkness", "outside", "blur_px"):
+            value = getattr(self, name)
+            if value is not None:
+                _freeze(self, name, value, (n,))
 
     def __len__(self) -> int:
         return len(self.angle)
@@ -143,15 +148,88 @@ class CirclePoses:
 
 
 @dataclass(frozen=True, eq=False)
+class FiducialsSeen:
+    """What an image shows of the circles that do not move.
+
+    Attributes:
+        ids: (n,) Of the sensor file's list, in order.
+        center_px: (n, 2) In distorted pixels.
+        radius_px: (n,) Root of the product of the semi-axes.
+        cov: (n, 3, 3) Covariance of (u, v, radius), px^2.
+        inside: (n,) Grey levels of the circles; NaN: unknown.
+        outside: (n,) Of the ground around them.
+        blur_px: (n,) Their edges' sd.
+    """
+
+    ids: NDArray[np.int64]
+    center_px: Array
+    radius_px: Array
+    cov: Array
+    inside: Array
+    outside: Array
+    blur_px: Array
+
+    def __post_init__(self) -> None:
+        n = len(np.asarray(self.ids))
+        _freeze(self, "ids", self.ids, (n,), np.int64)
+        _freeze(self, "center_px", self.center_px, (n, 2))
+        _freeze(self, "cov", self.cov, (n, 3, 3))
+        for name in ("radius_px", "inside", "outside", "blur_px"):
+            _freeze(self, name, getattr(self, name), (n,))
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @property
+    def has_levels(self) -> bool:
+        """Whether grey levels and blur are known: those of an image are."""
+        return bool(np.isfinite(self.inside + self.outside + self.blur_px).all())
+
+
+@dataclass(frozen=True, eq=False)
+class CameraChange:
+    """How a camera differs from what it was at the rest reference, by the fiducials of one image.
+
+    What planar circles hardly tell apart (a camera that moved aside or turned; one that came nearer
+    or shows all larger) is shared out as likely; all of it together is well known.
+
+    Attributes:
+        shift: (2,) px by which the picture's middle has moved.
+        turn: About the camera's axis, rad.
+        scale: Share by which all is larger.
+        grown_px: By how much circles' radii are larger beside that: gamma, clipping.
+        light: Level of white over that at the reference.
+        gamma: Exponent 1/gamma with which levels go now; NaN: unknown.
+        black: Level that no light has now; more than at the reference is fog.
+        blur_px: More blur, sd, px; less than 0: sharper.
+        seen: Number of fiducials that this is from.
+        misfit: Mean square of what they do not agree about, over its variance.
+    """
+
+    shift: tuple[float, float]
+    turn: float
+    scale: float
+    grown_px: float
+    light: float
+    gamma: float
+    black: float
+    blur_px: float
+    seen: int
+    misfit: float
+
+
+@dataclass(frozen=True, eq=False)
 class Markers:
     """Identified markers in the sensor frame: `ids` (N,) indices into the design's layout, `p_SM`,
-    `n_S` (N, 3); `darkness` (N,) of each as in `Ellipses` (None: unknown)."""
+    `n_S` (N, 3); `darkness` (N,) of each as in `Ellipses` (None: unknown); what was seen of the
+    `fiducials` with them (None: there are none)."""
 
     ids: NDArray[np.int64]
     p_SM: Array
     n_S: Array
     cov_p: Array
     darkness: Array | None = None
+    fiducials: FiducialsSeen | None = None
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.ids))
@@ -397,6 +475,7 @@ class Touch:
         patches: Each place of contact, the strongest first.
         slip: Whether the object slips.
         shape: What body touches; None where nobody asked (`Perception(shapes=True)`).
+        camera: How the camera has changed, by the fiducials; None: there are none, or too few seen.
     """
 
     time: float
@@ -412,6 +491,7 @@ class Touch:
     patches: tuple[Contact, ...] = ()
     slip: Slip | None = None
     shape: FeltShape | None = None
+    camera: CameraChange | None = None
 
     def __post_init__(self) -> None:
         _keep_status(self)

@@ -44,7 +44,8 @@ from mjtactile.sensing.force.inverse import InverseMembrane, InverseRest
 from mjtactile.sensing.image import tracking
 from mjtactile.sensing.image.exposure import is_overexposed
 from mjtactile.sensing.image.markers import grey_image
-from mjtactile.sensing.pose import identity
+from mjtactile.sensing.known import KnownCamera
+from mjtactile.sensing.pose import fixed, identity
 from mjtactile.sensing.pose.circles import estimate_poses
 from mjtactile.sensing.pose.reference import FlatReference, measure_flat
 from mjtactile.sensing.settings import DEFAULTS, Settings
@@ -83,7 +84,13 @@ class Chain:
         self.design = design = self._measured.design(design)
         self.settings = settings
         self.camera = Camera.from_design(design.camera, design.glass)
-        self.inverse = InverseMembrane(design, settings.inverse, settings.prior, settings.doubt)
+        self.inverse = InverseMembrane(
+            design, settings.inverse, settings.prior, settings.doubt, settings.fiducials
+        )
+        self.known = (
+            None if design.fiducials is None else KnownCamera(design, self.camera, settings)
+        )
+        self._circles = design.markers.count + (0 if self.known is None else self.known.count)
         self.estimator = ShapeEstimator(design, self.inverse, settings)
         self.fitter = SurfaceFitter(design, settings.surface)
         # seen 60 degrees aslant and from half as far again
@@ -211,10 +218,11 @@ class Chain:
         self._check_rest(state, markers, rest, pressure_gauge)
         return replace(
             state,
-            reference=Reference(rest, self.fitter.fit(markers)),
+            reference=Reference(rest, self.fitter.fit(markers), markers.fiducials),
             expected=self.inverse.positions(rest.c),
             gas=None,
             knocked=0,
+            camera=None,
         ).without_history()
 
     def _check_rest(
@@ -302,9 +310,11 @@ class Chain:
         markers, state = self.see(state, image)
         if (status := self.enough(markers)) != OK:
             return replace(unknown, status=status), state
+        if state.camera is not None:
+            unknown = replace(unknown, camera=state.camera.change)
         surface = self.fitter.fit(markers)
         touch, state = self.feel(state, markers, surface, image.time, reading)
-        return replace(touch, age=unknown.age), state
+        return replace(touch, age=unknown.age, camera=unknown.camera), state
 
     def see(self, state: ChainState, image: Image) -> tuple[Markers, ChainState]:
         """Find and identify the markers in one image.
@@ -317,6 +327,8 @@ class Chain:
             The markers in S, and the state in which they are expected where they are now.
         """
         ellipses, tracks = self._ellipses(state, image)
+        if self.known is not None:
+            ellipses, state = self.known.look(state, ellipses)
         poses = estimate_poses(ellipses, self.camera, self.design.markers.radius)
         poses = state.flat.to_nominal(self.design, poses)
         markers = identity.identify(
@@ -327,6 +339,8 @@ class Chain:
             self.settings.identity,
             darkness=ellipses.darkness,
         )
+        if self.known is not None:
+            markers = self.known.undone(state, markers)
         return markers, replace(state, expected=_moved(state.expected, markers), tracks=tracks)
 
     def _ellipses(self, state: ChainState, image: Image) -> tuple[Ellipses, tracking.Tracks | None]:
@@ -336,7 +350,7 @@ class Chain:
         return tracking.follow(
             image,
             state.tracks,
-            self.design.markers.count,
+            self._circles,
             min_radius_px=self._smallest_px,
             settings=self.settings,
         )
@@ -512,7 +526,7 @@ class Chain:
 
     def _locate(self, state: ChainState, image: Image, expected: Array, what: str) -> Markers:
         self._require_levels(image, what)
-        markers, _ = self.see(replace(state, expected=expected), image)
+        markers, _ = self.see(replace(state, expected=expected, reference=None), image)
         self._require(markers, what)
         return markers
 
@@ -523,11 +537,7 @@ class Chain:
             return
         settings = self.settings
         ellipses, _ = tracking.follow(
-            image,
-            None,
-            self.design.markers.count,
-            min_radius_px=self._smallest_px,
-            settings=settings,
+            image, None, self._circles, min_radius_px=self._smallest_px, settings=settings
         )
         if is_overexposed(grey_image(image), ellipses, "dark", settings.locate):
             raise DeviceError(
@@ -692,4 +702,12 @@ def _average(seen: Sequence[Markers]) -> Markers:
     direction = normal[ids] / np.linalg.norm(normal[ids], axis=1, keepdims=True)
     mean = dark[ids] / count[ids]
     darkness = mean if np.isfinite(mean).all() else None
-    return Markers(ids, total[ids] / n, direction, cov[ids] / n[..., None] ** 2, darkness)
+    fiducials = [m.fiducials for m in seen if m.fiducials is not None]
+    return Markers(
+        ids,
+        total[ids] / n,
+        direction,
+        cov[ids] / n[..., None] ** 2,
+        darkness,
+        fixed.average(fiducials) if fiducials else None,
+    )

@@ -68,9 +68,10 @@ class ShapeEstimator:
             The estimate; `is_explained` says whether its shape fits.
         """
         found = self._with_gas(state, reference, without(markers, state.set_aside), time, reading)
-        if state.shape is None:
+        is_seen = state.camera is not None
+        if state.shape is None and not is_seen:
             found = self._if_steady(state, reference, found, time, reading)
-        if state.knocked < KNOCKS_SURE:
+        if state.knocked < KNOCKS_SURE and not is_seen:
             found = self._if_knocked(state, reference, found, time, reading)
         allowed = max(1, round(_SET_ASIDE_SHARE * self._design.markers.count))
         if self.is_explained(found.shape) or len(state.set_aside) >= allowed:
@@ -202,7 +203,7 @@ class ShapeEstimator:
         inverse: InverseMembrane, state: ChainState, rest: InverseRest, markers: Markers
     ) -> Shape:
         knocked = state.knocked >= KNOCKS_SURE
-        return inverse.estimate(markers, rest, state.shape, knocked=knocked)
+        return inverse.estimate(markers, rest, state.shape, knocked=knocked, camera=state.camera)
 
 
 def without(markers: Markers, ids: Sequence[int]) -> Markers:
@@ -217,4 +218,5 @@ def without(markers: Markers, ids: Sequence[int]) -> Markers:
         markers.n_S[keep],
         markers.cov_p[keep],
         None if dark is None else dark[keep],
+        markers.fiducials,
     )

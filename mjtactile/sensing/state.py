@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from mjtactile.core.types import Array, Surface
+from mjtactile.core.types import Array, FiducialsSeen, Surface
 from mjtactile.sensing.force import zero
+from mjtactile.sensing.force.camera import CameraSeen
 from mjtactile.sensing.force.gauge import GasState
 from mjtactile.sensing.force.inverse import InverseRest, Shape
 from mjtactile.sensing.image import tracking
@@ -17,10 +18,12 @@ KNOCKS_SURE = 3  # images in a row: a torn picture is no knock
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What the chain knows of its own sensor at rest: its statics and its `surface`."""
+    """What the chain knows of its own sensor at rest: its statics, its `surface`, and where its
+    `fiducials` were seen (None: it has none)."""
 
     rest: InverseRest
     surface: Surface
+    fiducials: FiducialsSeen | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +34,8 @@ class ChainState:
     zero, the `gas`, where a gauge measures it, the markers `set_aside` since nothing explains
     where they seem to be, and in how many images up to this one the camera seemed `knocked`: from
     `KNOCKS_SURE` on it was; since nothing explains the markers, for how many images, `unexplained`,
-    and the force (3,) N in the last one before that they did explain, `lost_at`."""
+    and the force (3,) N in the last one before that they did explain, `lost_at`; the last image's
+    `fiducials`, and the `camera` that they showed."""
 
     flat: FlatReference
     expected: Array
@@ -46,6 +50,8 @@ class ChainState:
     knocked: int = 0
     unexplained: int = 0
     lost_at: Array | None = None
+    fiducials: FiducialsSeen | None = None
+    camera: CameraSeen | None = None
 
     def without_history(self) -> ChainState:
         """The same references, as if no image had been seen since; what is known of the gas

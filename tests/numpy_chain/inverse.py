@@ -39,7 +39,9 @@ class _Gain:
     innovation: Array
     reweighted: int
 
-    def serves(self, c: Array, markers: Markers, rest: InverseRest, knocked: bool) -> bool:
+    def serves(
+        self, c: Array, markers: Markers, rest: InverseRest, knocked: bool, camera: None
+    ) -> bool:
         """Whether it can be used near `c`, for these markers."""
         return np.array_equal(self.ids, markers.ids) and bool(
             np.abs(c - self.c).max() < inverse.NEAR
@@ -131,7 +133,13 @@ class DenseInverse(InverseMembrane):
         )
 
     def _gain(
-        self, c: Array, markers: Markers, rest: InverseRest, before: Shape | None, knocked: bool
+        self,
+        c: Array,
+        markers: Markers,
+        rest: InverseRest,
+        before: Shape | None,
+        knocked: bool,
+        camera: None,
     ) -> _Gain:
         state = self._dense.state(c, rest.stiffness_scale)
         _, stiffness = self._dense.linearise(state, rest.gas)

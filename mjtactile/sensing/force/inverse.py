@@ -29,12 +29,19 @@ from mjtactile.core.bspline import hats
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, Markers, Traction
 from mjtactile.kernels import kernel
+from mjtactile.sensing.force.camera import CameraSeen, known_modes
 from mjtactile.sensing.force.doubt import AXES, Doubt, Felt
-from mjtactile.sensing.force.drift import MODES, camera_modes, drift_of
+from mjtactile.sensing.force.drift import camera_modes, drift_of
 from mjtactile.sensing.force.prior import LoadPrior
 from mjtactile.sensing.force.sheet import Gas, Sheet, State, Stiffness
 from mjtactile.sensing.force.slopes import MarkerSlopes
-from mjtactile.sensing.settings import DEFAULTS, DoubtSettings, InverseSettings, PriorSettings
+from mjtactile.sensing.settings import (
+    DEFAULTS,
+    DoubtSettings,
+    FiducialSettings,
+    InverseSettings,
+    PriorSettings,
+)
 
 REWEIGHTED = 4  # from a cold start: before, loads and a camera that drifted share what is seen
 # m
@@ -44,6 +51,7 @@ STEP_LIMIT = 2e-3
 SETTLED = 1e-4
 NEAR = 2e-4
 _SD_RATIO = 1.3  # by which the gas's pressure may become better or worse known meanwhile
+_CAMERA_RATIO = 1.5  # the same of what fiducials leave in doubt of the camera
 _GAS_NEAR = 3.0  # Pa, over which the sheet at rest is kept
 _DARKER_NEAR = 0.03  # of darkness, over which the camera's modes are kept
 REFINE = 5  # cells of the fine grid, for outlines, to a cell of the traction grid
@@ -74,12 +82,13 @@ class Gain:
     `half` covariance (r, 3 J) by the tractions' prior (r = 3 m positions, and 2 m slopes where they
     count); `weights` (m, 3, 3) that whiten positions, `slope_weights` (m,) and `tilts` (2, m, 2,
     3), the whitened slopes' derivatives by the sheet's tangents, or None, and the factors
-    `distrust` (2, m) on the sd of both that they contain; the response (r, 1 + MODES) to one sd of
+    `distrust` (2, m) on the sd of both that they contain; the response (r, 1 + modes) to one sd of
     `drift` (gas, the camera's modes), the gas's part of it as pressure, Pa, and as a load (3, n),
-    and the share `drift_seen` (1 + MODES,) of their variances that estimates have; prior sd (3 J,)
+    and the share `drift_seen` (1 + modes,) of their variances that estimates have; prior sd (3 J,)
     of the tractions; the lower factor of the predicted covariance of the whitened markers; and how
     often it was `reweighted`: tractions had been found before it was made; by how much markers were
-    `darker` than at rest (m,), and whether the camera was taken for `knocked`."""
+    `darker` than at rest (m,), whether the camera was taken for `knocked`, and the `camera` that
+    fiducials showed."""
 
     c: Array
     ids: NDArray[np.int64]
@@ -98,11 +107,19 @@ class Gain:
     gas: tuple[tuple[bool, bool], float]
     darker: Array
     knocked: bool
+    camera: CameraSeen | None
 
-    def serves(self, c: Array, markers: Markers, rest: InverseRest, knocked: bool) -> bool:
+    def serves(
+        self,
+        c: Array,
+        markers: Markers,
+        rest: InverseRest,
+        knocked: bool,
+        camera: CameraSeen | None,
+    ) -> bool:
         """Whether it can be used near `c`, for these markers, with what is known of the gas and of
         the camera."""
-        if knocked != self.knocked:
+        if knocked != self.knocked or not _as_well_known(camera, self.camera):
             return False
         if not np.array_equal(self.ids, markers.ids) or np.abs(c - self.c).max() >= NEAR:
             return False
@@ -141,9 +158,11 @@ class InverseMembrane:
         settings: InverseSettings = DEFAULTS.inverse,
         prior: PriorSettings = DEFAULTS.prior,
         doubt: DoubtSettings = DEFAULTS.doubt,
+        fiducials: FiducialSettings = DEFAULTS.fiducials,
     ):
         self.design = design
         self.settings = settings
+        self._known = fiducials
         self.sheet = Sheet(design, settings.spans)
         ax, ay = self.sheet.axes
         self.x = ax.breaks
@@ -250,18 +269,20 @@ class InverseMembrane:
         start: Shape | None = None,
         *,
         knocked: bool = False,
+        camera: CameraSeen | None = None,
     ) -> Shape:
         """Tractions and deformation that explain the markers, starting from the last frame's where
-        there is one; with a camera that may have been `knocked` since `rest`."""
+        there is one; with a camera that may have been `knocked` since `rest`, or that fiducials
+        show: markers are then as they would be without its change."""
         c, before = (rest.c, None) if start is None else (start.c, start)
         gain = None if start is None else start.gain
         for steps in range(1, STEPS_MAX + 1):
             if (
                 gain is None
                 or gain.reweighted < REWEIGHTED
-                or not gain.serves(c, markers, rest, knocked)
+                or not gain.serves(c, markers, rest, knocked, camera)
             ):
-                gain = self._gain(c, markers, rest, before, knocked)
+                gain = self._gain(c, markers, rest, before, knocked, camera)
             shape = self._step(c, markers, rest, gain, steps)
             settled = float(np.abs(shape.c - c).max()) < SETTLED
             c = shape.c
@@ -285,13 +306,14 @@ class InverseMembrane:
             ).T
         change = np.empty_like(c)
         traction = np.empty((3, len(self.nodes)))
-        (misfit, noise), drift = np.empty((2, len(gain.half))), np.empty(1 + MODES)
+        unknowns = gain.drift.shape[1]
+        (misfit, noise), drift = np.empty((2, len(gain.half))), np.empty(unknowns)
         kernel("inverse_step")(
             *self._sight(gain.stiffness, ids, gain.weights, gain.tilts),
             *self._nodes,
             gain.prior,
             gain.innovation,
-            1 + MODES,
+            unknowns,
             gain.drift,
             gain.drift_gas[1],
             c,
@@ -341,7 +363,13 @@ class InverseMembrane:
         )
 
     def _gain(
-        self, c: Array, markers: Markers, rest: InverseRest, before: Shape | None, knocked: bool
+        self,
+        c: Array,
+        markers: Markers,
+        rest: InverseRest,
+        before: Shape | None,
+        knocked: bool,
+        camera: CameraSeen | None,
     ) -> Gain:
         state = self.sheet.state(c, rest.stiffness_scale)
         ids = markers.ids
@@ -361,13 +389,11 @@ class InverseMembrane:
         pressure, load = self._gas_drift(state, rest)
         rows = (3 if tilts is None else 5) * len(ids)
         half = np.empty((rows, 3 * len(self.nodes)))
-        drift = np.zeros((rows, 1 + MODES))
-        # slopes hardly see the camera move
         changed = darker(markers, rest)
-        modes = camera_modes(
-            self.design, self.positions(c)[ids], changed, self.settings, knocked=knocked
-        )
-        drift[: 3 * len(ids), 1:] = (weights @ modes).reshape(-1, MODES)
+        modes = self._camera_modes(self.positions(c)[ids], changed, knocked, camera)
+        drift = np.zeros((rows, 1 + modes.shape[2]))
+        # slopes hardly see the camera move
+        drift[: 3 * len(ids), 1:] = (weights @ modes).reshape(3 * len(ids), -1)
         bulge_seen = np.empty(rows)
         kernel("inverse_gain")(
             *self._sight(stiffness, ids, weights, tilts),
@@ -402,7 +428,18 @@ class InverseMembrane:
             ((rest.gas_sd is not None, rest.gas.constant is None), rest.gas_sd or 0.0),
             changed,
             knocked,
+            camera,
         )
+
+    def _camera_modes(
+        self, p_SM: Array, changed: Array, knocked: bool, camera: CameraSeen | None
+    ) -> Array:
+        """How (m, 3, modes) m markers at `p_SM` (m, 3) move with one sd of what is unknown of the
+        camera."""
+        if camera is None:
+            return camera_modes(self.design, p_SM, changed, self.settings, knocked=knocked)
+        modes = known_modes(self.design, p_SM, changed, self.settings, self._known)
+        return modes @ camera.root
 
     def _gas_drift(self, state: State, rest: InverseRest) -> tuple[float, Array]:
         """One sd of the gas's drift, as pressure, Pa, and as a load (3, n)."""
@@ -502,6 +539,14 @@ def darker(markers: Markers, rest: InverseRest) -> Array:
     if markers.darkness is None or rest.darkness is None:
         return np.zeros(len(markers))
     return np.nan_to_num(markers.darkness - rest.darkness[markers.ids])
+
+
+def _as_well_known(one: CameraSeen | None, other: CameraSeen | None) -> bool:
+    """Whether two images' fiducials tell about as much of the camera."""
+    if one is None or other is None:
+        return one is other
+    ratio = np.diagonal(one.root) / np.diagonal(other.root)
+    return bool(ratio.max() < _CAMERA_RATIO and ratio.min() > 1 / _CAMERA_RATIO)
 
 
 def _net(force: Array, positions: Array) -> Array:

@@ -82,4 +82,4 @@ def as_ellipses(fit: EdgeFit, status: NDArray[np.str_]) -> Ellipses:
     cov = np.empty((n, 5, 5))
     kernel("ellipse_axes")(n, fit.shape, fit.cov, axes, angle, cov)
     darkness = np.log(np.maximum(fit.inside, 0.5) / np.maximum(fit.outside, 0.5))
-    return Ellipses(fit.center, axes, angle, cov, status, darkness)
+    return Ellipses(fit.center, axes, angle, cov, status, darkness, fit.outside, fit.blur)

@@ -22,6 +22,7 @@ from typing import Any
 from mjtactile.core.errors import InputError
 from mjtactile.sensing.settings.force import (
     DoubtSettings,
+    FiducialSettings,
     GaugeSettings,
     InverseSettings,
     PriorSettings,
@@ -59,6 +60,7 @@ __all__ = [
     "ConsensusSettings",
     "DoubtSettings",
     "EdgeSettings",
+    "FiducialSettings",
     "GammaSettings",
     "IdentitySettings",
     "InverseSettings",
@@ -99,6 +101,7 @@ class Settings:
     surface: SurfaceSettings = field(default_factory=SurfaceSettings)
     prior: PriorSettings = field(default_factory=PriorSettings)
     inverse: InverseSettings = field(default_factory=InverseSettings)
+    fiducials: FiducialSettings = field(default_factory=FiducialSettings)
     doubt: DoubtSettings = field(default_factory=DoubtSettings)
     gauge: GaugeSettings = field(default_factory=GaugeSettings)
     zero: ZeroSettings = field(default_factory=ZeroSettings)

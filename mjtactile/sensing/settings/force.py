@@ -126,6 +126,41 @@ class InverseSettings:
 
 
 @dataclass(frozen=True)
+class FiducialSettings:
+    """The camera by circles that do not move (sensing/force/camera.py)."""
+
+    fewest: int = number(
+        4,
+        "fiducials seen, below which the camera is an unknown again",
+        "eleven modes, three a circle",
+    )
+    floor: float = number(
+        0.002,
+        "px, sd of a fiducial's place and radius that the image stages do not know of",
+        "bench trust: fiducials at rest",
+    )
+    pane_size: float = number(
+        0.2,
+        "px, sd of the radius of a fiducial on the pane: its blur is another than the markers'",
+        "gamma of 1.3 at 2 px of blur against 0.7",
+    )
+    picture: float = number(3.0, "px, sd of the picture's middle", "a lens that was pushed aside")
+    still: float = number(
+        0.02, "px of a fiducial's motion that are none", "bench trust: 0.005 px of noise"
+    )
+    axial: float = number(
+        0.25,
+        "of a camera's motion aside, that it moves along its axis: what shows all larger is a lens",
+        "bench trust: zoom",
+    )
+    outlier: float = number(
+        9.0,
+        "times the middle misfit, at which a fiducial counts half: dirt",
+        "dust of half a radius",
+    )
+
+
+@dataclass(frozen=True)
 class DoubtSettings:
     """What the wrench's posterior leaves out (sensing/force/doubt.py), each for shear, normal
     force, tilt and spin."""

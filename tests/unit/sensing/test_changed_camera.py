@@ -22,7 +22,7 @@ AFTER = (
     {"white_DN": 150},
     {"exposure_percent": 60},
     {"knock_px": [1.5, -1.2]},
-    {"knock_px": [4.0, 3.0], "turn_deg": 0.5},
+    {"knock_px": [4.0, 3.0], "turn_deg": 0.3},
 )
 BEFORE = ({"black_DN": 50}, {"gamma": 1.3})
 

@@ -40,7 +40,7 @@ def outlines(design):
 
 @pytest.mark.parametrize(
     ("design", "place", "size"),
-    [(load_sensor("dense_fiducials"), 0.01, 0.06), (on_pane(), 0.05, 0.3)],
+    [(load_sensor("dense_fiducials"), 0.015, 0.06), (on_pane(), 0.05, 0.3)],
     ids=["rim", "pane"],
 )
 def test_they_are_where_lens_and_pane_have_them(design, place, size):

@@ -1,0 +1,267 @@
+"""The camera as fiducials show it: what has changed of it since the rest reference, and how well
+that is known (Eq. F11).
+
+Each way in which a camera changes (`mjtactile.sensing.force.drift`, and the picture's middle) moves
+the fiducials' centres and sizes as it moves markers. Rows of fiducials in a fit of tractions that
+they do not depend on are the same as a better prior of the camera: their normal equations come
+first, the markers are taken back by their mean, and what is left in doubt are the fit's unknowns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjtactile.core import geometry, optics
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.fiducials import Fiducials
+from mjtactile.core.optics import Camera
+from mjtactile.core.types import Array, CameraChange, FiducialsSeen
+from mjtactile.sensing.force.drift import MODES, camera_modes
+from mjtactile.sensing.force.tone import tone_of
+from mjtactile.sensing.pose.picture import PictureChange
+from mjtactile.sensing.settings import FiducialSettings, InverseSettings
+
+KNOWN_MODES = MODES + 2
+"""Those of a camera that is not seen, and the picture's middle, u and v."""
+_TURN, _ZOOM, _SIZE, _LEVELS = 5, 6, 7, 8
+_AROUND = 24  # points of a circle's outline
+_STEP = 1e-3  # of a mode's sd, for differences
+_ROUNDS = 4
+_LINEAR_PX = 0.3  # of the picture's motion, beyond which one linear step is not enough
+
+
+@dataclass(frozen=True, eq=False)
+class CameraSeen:
+    """The camera in one image: modes in their sd, `mean` (K,), and the lower factor `root` (K, K)
+    of their covariance; `change` says the same in words (None: fiducials were not seen, and it is
+    that of an image before)."""
+
+    mean: Array
+    root: Array
+    change: CameraChange | None
+
+
+def known_modes(
+    design: SensorDesign, p_SM: Array, darker: Array, s: InverseSettings, own: FiducialSettings
+) -> Array:
+    """One sd of each mode of a camera that fiducials show: (m, 3, KNOWN_MODES) m by which markers
+    seem to move; arguments as of `camera_modes`."""
+    modes = np.zeros((len(p_SM), 3, KNOWN_MODES))
+    modes[:, :, :MODES] = camera_modes(design, p_SM, darker, s, knocked=True)
+    depth = p_SM[:, 2] + design.camera.distance - design.pane_thickness_apparent
+    modes[:, 2, _ZOOM] = -s.drift_zoom * depth
+    modes[:, 0, MODES] = own.picture * depth / design.camera.fx
+    modes[:, 1, MODES + 1] = own.picture * depth / design.camera.fy
+    return modes
+
+
+class CameraFinder:
+    """Finds how a camera has changed, for one sensor with fiducials.
+
+    Args:
+        design: The sensor's values.
+        camera: Its camera.
+        fiducials: Those of the sensor.
+        s: Has the modes' sds.
+        own: The fiducials' own settings.
+    """
+
+    def __init__(
+        self,
+        design: SensorDesign,
+        camera: Camera,
+        fiducials: Fiducials,
+        s: InverseSettings,
+        own: FiducialSettings,
+    ):
+        self.design = design
+        self.camera = camera
+        self._s = s
+        self._own = own
+        self._on_pane = fiducials.surface == "pane"
+        self._p_CF = fiducials.p_SF(design) - design.camera.p_SC
+        turn = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False)
+        ring = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(_AROUND)])
+        self._ring = fiducials.radius * ring
+        self._modes = self._responses()
+        # from the picture's middle, px
+        nothing = self._outlines(np.eye(3), np.zeros(3))
+        self._far = float(np.hypot(nothing[:, 0] - camera.cx, nothing[:, 1] - camera.cy).mean())
+
+    def find(self, now: FiducialsSeen, rest: FiducialsSeen) -> CameraSeen | None:
+        """What has changed since `rest`.
+
+        Args:
+            now: What an image shows.
+            rest: What the rest reference's showed.
+
+        Returns:
+            The camera; None where too few fiducials are seen.
+        """
+        ids, here, there = np.intersect1d(
+            now.ids, rest.ids, assume_unique=True, return_indices=True
+        )
+        if len(ids) < self._own.fewest:
+            return None
+        shown = np.column_stack([now.center_px, now.radius_px])[here]
+        before = np.column_stack([rest.center_px, rest.radius_px])[there]
+        darker = np.nan_to_num(np.log(now.inside[here] / now.outside[here]))
+        darker -= np.nan_to_num(np.log(rest.inside[there] / rest.outside[there]))
+        rows = self._modes[ids].copy()
+        rows[:, 2, _LEVELS] = self._s.drift_levels * darker
+        cov = now.cov[here] + rest.cov[there] + np.diag(self._floor() ** 2)
+        whiten = np.linalg.inv(np.linalg.cholesky(cov))
+        moved = shown - before
+        px = float(np.median(np.hypot(moved[:, 0], moved[:, 1])))
+        likely = self._likely(px)
+        outlier = self._own.outlier
+        mean, root, misfit = _solve(whiten @ rows, whiten @ moved[:, :, None], likely, outlier)
+        if px > _LINEAR_PX:
+            moved = self._left(mean, ids, shown, before, rows) + rows @ mean
+            mean, root, misfit = _solve(whiten @ rows, whiten @ moved[:, :, None], likely, outlier)
+        return CameraSeen(mean, root, self._change(mean, now, rest, here, there, misfit))
+
+    def picture(self, mean: Array) -> PictureChange:
+        """What of a camera's change `mean` (K,) is one of its picture."""
+        s = self._s
+        return PictureChange(
+            np.array([self.camera.cx, self.camera.cy]),
+            self._own.picture * mean[MODES:],
+            s.knock_turn * float(mean[_TURN]),
+            s.drift_zoom * float(mean[_ZOOM]),
+            s.drift_size * float(mean[_SIZE]),
+        )
+
+    def undone(self, p_SM: Array, darker: Array, seen: CameraSeen) -> Array:
+        """Where markers (m, 3) m in S would be seen by the camera of the rest reference, whose
+        picture is already taken back; `darker` (m,) as of `camera_modes`."""
+        R, aside = self._motion(seen.mean)
+        p_SC = self.design.camera.p_SC
+        p_SM = (p_SM - p_SC - aside) @ R + p_SC
+        if not darker.any():
+            return p_SM
+        modes = known_modes(self.design, p_SM, darker, self._s, self._own)
+        return p_SM - modes[:, :, _LEVELS] * seen.mean[_LEVELS]
+
+    def _motion(self, mean: Array) -> tuple[Array, Array]:
+        """Turn (3, 3) and shift (3,) m of what the camera sees, but for the turn of its picture."""
+        s = self._s
+        turn = s.knock_turn * np.array([mean[3], mean[4], 0.0])
+        return geometry.rotation_from_vector(turn), s.knock_place * mean[:3]
+
+    def _left(self, mean: Array, ids: Array, shown: Array, before: Array, rows: Array) -> Array:
+        """What `mean` leaves unexplained of circles (n, 3) px that are `shown` and were `before`,
+        without any linearisation but that of levels."""
+        picture = self.picture(mean)
+        nothing = self._outlines(np.eye(3), np.zeros(3))
+        then = before + (self._outlines(*self._motion(mean)) - nothing)[ids]
+        levels = rows[:, 2, _LEVELS] * mean[_LEVELS]
+        radius = (shown[:, 2] - levels - picture.grown) / (1 + picture.scale)
+        return np.column_stack([picture.undone(shown[:, :2]), radius]) - then
+
+    def _likely(self, moved_px: float) -> Array:
+        """Sd (K,) of the modes, in theirs, of a camera whose picture has moved so far: as much as
+        what is seen. Planar circles do not tell all modes apart, and those that would cancel
+        there are as unlikely as a knock where nothing has moved."""
+        s = self._s
+        camera = self.design.camera
+        px = max(moved_px, self._own.still)
+        sd = np.ones(KNOWN_MODES)
+        sd[:3] = px * camera.distance / camera.fx / s.knock_place
+        sd[2] *= self._own.axial
+        sd[3:6] = px / camera.fx / s.knock_turn
+        sd[_ZOOM] = px / self._far / s.drift_zoom
+        sd[MODES:] = px / self._own.picture
+        return sd
+
+    def _floor(self) -> Array:
+        """Sd (3,) px of what the image stages' covariance does not know of."""
+        size = self._own.pane_size if self._on_pane else self._own.floor
+        return np.array([self._own.floor, self._own.floor, size])
+
+    def _responses(self) -> Array:
+        """Change of (u, v, radius) px of each fiducial for one sd of each mode, (F, 3, K); by
+        differences of the outline's projection where the camera moves or turns."""
+        s = self._s
+        size = s.drift_size
+        found = np.zeros((len(self._p_CF), 3, KNOWN_MODES))
+        nothing = self._outlines(np.eye(3), np.zeros(3))
+        for k, axis in enumerate(np.eye(3)):
+            aside = self._outlines(np.eye(3), _STEP * s.knock_place * axis)
+            turned = self._outlines(
+                geometry.rotation_from_vector(_STEP * s.knock_turn * axis), np.zeros(3)
+            )
+            found[:, :, k] = (aside - nothing) / _STEP
+            found[:, :, 3 + k] = (turned - nothing) / _STEP
+        middle = [self.camera.cx, self.camera.cy, 0.0]
+        found[:, :, _ZOOM] = s.drift_zoom * (nothing - middle)
+        found[:, 2, _SIZE] = size
+        found[:, 0, MODES] = found[:, 1, MODES + 1] = self._own.picture
+        return found
+
+    def _outlines(self, R: Array, aside: Array) -> Array:
+        """Centre u, v and radius (F, 3) px of the fiducials turned by `R` about the camera and
+        moved by `aside` (3,) m."""
+        outline = (self._p_CF[:, None] + self._ring) @ R.T + aside
+        uv = optics.project(self.camera, outline)
+        ahead = np.roll(uv, -1, axis=1)
+        cross = uv[..., 0] * ahead[..., 1] - ahead[..., 0] * uv[..., 1]
+        area = np.abs(cross.sum(axis=1)) / 2
+        return np.column_stack([uv.mean(axis=1), np.sqrt(area / np.pi)])
+
+    def _change(
+        self,
+        mean: Array,
+        now: FiducialsSeen,
+        rest: FiducialsSeen,
+        here: Array,
+        there: Array,
+        misfit: float,
+    ) -> CameraChange:
+        s = self._s
+        design = self.design
+        camera = design.camera
+        # the picture's middle, at the membrane's distance
+        place = s.knock_place * mean[:2] / camera.distance
+        turn = s.knock_turn * mean[3:6]
+        shift = (place + [turn[1], -turn[0]]) * [camera.fx, camera.fy]
+        shift += self._own.picture * mean[MODES:]
+        nearer = -s.knock_place * float(mean[2]) / camera.distance
+        tone = tone_of(now.inside[here], now.outside[here], rest.inside[there], rest.outside[there])
+        blur = np.square(now.blur_px[here]) - np.square(rest.blur_px[there])
+        more = float(np.median(blur))
+        return CameraChange(
+            shift=(float(shift[0]), float(shift[1])),
+            turn=float(turn[2]),
+            scale=s.drift_zoom * float(mean[_ZOOM]) + nearer,
+            grown_px=s.drift_size * float(mean[_SIZE]),
+            light=tone.light,
+            gamma=tone.gamma,
+            black=tone.black,
+            blur_px=float(np.copysign(np.sqrt(abs(more)), more)),
+            seen=len(here),
+            misfit=misfit,
+        )
+
+
+def _solve(rows: Array, moved: Array, likely: Array, outlier: float) -> tuple[Array, Array, float]:
+    """Mean, lower factor of the covariance, and misfit of modes with whitened `rows` (n, 3, K) and
+    sds `likely` (K,) that explain `moved` (n, 3, 1), robustly: a fiducial `outlier` times farther
+    off than the others counts for little."""
+    n, _, K = rows.shape
+    of_each = rows.transpose(0, 2, 1) @ rows
+    seen_each = (rows.transpose(0, 2, 1) @ moved)[..., 0]
+    weight = np.ones(n)
+    for _ in range(_ROUNDS):
+        normal = np.tensordot(weight, of_each, axes=1)
+        normal[np.diag_indices(K)] += likely**-2
+        mean = np.linalg.solve(normal, weight @ seen_each)
+        left = moved[..., 0] - rows @ mean
+        square = np.einsum("nk,nk->n", left, left) / 3
+        usual = max(float(np.median(square)), 1.0)
+        weight = 1 / (1 + np.square(square / (outlier * usual)))
+    misfit = float(weight @ square / weight.sum())
+    covariance = np.linalg.inv(normal) * max(misfit, 1.0)
+    return mean, np.linalg.cholesky(covariance), misfit

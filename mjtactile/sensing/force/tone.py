@@ -1,0 +1,66 @@
+"""How a camera makes grey levels of light now, by circles whose levels were known before: exposure,
+gamma, and a level that no light has."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjtactile.core.types import Array
+
+_ROUNDS = 5
+_STEP_MOST = 0.3  # of ln gamma in a round
+_FEWEST = 3
+_TOP = 255.0
+
+
+@dataclass(frozen=True)
+class Tone:
+    """level = black + `light` top (level before / top)^(1/gamma), less `black`; NaN: unknown."""
+
+    light: float
+    gamma: float
+    black: float
+
+
+_UNKNOWN = Tone(math.nan, math.nan, math.nan)
+
+
+def tone_of(inside: Array, outside: Array, inside_then: Array, outside_then: Array) -> Tone:
+    """The curve from levels at the reference to levels now, by least squares.
+
+    Black and white give two of its three numbers; light that falls off towards the corners makes
+    either of them a range, whose slope gives the third.
+
+    Args:
+        inside: (n,) Levels of circles now.
+        outside: (n,) Of the ground around them.
+        inside_then: (n,) At the reference.
+        outside_then: (n,) At the reference.
+
+    Returns:
+        The curve.
+    """
+    then = np.concatenate([inside_then, outside_then])
+    now = np.concatenate([inside, outside])
+    known = np.isfinite(then + now) & (then > 0)
+    if known.sum() < 2 * _FEWEST:
+        return _UNKNOWN
+    share = np.log(then[known] / _TOP)
+    level = now[known] / _TOP
+    power = 1.0
+    for _ in range(_ROUNDS):
+        curve = np.exp(power * share)
+        columns = np.stack([np.ones_like(curve), curve, curve * share])
+        normal = columns @ columns.T
+        normal[2, 2] += 1e-12
+        black, light, steeper = np.linalg.solve(normal, columns @ level)
+        if not light > 0:
+            return _UNKNOWN
+        change = float(np.clip(steeper / light, -_STEP_MOST, _STEP_MOST))
+        power = float(np.clip(power + change, 0.1, 10.0))
+        if abs(change) < 1e-3:
+            break
+    return Tone(float(light), 1 / power, _TOP * float(black))

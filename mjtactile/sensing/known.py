@@ -1,0 +1,73 @@
+"""What fiducials do for the chain: they are kept apart from markers, and markers are taken back to
+where a camera would see them that is as it was at the rest reference."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.optics import Camera
+from mjtactile.core.types import Ellipses, Markers
+from mjtactile.sensing.force.camera import KNOWN_MODES, CameraFinder, CameraSeen
+from mjtactile.sensing.force.inverse import darker
+from mjtactile.sensing.pose.fixed import FiducialFinder
+from mjtactile.sensing.settings import Settings
+from mjtactile.sensing.state import ChainState
+
+
+class KnownCamera:
+    """The camera of one sensor, known by its fiducials; nothing changes.
+
+    Args:
+        design: The sensor's values, with fiducials.
+        camera: Its camera.
+        settings: The stages' chosen numbers.
+    """
+
+    def __init__(self, design: SensorDesign, camera: Camera, settings: Settings):
+        fiducials = design.fiducials
+        assert fiducials is not None
+        self.count = fiducials.count
+        self._circles = FiducialFinder(design, camera, fiducials)
+        self._camera = CameraFinder(design, camera, fiducials, settings.inverse, settings.fiducials)
+
+    def look(self, state: ChainState, ellipses: Ellipses) -> tuple[Ellipses, ChainState]:
+        """Tell fiducials from markers, and the camera by them.
+
+        Args:
+            state: What the image before left.
+            ellipses: All circles of an image.
+
+        Returns:
+            Those of markers, in a picture that is taken back to that of the rest reference, where
+            there is one; and the state with the fiducials, and the camera as it is now. Where too
+            few fiducials are seen, it is near where it was last.
+        """
+        reference = state.reference
+        before = None if reference is None else reference.fiducials
+        ellipses, seen = self._circles.split(ellipses, before)
+        camera = None if before is None else self._camera.find(seen, before)
+        if camera is None and before is not None and state.camera is not None:
+            camera = CameraSeen(state.camera.mean, np.eye(KNOWN_MODES), None)
+        if camera is not None:
+            ellipses = self._camera.picture(camera.mean).undone_ellipses(ellipses)
+        return ellipses, replace(state, camera=camera, fiducials=seen)
+
+    def undone(self, state: ChainState, markers: Markers) -> Markers:
+        """Take markers back to where the camera of the rest reference would see them.
+
+        Args:
+            state: With the camera as it is now.
+            markers: Of a picture that is taken back.
+
+        Returns:
+            The markers, with the fiducials beside.
+        """
+        markers = replace(markers, fiducials=state.fiducials)
+        reference = state.reference
+        if reference is None or state.camera is None:
+            return markers
+        darkness = darker(markers, reference.rest)
+        return replace(markers, p_SM=self._camera.undone(markers.p_SM, darkness, state.camera))

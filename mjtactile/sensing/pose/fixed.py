@@ -1,0 +1,109 @@
+"""Fiducials among the circles of an image: told from markers by where they are, since they do not
+move."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mjtactile.core import optics
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.fiducials import Fiducials
+from mjtactile.core.optics import Camera
+from mjtactile.core.types import Array, Ellipses, FiducialsSeen
+
+
+class FiducialFinder:
+    """Finds the fiducials of one sensor: each is the good circle nearest to where it was, within
+    half the way to the next one, or to the nearest marker.
+
+    Args:
+        design: The sensor's values.
+        camera: Its camera.
+        fiducials: Those of the sensor.
+    """
+
+    def __init__(self, design: SensorDesign, camera: Camera, fiducials: Fiducials):
+        self.count = fiducials.count
+        p_SC = design.camera.p_SC
+        self.places_px = optics.project(camera, fiducials.p_SF(design) - p_SC)
+        markers_px = optics.project(camera, design.markers.p_SM - p_SC)
+        others = np.concatenate([self.places_px, markers_px])
+        apart = np.linalg.norm(self.places_px[:, None] - others, axis=2)
+        apart[np.arange(self.count), np.arange(self.count)] = np.inf
+        self._reach = float(apart.min()) / 2
+
+    def split(
+        self, ellipses: Ellipses, before: FiducialsSeen | None
+    ) -> tuple[Ellipses, FiducialsSeen]:
+        """Tell fiducials from markers.
+
+        Args:
+            ellipses: All circles of an image.
+            before: Where fiducials were; None: where the sensor file has them.
+
+        Returns:
+            The circles that are no fiducials, and the fiducials that were seen well.
+        """
+        places = self.places_px
+        if before is not None and len(before):
+            # those that were not seen moved as the others did
+            moved = np.median(before.center_px - places[before.ids], axis=0)
+            places = places + moved
+            places[before.ids] = before.center_px
+        off = places[:, None] - ellipses.center_px
+        distance = np.sqrt(np.einsum("fnk,fnk->fn", off, off))
+        within = distance < self._reach
+        good = within & (ellipses.status == "ok")
+        ids = np.flatnonzero(good.any(axis=1))
+        nearest = np.where(good, distance, np.inf)[ids].argmin(axis=1)
+        rest = np.flatnonzero(~within.any(axis=0))
+        return taken(ellipses, rest), _seen(ids, taken(ellipses, nearest))
+
+
+def taken(ellipses: Ellipses, at: Array) -> Ellipses:
+    """The ellipses with these numbers."""
+    found = vars(ellipses).values()
+    return Ellipses(*(None if value is None else value[at] for value in found))
+
+
+def average(seen: Sequence[FiducialsSeen]) -> FiducialsSeen:
+    """Mean of repeated measurements; a fiducial counts when at least half of them saw it.
+
+    Args:
+        seen: Of images in a row, during which the camera stood still.
+
+    Returns:
+        The mean.
+    """
+    count = np.bincount(np.concatenate([one.ids for one in seen]), minlength=1)
+    ids = np.flatnonzero(count >= len(seen) / 2)
+
+    def mean(name: str) -> Array:
+        values = getattr(seen[0], name)
+        total = np.zeros((len(count), *values.shape[1:]))
+        for one in seen:
+            total[one.ids] += getattr(one, name)
+        return total[ids] / count[ids].reshape(-1, *(1,) * (total.ndim - 1))
+
+    names = ("center_px", "radius_px", "cov", "inside", "outside", "blur_px")
+    center, radius, cov, inside, outside, blur = (mean(name) for name in names)
+    share = count[ids][:, None, None]
+    return FiducialsSeen(ids, center, radius, cov / share, inside, outside, blur)
+
+
+def _seen(ids: Array, circles: Ellipses) -> FiducialsSeen:
+    a, b = circles.semi_axes_px.T
+    radius = np.sqrt(a * b)
+    of_shape = np.zeros((len(a), 3, 5))
+    of_shape[:, 0, 0] = 1
+    of_shape[:, 1, 1] = 1
+    of_shape[:, 2, 2] = b / (2 * radius)
+    of_shape[:, 2, 3] = a / (2 * radius)
+    cov = of_shape @ circles.cov @ of_shape.transpose(0, 2, 1)
+    unknown = np.full(len(ids), np.nan)
+    outside = unknown if circles.outside is None else circles.outside
+    inside = unknown if circles.darkness is None else outside * np.exp(circles.darkness)
+    blur = unknown if circles.blur_px is None else circles.blur_px
+    return FiducialsSeen(ids, circles.center_px, radius, cov, inside, outside, blur)

@@ -1,0 +1,215 @@
+"""A sensor with fiducials: the camera is known in every image, whatever has become of it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mjtactile.core.calibration import RestMarkers
+from mjtactile.core.design import load_sensor
+from mjtactile.core.fields import from_table
+from mjtactile.core.toml import Section
+from mjtactile.core.types import FiducialsSeen, Image
+from mjtactile.rig.troubles import CameraTroubles
+from mjtactile.sensing.chain import Perception
+from mjtactile.sensing.force.camera import KNOWN_MODES, CameraFinder, _solve
+from mjtactile.sensing.force.tone import tone_of
+from mjtactile.sensing.settings import DEFAULTS
+from mjtactile.sim.picture.troubles import TroubledPicture
+from tests import sheet_images
+
+SENSOR = "dense_fiducials"
+DESIGN = load_sensor(SENSOR)
+CHANGES = (
+    {"zoom_percent": 0.3},
+    {"zoom_percent": -1.0},
+    {"gamma": 1.3},
+    {"gamma": 0.8},
+    {"black_DN": 50},
+    {"knock_px": [0.4, -0.3]},
+    {"knock_px": [4.0, 3.0], "turn_deg": 0.3},
+    {"defocus_px": 1.0},
+)
+
+
+def begun():
+    """A sensor with its references, and images of nothing, 0.1, 0.4 and 0.8 N, and let go."""
+    images = sheet_images.sequence(SENSOR)
+    sensor = Perception.of(DESIGN)
+    sensor.take_flat(images.flat)
+    sensor.take_rest(images.rest, sheet_images.GAUGE)
+    return sensor, (images.rest[0], *images.pressed)
+
+
+def touches(change=lambda image: image):
+    """Each press is seen four times, as its motion makes bars larger; the first is kept too."""
+    sensor, images = begun()
+    return [[sensor.perceive(change(image), image.time) for _ in range(4)] for image in images]
+
+
+def troubled(table):
+    return TroubledPicture(from_table(CameraTroubles, table, "test"))
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return touches()
+
+
+@pytest.mark.parametrize("table", CHANGES, ids=str)
+def test_it_recovers_within_an_image(clean, table):
+    """The first image after the change, and all that follow, are within 0.03 N of what is felt
+    without it: three of a clean image's sds."""
+    for now, then in zip(touches(troubled(table)), clean, strict=True):
+        for touch, wanted in zip(now, then, strict=True):
+            assert touch.status == "ok"
+            assert touch.camera.seen == 10
+            assert abs(touch.force_normal - wanted.force_normal) < 0.03
+
+
+def test_what_has_changed_is_said():
+    """Place and size of ten circles, each seen to 0.005 px, 290 px from the middle."""
+    table = {"knock_px": [4.0, 3.0], "turn_deg": 0.3, "zoom_percent": 0.2}
+    camera = touches(troubled(table))[2][-1].camera
+    assert camera.shift == pytest.approx((4.0, 3.0), abs=0.03)
+    # a picture turned clockwise is a scene turned against the clock
+    assert np.degrees(abs(camera.turn)) == pytest.approx(0.3, abs=0.005)
+    assert camera.scale == pytest.approx(0.002, abs=1e-4)
+    assert camera.misfit < 3
+    blurred = touches(troubled({"defocus_px": 1.0}))[0][0].camera
+    assert blurred.blur_px == pytest.approx(1.0, abs=0.15)
+    curved = touches(troubled({"gamma": 1.3}))[0][0].camera
+    assert curved.gamma == pytest.approx(1.3, abs=0.1)
+
+
+def covered(*ids, of=DESIGN):
+    """A change of the picture that blackens a square over these fiducials."""
+    sensor, _ = begun()
+    places = sensor.chain.known._circles.places_px[list(ids)]
+
+    def change(image):
+        pixels = image.pixels.copy()
+        for u, v in np.rint(places).astype(int):
+            pixels[v - 4 : v + 17, max(u - 4, 0) : u + 17] = 20
+        return Image(pixels, image.time)
+
+    return change
+
+
+def test_dirty_fiducials_cost_themselves(clean):
+    """Three of ten half covered: the others tell the camera, and no marker is lost or mixed up."""
+    for now, then in zip(touches(covered(0, 4, 7)), clean, strict=True):
+        touch, wanted = now[-1], then[-1]
+        assert touch.status == "ok"
+        assert len(touch.markers) == DESIGN.markers.count
+        assert abs(touch.force_normal - wanted.force_normal) < 0.02
+
+
+def test_without_fiducials_the_camera_is_where_it_was_last(clean):
+    """Knocked, then all covered: still taken back, and nothing named."""
+    sensor, images = begun()
+    knock = troubled({"knock_px": [4.0, -3.0]})
+    cover = covered(*range(10))
+    sensor.perceive(knock(images[0]), images[0].time)
+    touch = sensor.perceive(knock(cover(images[0])), images[0].time)
+    assert touch.camera is None
+    assert touch.status == "ok"
+    assert abs(touch.force_normal - clean[0][0].force_normal) < 5 * touch.force_normal_sd
+
+
+def test_fiducials_are_no_markers():
+    """A knock of ten pixels and markers that are missing beside them: what is seen at their places
+    is never named."""
+    sensor, images = begun()
+    knock = troubled({"knock_px": [8.0, 6.0]})
+    pixels = knock(images[3]).pixels.copy()
+    pixels[:, 75:150] = 150  # the first column of markers is gone
+    markers, _ = sensor.chain.see(sensor.state, Image(pixels, images[3].time))
+    assert len(markers.fiducials) == 10
+    assert set(markers.ids) == {k for k in range(81) if k % 9}
+    assert np.abs(markers.p_SM - DESIGN.markers.p_SM[markers.ids])[:, :2].max() < 2e-3
+
+
+def test_a_sensor_without_them_knows_nothing_of_it():
+    images = sheet_images.sequence("dense")
+    sensor = Perception.of(load_sensor("dense"))
+    sensor.take_flat(images.flat)
+    sensor.take_rest(images.rest, sheet_images.GAUGE)
+    touch = sensor.perceive(images.rest[0], 0.0)
+    assert sensor.chain.known is None
+    assert touch.camera is None
+    assert touch.markers.fiducials is None
+
+
+def test_they_are_rows_of_the_same_fit():
+    """Loads x and a camera d, markers H x + D d and fiducials F d, all with unit noise: the joint
+    least squares, and those with the markers taken back by the fiducials' mean and D times their
+    factor, are the same."""
+    rng = np.random.default_rng(3)
+    H = rng.standard_normal((30, 6))
+    D = rng.standard_normal((30, KNOWN_MODES))
+    F = rng.standard_normal((8, 3, KNOWN_MODES))
+    seen = rng.standard_normal(30)
+    moved = 0.1 * rng.standard_normal((8, 3, 1))
+    ones = np.ones(KNOWN_MODES)
+    mean, root, misfit = _solve(F, moved, ones, 1e9)
+    assert misfit < 1  # else the covariance is scaled
+    rows = np.block(
+        [
+            [H, D],
+            [np.zeros((24, 6)), F.reshape(24, -1)],
+            [np.eye(6), np.zeros((6, KNOWN_MODES))],
+            [np.zeros((KNOWN_MODES, 6)), np.eye(KNOWN_MODES)],
+        ]
+    )
+    data = np.concatenate([seen, moved.ravel(), np.zeros(6 + KNOWN_MODES)])
+    joint = np.linalg.lstsq(rows, data, rcond=None)[0][:6]
+    ours = np.vstack([np.hstack([H, D @ root]), np.eye(6 + KNOWN_MODES)])
+    left = np.concatenate([seen - D @ mean, np.zeros(6 + KNOWN_MODES)])
+    assert np.linalg.lstsq(ours, left, rcond=None)[0][:6] == pytest.approx(joint, abs=1e-10)
+
+
+def test_one_that_is_far_off_counts_for_nothing():
+    sensor, _ = begun()
+    finder = sensor.chain.known._camera
+    rest = sensor.state.reference.fiducials
+    center = rest.center_px + [0.5, -0.2]
+    assert isinstance(finder, CameraFinder)
+    whole = finder.find(replace(rest, center_px=center), rest)
+    center = center.copy()
+    center[3] += 2.0
+    dirty = finder.find(replace(rest, center_px=center), rest)
+    assert dirty.change.shift == pytest.approx(whole.change.shift, abs=0.02)
+    assert finder.find(replace_ids(rest, 3), rest) is None
+
+
+def replace_ids(seen, count):
+    """Only the first few."""
+    return FiducialsSeen(*(value[:count] for value in vars(seen).values()))
+
+
+@pytest.mark.parametrize(("light", "gamma", "black"), [(1.0, 1.3, 0.0), (0.7, 1.0, 30.0)])
+def test_the_tone_is_that_of_a_curve_that_is_known(light, gamma, black):
+    rng = np.random.default_rng(0)
+    falloff = rng.uniform(0.7, 1.0, 10)
+    then = 40 * falloff, 185 * falloff
+    now = [black + light * 255 * (level / 255) ** (1 / gamma) for level in then]
+    tone = tone_of(*now, *then)
+    assert tone.light == pytest.approx(light, abs=1e-3)
+    assert tone.gamma == pytest.approx(gamma, abs=1e-3)
+    assert tone.black == pytest.approx(black, abs=0.1)
+    nothing = np.full(10, np.nan)
+    assert np.isnan(tone_of(nothing, nothing, *then).gamma)
+
+
+def test_a_calibration_keeps_where_they_were():
+    sensor, images = begun()
+    markers = sensor.chain.rest_markers(sensor.state, images[:1])
+    part = RestMarkers(markers, 1000.0, sealed=True)
+    again = RestMarkers.from_section(Section(part.to_table(), "", "left.json"))
+    for name, value in vars(markers.fiducials).items():
+        assert getattr(again.markers.fiducials, name) == pytest.approx(value)
+
+
+def test_the_settings_are_its_own():
+    assert DEFAULTS.override({"fiducials.fewest": 6}).fiducials.fewest == 6
