@@ -64,8 +64,8 @@ class FiducialFinder:
 
 def taken(ellipses: Ellipses, at: Array) -> Ellipses:
     """The ellipses with these numbers."""
-    found = vars(ellipses).values()
-    return Ellipses(*(None if value is None else value[at] for value in found))
+    known = {name: value[at] for name, value in vars(ellipses).items() if value is not None}
+    return Ellipses(**known)
 
 
 def average(seen: Sequence[FiducialsSeen]) -> FiducialsSeen:

@@ -33,7 +33,8 @@ def placed(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
     sin = math.sin(t.turn) / (1 + t.zoom)
     back = np.array([[cos, sin], [-sin, cos]])  # rows, columns
     start = middle - back @ (middle + np.array(t.knock)[::-1])
-    return _floats(ndimage.affine_transform(pixels, back, start, order=3, mode="mirror"))
+    change = np.column_stack([back, start])
+    return _floats(ndimage.affine_transform(pixels, change, order=3, mode="mirror"))
 
 
 def defocused(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
