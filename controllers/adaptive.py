@@ -6,9 +6,8 @@
   `mu`. A hold at a ratio shows that mu is at least that; a slip at a ratio shows what mu is. Signs
   of slip may be wrong: shear that does not grow with the grip is carried by what sticks.
 - **Margin.** The grip is MARGIN times what load and friction ask for. While nothing slips the
-  belief in friction grows slowly, so that the grip loosens; a slip takes it back at once.
-- **Jaws.** Two membranes over air are a spring, SOFT + STIFF * force N/m: the jaws go at once to
-  where a larger grip is, and what is left after DELAY is regulated.
+  belief in friction grows slowly, so that the grip loosens. The jaws go at once to where a larger
+  grip is, by a stiffness that is measured; what is left after DELAY is regulated.
 - **The table and other hands.** Shear that goes, and comes again from the other side, is the
   table: the thing stands, let go. Shear that changes otherwise and stays so is somebody who pulls.
 
@@ -22,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.hold import Belief, Load, weigh
+from mjtactile.hold import Belief, Load, Spring, weigh
 from mjtactile.types import Command, Observation
 
 # N on each finger: the most that it ever asks for, and the least, which it closes to
@@ -33,7 +32,6 @@ SERVO_FORCE_LIMIT = 5.0  # N: the most that the servo may push, whatever is felt
 MARGIN = 1.3  # grip over what load and friction ask for
 FRICTION_FIRST = 0.55  # a slip at lift-off costs nothing, and teaches
 SLIP_WAIT = 0.3  # s after a slip in which the hand waits
-SOFT, STIFF = 110.0, 260.0  # N/m of opening, and N/m for each N of force: at 1 kPa
 DELAY = 0.12  # s from a command to its force in an image
 SETTLING = 0.3  # s in which what is left of an error goes: longer than twice DELAY
 # m/s
@@ -41,7 +39,7 @@ CLOSING_SPEED = 0.020
 OPENING_SPEED = 0.060
 LIFT_SPEED = 0.030
 WEIGH_SPEED = 0.003
-PLACE_SPEED = 0.020
+PLACE_SPEED = 0.010
 WEIGH_HEIGHT = 0.003  # m, over which it lifts slowly: what hangs on the fingers comes on by itself
 # m/s, faster where it must hold than to spare
 TIGHTEN_SPEED = 0.015
@@ -52,7 +50,7 @@ GRIP_TIMEOUT = 6.0
 STOP_TIME = 0.3  # s that the rig lets the jaws close no further: they are at their own stop
 BLIND_TIME_MAX = 0.5  # s without a usable image before giving up
 LOST_TIME = 0.3  # s without a touch: the object stays behind
-TABLE_FORCE = 0.03  # N, upward, over all fingers: it stands
+TABLE_FORCE = 0.03  # N, upward, over all fingers, beside half of the weight: it stands
 SEARCH = 0.030  # m below where it shall be set down that the table is looked for
 PULL_FORCE, PULL_TIME = 0.20, 0.13  # N over all fingers, s: who pulls; a bump is shorter
 RELEASE_OPENING = 0.012  # m to open beyond the grip before the run ends
@@ -62,6 +60,7 @@ START = dict.fromkeys(CLOCKS, 0.0) | {
     "target": FORCE_LEAST,
     "due": FORCE_LEAST,
     "load": asdict(Load()),
+    "spring": asdict(Spring()),
     "belief": asdict(Belief(FRICTION_FIRST)),
 }
 
@@ -132,7 +131,9 @@ def _regulated(observation: Observation, command: Command, felt: list[float]) ->
     force goes to the target of a delay ago. Stay within reach of the real opening."""
     memory = command.memory
     force = sum(felt) / len(felt)
-    stiffness = SOFT + STIFF * max(force, 0.0)
+    kept: Any = memory["spring"]
+    spring = Spring(**kept).after(observation.gripper.opening, force, observation.period)
+    stiffness = spring.stiffness(force)
     step = max(memory["target"] - observation.command.memory.get("target", FORCE_LEAST), 0.0)
     due = memory["due"] + min(1.0, observation.period / DELAY) * (memory["target"] - memory["due"])
     speed = (due - force) / (stiffness * SETTLING)
@@ -140,7 +141,7 @@ def _regulated(observation: Observation, command: Command, felt: list[float]) ->
     actual = observation.gripper.opening
     opening = command.opening - speed * observation.period
     opening = max(actual - 0.006, min(actual + 0.004, opening))
-    return _remember(replace(command, opening=opening), due=due)
+    return _remember(replace(command, opening=opening), due=due, spring=asdict(spring))
 
 
 def _approach(observation: Observation, command: Command, felt: list[float]) -> Command:
@@ -211,14 +212,14 @@ def _lower(observation: Observation, command: Command, felt: list[float]) -> Com
     """Down until the table takes the load over, a little below where it should be at most."""
     command = _regulated(observation, command, felt)
     goal = max(0.0, observation.told.place_height - SEARCH)
-    near = command.lift_height < observation.told.place_height + SEARCH
-    speed = PLACE_SPEED if near else LIFT_SPEED
+    above = command.lift_height - observation.told.place_height
+    speed = PLACE_SPEED if above < SEARCH else LIFT_SPEED
     height = max(goal, command.lift_height - speed * observation.period)
-    # the table carries four fifths of it, and a little more where that is nothing
     weight = float(np.asarray(command.memory["held"])[0])
-    stands = float(_load(command).vector(observation.touch)[0]) < 0.2 * weight - TABLE_FORCE
+    stands = float(_load(command).vector(observation.touch)[0]) < 0.5 * weight - TABLE_FORCE
     if stands or (height == goal and observation.gripper.lift_height < goal + 0.001):
-        return _release_now(command)
+        here = max(0.0, observation.gripper.lift_height)
+        return _release_now(replace(command, lift_height=here))
     return replace(command, lift_height=height)
 
 

@@ -1,6 +1,6 @@
 """What a hand can know of the thing that it holds, from what its fingers feel; for any controller
-(`felt`: of one moment; `follow`: the test for slip; `belief`
-and `load`: friction and load, from image to image)."""
+(`felt`: of one moment; `follow`: the test for slip; `belief`,
+`load` and `spring`: friction, load and stiffness, from image to image)."""
 
 from mjtactile.hold.belief import Belief
 from mjtactile.hold.felt import (
@@ -19,6 +19,7 @@ from mjtactile.hold.felt import (
 )
 from mjtactile.hold.follow import Following, follows
 from mjtactile.hold.load import Load
+from mjtactile.hold.spring import Spring
 
 __all__ = [
     "GAIN_SD",
@@ -27,6 +28,7 @@ __all__ = [
     "Following",
     "Friction",
     "Load",
+    "Spring",
     "Weight",
     "downward",
     "follows",

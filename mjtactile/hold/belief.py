@@ -75,10 +75,10 @@ class Belief:
 
         A slip that all fingers say within 0.3 s, or one near the friction that is believed, shows
         what friction is (one finger alone may roll or lean); not again for 0.4 s, in which the
-        grip follows. Shear that does not grow with that grip was carried by what sticks: then
-        most of what was believed is believed again, and the next sign counts where more is in
-        use than at that one. A second without any slip, and the belief grows by 3 % a second, as
-        far as it is put to use.
+        grip follows, nor where less is in use than what it held at of late. Shear that does not
+        grow with that grip was carried by what sticks: then most of what was believed is believed
+        again, and the next sign counts where more is in use than at that one. A second without any
+        slip, and the belief grows by 3 % a second, as far as it is put to use.
 
         Args:
             touch: What is felt now.
@@ -101,7 +101,7 @@ class Belief:
         before = self.before
         believed = self.friction
         alone = min(ages) == 0.0 and used > _NEAR * believed
-        said = used > wrong and (max(ages) < _TOGETHER or alone)
+        said = used > max(wrong, _PROOF_SHARE * proven) and (max(ages) < _TOGETHER or alone)
         if since_slip >= _PAUSE and said:
             before = believed
             believed = min(believed, max(_SLIP_SHARE * used, _STEP * believed, _FRICTION_LEAST))

@@ -60,7 +60,7 @@ class Load:
         """Take in one image.
 
         It grows at once, and by what it is on its way to; it goes slowly. Once it hangs, what the
-        fingers do to each other is no load.
+        fingers do to each other is no load, nor is what pushes it up.
 
         Args:
             touch: What is felt now.
@@ -72,6 +72,7 @@ class Load:
         mass = self.mass
         if len(self.down):
             carried = self.vector(touch)
+            carried[0] = max(carried[0], 0.0)  # upward it is the table's hand
             now = float(np.linalg.norm(carried[:2])) / len(touch)
             found = float(carried[0]) / GRAVITY
             mass = mass + period / _WEIGHING * (found - mass) if mass else found

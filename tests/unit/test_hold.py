@@ -191,3 +191,30 @@ def test_unknown_is_not_zero():
     assert math.isnan(hold.weigh(both, np.zeros((2, 2))).mass)
     assert math.isnan(hold.support(both, np.zeros((2, 2))))
     assert math.isnan(hold.pull(both, np.zeros((2, 2))))
+
+
+@pytest.mark.parametrize("hardness", [0.7, 1.0, 3.0])
+def test_a_grip_s_stiffness_is_found_as_it_closes(hardness):
+    """dN/dx = hardness * (110 + 260 N), from a first touch of 0.1 N at an opening of 30 mm; one
+    image then has 0.1 mm of backlash."""
+    spring = hold.Spring()
+    ball = lambda force: math.log1p(260 * force / 110) / 260  # noqa: E731
+    for force in np.linspace(0.1, 0.9, 60):
+        way = (ball(force) - ball(0.1)) / hardness
+        spring = hold.Spring(**asdict(spring)).after(0.03 - way, force, 1 / 30)
+    assert spring.stiffness(0.9) == pytest.approx(hardness * (110 + 260 * 0.9), rel=0.02)
+    loose = spring.after(0.03 - way - 1e-4, 0.9, 1 / 30)
+    assert loose.hardness == pytest.approx(hardness, rel=0.03)
+    # nothing is measured of a way as short as backlash
+    assert hold.Spring().after(0.03, 0.1, 0.03).after(0.0299, 0.12, 0.03).hardness == 1.5
+
+
+def test_what_the_table_pushes_up_is_no_load():
+    hangs = [touch(0, -0.3, 1.0)] * 2
+    load = hold.Load().after(hangs, 1 / 30).hanging(hangs).after(hangs, 1 / 30)
+    assert load.mass == pytest.approx(0.6 / 9.81) and load.worst == pytest.approx(0.32)
+    pressed = [touch(0, 0.8, 1.0)] * 2
+    assert load.after(pressed, 1 / 30).worst < load.worst
+    heavier = [touch(0, -0.6, 1.0)] * 2
+    # 0.6 N, on its way to more, and 0.02
+    assert load.after(heavier, 1 / 30).worst == pytest.approx(0.6 + 0.3 * (1 - 1 / 4.5) + 0.02)
