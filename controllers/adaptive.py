@@ -31,15 +31,11 @@ TOUCH_FORCE = 0.08  # N: several times the noise of the estimate
 SERVO_FORCE_LIMIT = 5.0  # N: the most that the servo may push, whatever is felt
 MARGIN = 1.3  # grip over what load and friction ask for
 FRICTION_FIRST = 0.55  # a slip at lift-off costs nothing, and teaches
-SLIP_WAIT = 0.3  # s after a slip in which the hand waits
+SLIP_WAIT, GRIP_WAIT = 0.3, 1.0  # s that the hand waits after a slip, and for its grip
 DELAY = 0.12  # s from a command to its force in an image
 SETTLING = 0.3  # s in which what is left of an error goes: longer than twice DELAY
-# m/s
-CLOSING_SPEED = 0.020
-OPENING_SPEED = 0.060
-LIFT_SPEED = 0.030
-WEIGH_SPEED = 0.003
-PLACE_SPEED = 0.010
+CLOSING_SPEED, OPENING_SPEED = 0.020, 0.060  # m/s, as all speeds
+LIFT_SPEED, WEIGH_SPEED, PLACE_SPEED = 0.030, 0.003, 0.010
 WEIGH_HEIGHT = 0.003  # m, over which it lifts slowly: what hangs on the fingers comes on by itself
 # m/s, faster where it must hold than to spare
 TIGHTEN_SPEED = 0.015
@@ -54,8 +50,8 @@ TABLE_FORCE = 0.03  # N, upward, over all fingers, beside half of the weight: it
 SEARCH = 0.030  # m below where it shall be set down that the table is looked for
 PULL_FORCE, PULL_TIME = 0.20, 0.13  # N over all fingers, s: who pulls; a bump is shorter
 RELEASE_OPENING = 0.012  # m to open beyond the grip before the run ends
-CLOCKS = ("phase_time", "settled_time", "blind_time", "lost_time", "stuck_time", "pull_time")
-START = dict.fromkeys(CLOCKS, 0.0) | {
+CLOCKS = ("phase", "settled", "blind", "lost", "stuck", "pull", "behind")
+START = {f"{clock}_time": 0.0 for clock in CLOCKS} | {
     "narrowest": 1.0,
     "target": FORCE_LEAST,
     "due": FORCE_LEAST,
@@ -178,9 +174,11 @@ def _regulate(observation: Observation, command: Command, felt: list[float]) -> 
 def _lift(observation: Observation, command: Command, felt: list[float]) -> Command:
     """Slowly at first: the load comes onto the fingers, and the grip with it; then on."""
     command = _regulated(observation, command, felt)
-    behind = command.memory["target"] - sum(felt) / len(felt)
-    if _belief(command).since_slip < SLIP_WAIT or behind > FORCE_TOLERANCE:
-        return command  # grip first
+    behind = command.memory["target"] - sum(felt) / len(felt) > FORCE_TOLERANCE
+    behind_time = command.memory["behind_time"] + observation.period if behind else 0.0
+    command = _remember(command, behind_time=behind_time)
+    if _belief(command).since_slip < SLIP_WAIT or 0.0 < behind_time < GRIP_WAIT:
+        return command  # grip first, as far as the jaws can
     told = observation.told
     load = _load(command)
     if not load.down and command.lift_height >= WEIGH_HEIGHT:

@@ -84,7 +84,7 @@ OPTIONS = {
     "cases": ("truth",),
     "against": ("speed",),
     "pairs": ("cheap",),
-    "episodes": ("tasks",),
+    "episodes": ("tasks", "slip"),
 }
 """Options that only some have."""
 
@@ -134,7 +134,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--pairs", type=int, metavar="N", help="cheap: so many pairs of episodes (default: 200)"
     )
     parser.add_argument(
-        "--episodes", type=int, metavar="N", help="tasks: so many of each (default: 200)"
+        "--episodes", type=int, metavar="N", help="tasks, slip: so many of each (default: 200)"
     )
     parser.add_argument(
         "--readme",
