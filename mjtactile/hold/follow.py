@@ -8,10 +8,10 @@ before and after.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mjtactile.core.types import Array
 
@@ -35,7 +35,7 @@ _MOMENTS_LEAST = 4
 _CHANGE_LEAST = 0.01  # of the normal force, rms: less is in its noise
 
 
-def follows(normal: Sequence[float], shear: Sequence[float]) -> Following:
+def follows(normal: ArrayLike, shear: ArrayLike) -> Following:
     """Test one finger, or the mean of several.
 
     Args:
