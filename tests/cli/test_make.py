@@ -60,7 +60,7 @@ def test_what_cannot_be_built_leaves_one_line_and_no_folder(capsys, tmp_path):
         ([path], "mine.toml: frame.rim_mm: 0.5 is too thin a wall; at least 1.2"),
         (["dense", "--pixel-um", "0"], "--pixel-um: 0 is outside 0.5 to 50"),
         (["dense", "--press-mm", "25"], "--press-mm: 25 "),
-        (["dens"], "valid: dense, paper16"),
+        (["dens"], "dens: unknown sensor (valid: dense, "),
     ):
         assert main(["make", *map(str, arguments), "--out", str(tmp_path / "a" / "b")]) == 2
         said = capsys.readouterr().err
