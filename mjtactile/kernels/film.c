@@ -345,20 +345,6 @@ static double step_both(const Film *f, const Settings *set, const Bodies *bodies
     return isfinite(*lift) && isfinite(shift) ? most(*lift, shift) : NAN;
 }
 
-/* What touches, and the box of it, which grows with what is seen of bodies. */
-static void start_box(const Film *f, Work *w) {
-    long *box = w->seen.box;
-    box[0] = f->columns, box[1] = 0, box[2] = f->rows, box[3] = 0;
-    for (long i = 0; i < f->columns; i++)
-        for (long j = 0; j < f->rows; j++) {
-            const int touches = w->force[i * f->line + j] > 0;
-            w->seen.touching[i * f->line + j] = (uint8_t)touches;
-            if (!touches) continue;
-            box[0] = i < box[0] ? i : box[0], box[1] = i + 1 > box[1] ? i + 1 : box[1];
-            box[2] = j < box[2] ? j : box[2], box[3] = j + 1 > box[3] ? j + 1 : box[3];
-        }
-}
-
 /* Returns a status. */
 static int come_to_rest(const Film *f, const Settings *set, const Bodies *bodies, double lifted, const double *trend, double *found, Work *w) {
     const long n = f->count;
@@ -367,7 +353,7 @@ static int come_to_rest(const Film *f, const Settings *set, const Bodies *bodies
     Learnt *l = &w->learnt;
     film_forget(l);
     w->heights.first = f->columns, w->heights.last = -1;
-    start_box(f, w);
+    see_touch(f, w->force, &w->seen);
     for (int step = 0; step < (int)set->most_steps; step++) {
         look(f, bodies, lifted, step, w);
         const int misplaced = step ? CONVERGED : against_the_frame(f, &w->seen);
@@ -398,7 +384,7 @@ static int come_to_rest(const Film *f, const Settings *set, const Bodies *bodies
 /* Too large a jump: from rest, with bodies that come in smaller ones. */
 static int come_from_rest(const Film *f, const Settings *set, const Bodies *bodies, const double *rest, double *found, Work *w) {
     film_pad(f, 3, rest, w->x), memset(w->force, 0, f->count * sizeof *w->force);
-    start_box(f, w), see_bodies(f, bodies, w->x, &w->seen);
+    see_touch(f, w->force, &w->seen), see_bodies(f, bodies, w->x, &w->seen);
     double deep = 0;
     int status = NOT_CONVERGED;
     for (long k = 0; k < f->count; k++) deep = most(deep, w->x[2 * f->count + k] - w->seen.obstacle[k]);

@@ -8,6 +8,7 @@
 #include "band.h"
 #include "film_work.h"
 #include "kernels.h"
+#include "panels.h"
 #include "small.h"
 
 #define AT_ONCE (LANES - 1)  /* changes that are solved together; the last lane is the gas's */
@@ -19,20 +20,27 @@
 typedef struct {
     Seen seen;
     SheetFields fields;                 /* (3, count) twice; links are in `seen` */
-    double *band;                       /* 3 inner */
+    float *band;                        /* of panels, 3 inner */
     double *v;                          /* (3, count) of the volume, by the displacements */
     double *slope, *spring, *obstacle;  /* where the film is: (2, count), (4, count), (count) */
     double *at, *pressed;               /* the film: (3, count), (count) */
     double *x, *force, *low, *high;     /* moved: (3, count), (count); residuals: (4, count) */
-    Lanes *rhs;                         /* 3 inner */
+    Eight *rhs;                         /* 3 inner, with room behind */
     Lanes *residual, *given, *product;  /* (4, count), (3, count) twice */
+    Lanes *solved;                      /* 3 inner */
     Lanes *found;                       /* (4, count): displacements and forces */
     double gas_stiffness, pressure;
 } Tangent;
 
+static long panels_of(const Film *f) { return (3 * f->inner + PANEL - 1) / PANEL; }
+
+static long band_of(const Film *f) { return panels_of(f) * PANEL * panels_height(WIDTH(f)); }
+
+static long rows_of(const Film *f) { return panels_of(f) * PANEL + panels_height(WIDTH(f)); }
+
 static long room_of(const Film *f) {
-    const long lanes = 3 * f->inner + 14 * f->count;
-    return film_seen_size(f) + 3 * f->inner * BAND_STRIDE(WIDTH(f)) + (3 + 2 + 4 + 1 + 3 + 1 + 8 + 6 + 4) * f->count + 16 + LANES * lanes;
+    const long lanes = 3 * f->inner + 14 * f->count, singles = band_of(f) / 2 + PANEL / 2 * rows_of(f);
+    return film_seen_size(f) + singles + (3 + 2 + 4 + 1 + 3 + 1 + 8 + 6 + 4) * f->count + 16 + LANES * lanes;
 }
 
 int64_t film_derive_room(const double *numbers) {
@@ -47,12 +55,11 @@ static Tangent tangent_in(const Film *f, double *room) {
     t.fields.elastic = film_take(&room, 3 * n), t.fields.gradient = film_take(&room, 3 * n);
     t.fields.along_x = t.seen.along_x, t.fields.along_y = t.seen.along_y;
     t.at = film_take(&room, 3 * n + 8), t.pressed = film_take(&room, n);
-    t.band = film_take(&room, 3 * f->inner * BAND_STRIDE(WIDTH(f)));
+    t.band = (float *)film_take(&room, band_of(f) / 2), t.rhs = (Eight *)film_take(&room, PANEL / 2 * rows_of(f));
     t.v = film_take(&room, 3 * n), t.slope = film_take(&room, 2 * n), t.spring = film_take(&room, 4 * n), t.obstacle = film_take(&room, n);
     t.x = film_take(&room, 3 * n + 8), t.force = film_take(&room, n), t.low = film_take(&room, 4 * n), t.high = film_take(&room, 4 * n);
-    t.rhs = (Lanes *)film_take(&room, LANES * 3 * f->inner);
     t.residual = (Lanes *)film_take(&room, LANES * 4 * n), t.given = (Lanes *)film_take(&room, LANES * 3 * n);
-    t.product = (Lanes *)film_take(&room, LANES * 3 * n), t.found = (Lanes *)film_take(&room, LANES * 4 * n);
+    t.product = (Lanes *)film_take(&room, LANES * 3 * n), t.found = (Lanes *)film_take(&room, LANES * 4 * n), t.solved = (Lanes *)film_take(&room, LANES * 3 * f->inner);
     return t;
 }
 
@@ -71,12 +78,12 @@ static void eliminate(const Film *f, const Tangent *t, CornerStiffness *c) {
     }
 }
 
-static void add_entry(const Film *f, double *band, long m, int k, long n, int l, double value) {
+static void add_entry(const Film *f, float *band, long m, int k, long n, int l, double value) {
     const long row = 3 * m + k, column = 3 * n + l;
-    if (m >= 0 && n >= 0 && row >= column) band[column * BAND_STRIDE(WIDTH(f)) + row - column] += value;
+    if (m >= 0 && n >= 0 && row >= column) band[column * panels_height(WIDTH(f)) + row - column / PANEL * PANEL] += (float)value;
 }
 
-static void add_corner(const Film *f, double *band, const CornerStiffness *c) {
+static void add_corner(const Film *f, float *band, const CornerStiffness *c) {
     const long inner[3] = {film_inner(f, c->node[0]), film_inner(f, c->node[1]), film_inner(f, c->node[2])};
     for (int n = 0; n < 3; n++)
         for (int m = 0; m < 3; m++) {
@@ -110,7 +117,9 @@ static void add_bends(const Film *f, const Bodies *bodies, const double *x, cons
 }
 
 static int make_tangent(const Film *f, const Bodies *bodies, const double *x, const double *force, Tangent *t) {
-    memset(t->band, 0, 3 * f->inner * BAND_STRIDE(WIDTH(f)) * sizeof *t->band);
+    const long height = panels_height(WIDTH(f));
+    memset(t->band, 0, band_of(f) * sizeof *t->band);
+    for (long k = 3 * f->inner; k < panels_of(f) * PANEL; k++) t->band[k * height + k % PANEL] = 1; /* behind the last */
     CornerStiffness c;
     for (long corner = 0; corner < FILM_CORNERS(f); corner++) {
         film_corner(f, x, t->pressure, corner, &c);
@@ -130,7 +139,7 @@ static int make_tangent(const Film *f, const Bodies *bodies, const double *x, co
             add_entry(f, t->band, other, 2, other, 2, spring);
         }
     add_bends(f, bodies, x, force, t);
-    return band_cholesky(3 * f->inner, WIDTH(f), t->band);
+    return panels_factor(panels_of(f), 0, height, t->band);
 }
 
 /* Into `product` the stiffness times `what` (3, count), without the gas's, of corners at nodes that touch. */
@@ -213,14 +222,18 @@ static void solve(const Film *f, const double *x, Tangent *t) {
             row[c][AT_ONCE] = t->v[at];
         }
         if (touching[k]) row[0] += t->slope[k] * row[2], row[1] += t->slope[count + k] * row[2], row[2] -= row[2];
-        memcpy(t->rhs + 3 * m, row, sizeof row);
+        for (int c = 0; c < 3; c++)
+            for (int l = 0; l < LANES; l++) t->rhs[3 * m + c][l] = (float)row[c][l];
     }
     Lanes swells = {0}; /* volume by the gas's own lane comes last */
-    band_solve_lanes(3 * f->inner, WIDTH(f), t->band, t->rhs);
+    memset(t->rhs + 3 * f->inner, 0, (rows_of(f) - 3 * f->inner) * sizeof *t->rhs);
+    panels_solve_eight(panels_of(f), panels_height(WIDTH(f)), t->band, t->rhs);
     for (long k = 0; k < count; k++) {
         const long m = film_inner(f, k);
         if (m < 0) continue;
-        Lanes *here = t->rhs + 3 * m;
+        Lanes *here = t->solved + 3 * m;
+        for (int c = 0; c < 3; c++)
+            for (int l = 0; l < LANES; l++) here[c][l] = (double)t->rhs[3 * m + c][l];
         if (touching[k]) here[2] = t->slope[k] * here[0] + t->slope[count + k] * here[1];
         for (int c = 0; c < 3; c++) swells += t->v[c * count + k] * here[c];
     }
@@ -228,7 +241,7 @@ static void solve(const Film *f, const double *x, Tangent *t) {
     for (long k = 0; k < count; k++) {
         const long m = film_inner(f, k);
         if (m < 0) continue;
-        for (int c = 0; c < 3; c++) t->given[c * count + k] += t->rhs[3 * m + c] - by_gas * t->rhs[3 * m + c][AT_ONCE];
+        for (int c = 0; c < 3; c++) t->given[c * count + k] += t->solved[3 * m + c] - by_gas * t->solved[3 * m + c][AT_ONCE];
     }
     bulge -= bulge;
     for (long k = 0; k < 3 * count; k++) bulge += t->v[k] * t->given[k], t->found[k] += t->given[k];
@@ -276,7 +289,7 @@ int64_t film_derive(const double *numbers, const double *law, int64_t columns, i
     film_pad(&f, 3, at, t.at), film_pad(&f, 1, pressed, t.pressed);
     const double *x = t.at, *force = t.pressed;
     memset(t.obstacle, 0, count * sizeof *t.obstacle), memset(t.slope, 0, 2 * count * sizeof *t.slope);
-    for (long k = 0; k < count; k++) t.seen.touching[k] = force[k] != 0;
+    see_touch(&f, force, &t.seen);
     gas_of(&f, set, film_sheet(&f, x, FILM_ALL, 0, f.columns - 1, &t.fields).volume, &t.pressure, &t.gas_stiffness);
     residuals(&f, set, &base, x, force, 0, &t, t.low);
     memcpy(t.v, t.fields.gradient, 3 * count * sizeof *t.v), memcpy(t.slope, t.seen.slope, 2 * count * sizeof *t.slope);

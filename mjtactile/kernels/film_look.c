@@ -21,7 +21,6 @@ Seen film_seen_in(const Film *f, double **room) {
     s.along_x = film_take(room, n), s.along_y = film_take(room, n), s.cell = film_take(room, n);
     s.touching = (uint8_t *)film_take(room, n / 8); /* lines are whole eights */
     memset(s.slope, 0, 2 * n * sizeof *s.slope), memset(s.along_x, 0, 2 * n * sizeof *s.along_x), memset(s.touching, 0, n);
-    s.box[0] = s.box[2] = 0, s.box[1] = f->columns, s.box[3] = f->rows;
     return s;
 }
 
@@ -86,6 +85,19 @@ static int see_ridge(const Film *f, const Bodies *bodies, double x, double y, in
         *height = least(*height, low), slope[axis] = 0, found |= 1 << axis;
     }
     return found;
+}
+
+void see_touch(const Film *f, const double *force, Seen *seen) {
+    long *box = seen->box;
+    box[0] = f->columns, box[1] = 0, box[2] = f->rows, box[3] = 0;
+    for (long i = 0; i < f->columns; i++)
+        for (long j = 0; j < f->rows; j++) {
+            const int touches = force[i * f->line + j] != 0;
+            seen->touching[i * f->line + j] = (uint8_t)touches;
+            if (!touches) continue;
+            box[0] = i < box[0] ? i : box[0], box[1] = i + 1 > box[1] ? i + 1 : box[1];
+            box[2] = j < box[2] ? j : box[2], box[3] = j + 1 > box[3] ? j + 1 : box[3];
+        }
 }
 
 /* Nodes that a body may be over, wherever between their neighbours they are. */

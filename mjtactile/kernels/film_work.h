@@ -32,12 +32,14 @@ static inline double *film_take(double **from, long n) {
 }
 
 long film_seen_size(const Film *film);
-Seen film_seen_in(const Film *film, double **room); /* nothing seen yet, in a box of all nodes */
+Seen film_seen_in(const Film *film, double **room); /* nothing seen yet */
 
 /* Between Python's fields of nodes alone and padded ones; `fields` of them, one after the other. */
 void film_pad(const Film *film, long fields, const double *from, double *to);
 void film_unpad(const Film *film, long fields, const double *from, double *to);
 
+/* What touches is what bears a force; the box begins as what holds it, and grows with what is seen of bodies. */
+void see_touch(const Film *film, const double *force, Seen *seen);
 /* Of bodies: heights and slopes over the nodes where they are; where they end beside a node, to 2^-halves; corrections. */
 void see_bodies(const Film *film, const Bodies *bodies, const double *x, Seen *seen);
 void find_edges(const Film *film, const Bodies *bodies, const double *x, long node, int halves, Seen *seen);

@@ -132,3 +132,31 @@ void panels_backward(long count, long height, const float *panels, int many, lon
     if (many == 3) backward(count, height, panels, 3, apart, x);
     else backward(count, height, panels, 1, apart, x);
 }
+
+void panels_solve_eight(long count, long height, const float *panels, Eight *x) {
+    for (long p = 0; p < count; p++) {
+        const float *panel = panels + p * PANEL * height;
+        Eight *own = x + p * PANEL, found[PANEL];
+        for (int r = 0; r < PANEL; r++) {
+            found[r] = panel[r] * own[0];
+            for (int c = 1; c <= r; c++) found[r] += panel[c * height + r] * own[c];
+        }
+        for (int r = 0; r < PANEL; r++) own[r] = found[r];
+        for (long i = PANEL; i < height; i++) {
+            Eight left = own[i];
+            for (int c = 0; c < PANEL; c++) left -= panel[c * height + i] * found[c];
+            own[i] = left;
+        }
+    }
+    for (long p = count - 1; p >= 0; p--) {
+        const float *panel = panels + p * PANEL * height;
+        Eight *own = x + p * PANEL, left[PANEL];
+        for (int c = 0; c < PANEL; c++) left[c] = own[c];
+        for (long i = PANEL; i < height; i++)
+            for (int c = 0; c < PANEL; c++) left[c] -= panel[c * height + i] * own[i];
+        for (int c = 0; c < PANEL; c++) {
+            own[c] = panel[c * height + c] * left[c];
+            for (int r = c + 1; r < PANEL; r++) own[c] += panel[c * height + r] * left[r];
+        }
+    }
+}

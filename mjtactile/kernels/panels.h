@@ -19,4 +19,8 @@ int panels_factor(long count, long room, long height, float *panels);
 void panels_forward(long count, long height, const float *panels, int many, long apart, float *x);
 void panels_backward(long count, long height, const float *panels, int many, long apart, float *x);
 
+/* Eight right-hand sides, a row of `x` each of them: x becomes (L L^T)^-1 x. There is room for `height` rows behind the last panel's,
+   which are zero. */
+void panels_solve_eight(long count, long height, const float *panels, Eight *x);
+
 #endif
