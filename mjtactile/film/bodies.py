@@ -38,6 +38,7 @@ KINDS: dict[str, tuple[int, tuple[str, ...]]] = {
     "triangles": (10, ()),
     "heights": (11, ()),
 }
+_FLAT = 1e-9  # m, of a skin that has no thickness
 _MAY_VANISH = {"curvature x", "curvature y", "rim radius"}
 
 
@@ -150,7 +151,8 @@ def pooled(bodies: Sequence[Obstacle], grid: tuple[int, int]) -> tuple[Array, Ar
 def _least_width(kind: str, size: Array, data: ArrayLike | None) -> float:
     """How wide, m, a body is where it is thinnest; infinite for what cannot pass between nodes."""
     if kind in ("mesh", "triangles"):
-        return float(np.ptp(np.asarray(data, dtype=float).reshape(-1, 3), axis=0).min())
+        wide = np.ptp(np.asarray(data, dtype=float).reshape(-1, 3), axis=0)
+        return float(wide[wide > _FLAT].min(initial=np.inf))
     if kind in ("plane", "quadric", "heights", "cone"):
         return np.inf
     return 0.0 if kind == "wedge" else 2 * float(size[:2].min())

@@ -8,6 +8,8 @@
 
 #define CORRECTION (1 / 24.) /* of curvature times spacing^2, by which the grid makes a smooth body too high */
 #define THIN 5              /* places looked at on each side of a node for what is thinner than the spacing */
+#define LEAN_OVER 0.3      /* spacings */
+#define HALF_A_CELL 0.55    /* of a spacing: nodes have moved apart */
 #define NEAREST_EDGE 0.95   /* of a spacing */
 #define SAME 1e-9           /* m */
 
@@ -53,19 +55,47 @@ static int lowest(const Film *f, const Bodies *bodies, double x, double y, doubl
     return isinf(found);
 }
 
+static int any_thin(const Film *f, const Bodies *bodies) {
+    for (long b = 0; b < bodies->count; b++)
+        if (body_of(bodies, b)->least < most(f->dx, f->dy)) return 1;
+    return 0;
+}
+
+/* How far a body goes on along an axis from a place on it, below and above, up to a spacing; in parts of one. */
+static void reaches_along(const Film *f, const Bodies *bodies, double x, double y, int axis, int parts[2]) {
+    const double step[2] = {axis ? 0 : f->dx / (2. * THIN + 1), axis ? f->dy / (2. * THIN + 1) : 0};
+    double height, slope[2];
+    for (int end = 0; end < 2; end++) {
+        const int side = end ? 1 : -1;
+        for (parts[end] = 0; parts[end] <= 2 * THIN; parts[end]++) {
+            const int next = side * (parts[end] + 1);
+            if (lowest(f, bodies, x + next * step[0], y + next * step[1], &height, slope)) break;
+        }
+    }
+}
+
 /* What is thinner than the spacing and passes between nodes is moved under the nearest: the lowest place on the cross of a node's
-   cell. Returns the axis that it was found along, 1 or 2, or 0; `taken`: along which the node before has it already. */
+   cell, along the axis across which the body is thin; the end of one that goes on to the next node is an edge. Returns the axis that
+   it was found along, 1 or 2, or 0; `taken`: along which the node before has it already; `away`: its middle. */
 static int see_between(const Film *f, const Bodies *bodies, double x, double y, int taken,
                        double *height, double slope[2], double *away) {
     int found = 0;
-    for (int part = -THIN; part <= THIN; part++)
-        for (int axis = 0; axis < 2; axis++) {
+    for (int axis = 0; axis < 2; axis++) {
+        if (taken & (1 << axis)) continue;
+        double low = *height, by[2] = {0, 0}, at, low_by[2] = {0, 0}, where = 0;
+        for (int part = -THIN - 1; part <= THIN + 1; part++) {
             const double off = part / (2. * THIN + 1);
-            if (taken & (1 << axis)) continue;
-            double at, by[2] = {0, 0};
             if (lowest(f, bodies, x + (axis ? 0 : off * f->dx), y + (axis ? off * f->dy : 0), &at, by)) continue;
-            if (at < *height) *height = at, slope[0] = by[0], slope[1] = by[1], found = 1 << axis, *away = off;
+            if (at < low) low = at, low_by[0] = by[0], low_by[1] = by[1], where = off;
         }
+        if (!(low < *height)) continue;
+        const double on[2] = {x + (axis ? 0 : where * f->dx), y + (axis ? where * f->dy : 0)};
+        int across[2], along[2];
+        reaches_along(f, bodies, on[0], on[1], axis, across), reaches_along(f, bodies, on[0], on[1], !axis, along);
+        const double middle = where + (across[1] - across[0]) / 2. / (2 * THIN + 1);
+        if (across[0] + across[1] > along[0] + along[1] || fabs(middle) > HALF_A_CELL) continue;
+        *height = low, slope[0] = low_by[0], slope[1] = low_by[1], found = 1 << axis, *away = middle;
+    }
     return found;
 }
 
@@ -111,11 +141,25 @@ static void grow_box(const Film *f, const FilmBody *b, long box[4]) {
     }
 }
 
+/* What was moved under a node though the next node, towards where it is, has it: its end. */
+static void drop_ends(const Film *f, Seen *seen) {
+    for (long i = seen->box[0]; i < seen->box[1]; i++)
+        for (long j = seen->box[2]; j < seen->box[3]; j++) {
+            const long k = i * f->line + j;
+            const int axis = seen->away[k] != 0 ? 0 : 1;
+            const double away = seen->away[axis * f->count + k];
+            if (away == 0) continue;
+            const long next = k + film_next(f, 2 * axis + (away < 0));
+            if (next < 0 || next >= f->count || isinf(seen->obstacle[next]) || seen->away[axis * f->count + next] != 0) continue;
+            seen->obstacle[k] = seen->level[k] = INFINITY, seen->edge[k] = 0, seen->away[axis * f->count + k] = 0;
+        }
+}
+
 /* Heights of all bodies over the nodes where they are now. */
 void see_bodies(const Film *f, const Bodies *bodies, const double *x, Seen *seen) {
-    int thin = 0, sharp = 0;
+    const int thin = any_thin(f, bodies);
+    int sharp = 0;
     for (long b = 0; b < bodies->count; b++) sharp |= body_of(bodies, b)->least == 0;
-    for (long b = 0; b < bodies->count; b++) thin |= body_of(bodies, b)->least < most(f->dx, f->dy);
     for (long b = 0; b < bodies->count; b++) grow_box(f, body_of(bodies, b), seen->box);
     memset(seen->edge, 0, f->count * sizeof *seen->edge);
     for (long k = 0; k < f->count; k++) seen->obstacle[k] = seen->level[k] = INFINITY;
@@ -140,11 +184,31 @@ void see_bodies(const Film *f, const Bodies *bodies, const double *x, Seen *seen
             }
             seen->level[k] = seen->obstacle[k] - seen->slope[k] * x[k] - seen->slope[f->count + k] * x[f->count + k];
         }
+    if (thin) drop_ends(f, seen);
 }
 
 static int on_a_body(const Film *f, const Bodies *bodies, double x, double y) {
     double height, slope[2];
     return !lowest(f, bodies, x, y, &height, slope);
+}
+
+/* By how much what is thin drifts across an axis while it goes along it, in spacings over a spacing. */
+static double lean_of(const Film *f, const Bodies *bodies, const double at[2], int axis) {
+    const double spacing[2] = {f->dx, f->dy};
+    double lean = 0, ends = 0;
+    int across[2];
+    reaches_along(f, bodies, at[0], at[1], !axis, across);
+    if (across[0] + across[1] > 2 * THIN) return 0; /* it is wide here */
+    for (int side = -1; side <= 1; side += 2) {
+        double sum = 0, hits = 0, place[2];
+        place[axis] = at[axis] + side * LEAN_OVER * spacing[axis];
+        for (int part = -THIN; part <= THIN; part++) {
+            place[!axis] = at[!axis] + part * spacing[!axis] / (2 * THIN + 1);
+            if (on_a_body(f, bodies, place[0], place[1])) sum += part / (2. * THIN + 1), hits += 1;
+        }
+        if (hits > 0) lean += side * sum / hits / LEAN_OVER, ends += 1;
+    }
+    return ends > 0 ? lean / ends : 0;
 }
 
 /* Where bodies end between a node that is on one and a neighbour that is not: the share of the way, for the neighbours at +x, -x,
@@ -153,12 +217,15 @@ void find_edges(const Film *f, const Bodies *bodies, const double *x, long k, in
     const long count = f->count, i = k / f->line, j = k % f->line;
     const double at[2] = {i * f->dx - f->numbers.length_x / 2 + x[k] + seen->away[k],
                           j * f->dy - f->numbers.length_y / 2 + x[count + k] + seen->away[count + k]};
+    const int thin = any_thin(f, bodies);
     for (int side = 0; side < 4; side++) {
         const long other = k + film_next(f, side);
         seen->edge[side * count + k] = -1;
         if (!on_a_body(f, bodies, at[0], at[1]) || isfinite(seen->obstacle[other])) continue;
-        const double way[2] = {side < 2 ? (side ? -1 : 1) * f->dx + x[other] - x[k] : 0,
+        double way[2] = {side < 2 ? (side ? -1 : 1) * f->dx + x[other] - x[k] : 0,
                                side < 2 ? 0 : (side == 3 ? -1 : 1) * f->dy + x[count + other] - x[count + k]};
+        if (thin) way[side < 2] += lean_of(f, bodies, at, side >= 2) * (side % 2 ? -1 : 1) * (side < 2 ? f->dy : f->dx);
+        if (thin && on_a_body(f, bodies, at[0] + way[0], at[1] + way[1])) continue; /* it goes on, under the next line of nodes */
         double low = 0, high = 1;
         for (int half = 0; half < halves; half++) {
             const double middle = (low + high) / 2;
