@@ -21,7 +21,8 @@ from mjtactile.kernels import band_stride, bound, kernel
 
 _TOLERANCE = 1e-6  # m, of what is left of the displacements
 _MOST_STEPS = 40
-_HEAT_RATIO = 14  # place of the gas's exponent in a film's numbers
+HEAT_RATIO = 14
+"""Place of the gas's exponent in a film's numbers."""
 _RAMP = 200.0  # Pa that the gas may rise or fall by in one solution
 
 
@@ -40,19 +41,20 @@ class LiveFilm:
         self.film = film
         self.x = np.zeros_like(film.rest.x)
         self.force = np.zeros_like(film.rest.force)
-        self._trend = np.zeros((4, *film.grid))
+        self.trend = np.zeros((4, *film.grid))
         self.rows = rows
-        self._found = np.zeros(FOUND)
-        self._settings = np.array([0.0, 0.0, _TOLERANCE, float(_MOST_STEPS)])
-        self._numbers = film._numbers.copy()
+        self.found = np.zeros(FOUND)
+        self.settings = np.array([0.0, 0.0, _TOLERANCE, float(_MOST_STEPS)])
+        self.numbers = film._numbers.copy()
         room = np.empty_like(film._room)
         kept = (film._kept.size, film._kept)
-        fixed = (self._numbers, film._law, *film.grid, *kept, film.rest.x, room.size, room)
+        fixed = (self.numbers, film._law, *film.grid, *kept, film.rest.x, room.size, room)
         pooled = 0 if pool is None else pool.size
-        given = (self._settings, len(rows), rows, pooled, pool)
-        self._solve = bound(
-            "film_solve", *fixed, 1, 0, 1, *given, self.x, self.force, self._trend, self._found
-        )
+        given = (self.settings, len(rows), rows, pooled, pool)
+        state = (self.x, self.force, self.trend, self.found)
+        self.arguments = (*fixed, *given, *state)
+        """What `film_follow` takes of a film."""
+        self._solve = bound("film_solve", *fixed, 1, 0, 1, *given, *state)
 
     def rest_on(self, gas: float, sealed: bool, exponent: float) -> Status:
         """Come to rest on the bodies.
@@ -65,14 +67,14 @@ class LiveFilm:
         Returns:
             How it ended. What did not converge leaves displacements that mean nothing.
         """
-        self._numbers[_HEAT_RATIO] = exponent
-        self._settings[:2] = gas, sealed
+        self.numbers[HEAT_RATIO] = exponent
+        self.settings[:2] = gas, sealed
         self._solve()
-        return Status(int(self._found[STATUS]))
+        return Status(int(self.found[STATUS]))
 
     def go_to_pressure(self, pressure_gauge: float) -> Status:
         """Come to rest at a gauge pressure that may be far from the present one, in small steps."""
-        start = float(self._found[PRESSURE])
+        start = float(self.found[PRESSURE])
         count = max(1, int(np.ceil(abs(pressure_gauge - start) / _RAMP)))
         status = Status.CONVERGED
         for pressure in np.linspace(start, pressure_gauge, count + 1)[1:]:
@@ -83,43 +85,43 @@ class LiveFilm:
         """Be the mounted sheet, without a pressure."""
         self.x[:] = 0.0
         self.force[:] = 0.0
-        self._trend[:] = 0.0
-        self._found[:] = 0.0
+        self.trend[:] = 0.0
+        self.found[:] = 0.0
 
     def keep(self) -> tuple[Array, Array, Array]:
         """The present state, for `restore`."""
-        return self.x.copy(), self.force.copy(), self._found.copy()
+        return self.x.copy(), self.force.copy(), self.found.copy()
 
     def restore(self, kept: tuple[Array, Array, Array]) -> None:
         """Go back to what `keep` gave."""
-        for place, was in zip((self.x, self.force, self._found), kept, strict=True):
+        for place, was in zip((self.x, self.force, self.found), kept, strict=True):
             place[:] = was
-        self._trend[:] = 0.0
+        self.trend[:] = 0.0
 
     @property
     def volume(self) -> float:
         """m^3 between the film and the frame's plane."""
-        return float(self._found[VOLUME])
+        return float(self.found[VOLUME])
 
     @property
     def pressure_gauge(self) -> float:
         """Pa, of the last solution."""
-        return float(self._found[PRESSURE])
+        return float(self.found[PRESSURE])
 
     @property
     def tension(self) -> float:
         """N/m, mean over the sheet."""
-        return float(self._found[TENSION])
+        return float(self.found[TENSION])
 
     @property
     def area(self) -> float:
         """m^2 of the sheet in contact."""
-        return float(self._found[AREA])
+        return float(self.found[AREA])
 
     @property
     def wrench(self) -> Array:
         """(6,) N and N m about the origin of S of the bodies on the film, frictionless; a view."""
-        return self._found[WRENCH]
+        return self.found[WRENCH]
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +163,7 @@ class Sticking:
         fixed = (film._numbers, film._law, *film.grid)
         kernel("film_plane")(*fixed, film.rest.x, film._room.size, film._room, factor)
         band = np.ascontiguousarray(factor[:, : width + 1].T)
-        return cho_solve_banded((band, True), np.eye(len(factor)))
+        return np.ascontiguousarray(cho_solve_banded((band, True), np.eye(len(factor))))
 
     def grip(self, x: Array, force: Array) -> Grip:
         """Say how the nodes that touch are held when they move as one body.

@@ -226,6 +226,29 @@ int64_t film_solve(const double *numbers /* 17 */, const double *law /* 11 */, i
                    const double *body /* environments, bodies, 20 */, int64_t pooled, const double *pool /* pooled or NULL */,
                    double *x /* environments, 3, columns, rows */, double *force /* environments, columns, rows */,
                    double *trend /* environments, 4, columns, rows */, double *found /* environments, 14 */);
+/* sim/sensor/film_sensor.py: a film in a scene that moves. `given` and `memory`: see film_hold.c. From the poses of MuJoCo's bodies and
+   geoms: `body` in the frame of the body `carrier`, the film at rest on them as film_solve has it (or, where they hardly went, as
+   a spring), what sticks and slides. `touched`: nodes in the grip, and at the last solution; `before`: x and y then, and room. */
+int64_t film_follow(const double *numbers /* 17 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
+                    const float *kept /* keeping */, const double *rest /* 3, columns, rows */, int64_t roomy,
+                    double *room /* roomy */, const double *settings /* 4 */, int64_t geoms, double *body /* geoms, 20 */,
+                    int64_t pooled, const double *pool /* pooled or NULL */, double *x /* 3, columns, rows */,
+                    double *force /* columns, rows */, double *trend /* 4, columns, rows */, double *found /* 14 */,
+                    const double *given /* 7 */, const double *compliance /* 2 * (columns - 2) * (rows - 2), 2 * (columns - 2) * (rows - 2) */,
+                    int64_t carrier, int64_t nbody, const double *xpos /* nbody, 3 */, const double *xmat /* nbody, 9 */,
+                    int64_t ngeom, const double *geom_xpos /* ngeom, 3 */, const double *geom_xmat /* ngeom, 9 */,
+                    const int64_t *geom /* geoms */, const int64_t *body_of /* geoms */, const double *reach2 /* geoms */,
+                    double *memory /* 66 */, uint8_t *touched /* 2, columns, rows */, double *before /* 6, columns, rows */);
+/* Out: what that pushes by MuJoCo's degrees of freedom, and how a free body is held (see film_hold.c); returns whether it does. */
+int64_t film_push(const double *given /* 7 */, const double *memory /* 66 */, int64_t carrier, int64_t nbody,
+                  const int32_t *parent /* nbody */, const int32_t *joints /* nbody */, const int32_t *first /* nbody */, int64_t njnt,
+                  const int32_t *type /* njnt */, const int32_t *dof /* njnt */, const double *anchor /* njnt, 3 */,
+                  const double *axis /* njnt, 3 */, const double *xpos /* nbody, 3 */, const double *xmat /* nbody, 9 */,
+                  int64_t nv, double *push /* nv */, double *hold /* 43 */);
+/* sim/sensor/pushes.py: adds `pushes` of all films to what somebody else has `applied`, and to `undamped` what `holds` damp. */
+int64_t film_add(int64_t nv, int64_t films, const double *pushes /* films, nv */, const double *holds /* films, 43 */, double step,
+                 const double *inertia /* nv */, const double *velocity /* nv */, double *base /* nv */, double *left /* nv */,
+                 double *applied /* nv */, const double *undamped /* nv */, double *damping /* nv */);
 int64_t film_derive_room(const double *numbers /* 17 */);
 /* Of a film at rest with `x` and `force`, derivatives by `changes` of its bodies: `body` as they are, then for each change those
    that are `steps` of it before, and those that are as much after. Out: of displacements, forces and what film_solve finds. */

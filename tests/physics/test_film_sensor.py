@@ -89,8 +89,8 @@ def test_light_and_heavy_balls_are_held_and_do_not_creep(mass, gap):
     world.step(100)  # what hangs 1.2 mm low settles for longer
     before = world.data.qpos[2]
     world.step(100)
-    # 0.2 s: a creep of 5 um/s would be seen
-    assert abs(world.data.qpos[2] - before) < 1e-6
+    # 0.2 s: a creep of 20 um/s would be seen; within 8 um the film is not solved for again
+    assert abs(world.data.qpos[2] - before) < 4e-6
     assert np.abs(world.data.qvel).max() < 3e-3  # m/s, rad/s
     carried = -sum(
         (world.data.xmat[s.body_id].reshape(3, 3) @ truth.contact_force(world, k))[2]

@@ -15,18 +15,17 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mjtactile.core import geometry
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.film import Film, Status
-from mjtactile.film.live import LiveFilm
+from mjtactile.film.live import HEAT_RATIO, LiveFilm, Sticking
+from mjtactile.kernels import bound
 from mjtactile.sim.sensor import limits
-from mjtactile.sim.sensor.film_contact import FilmContact, Stiffness
 from mjtactile.sim.sensor.geoms import FeltGeoms
 from mjtactile.sim.sensor.membrane import BODY
 from mjtactile.sim.sensor.mesh import MarkerInterpolator, MembraneMesh
-from mjtactile.sim.sensor.pushes import Hold, pushes_of
+from mjtactile.sim.sensor.pushes import HOLD, pushes_of
 from mjtactile.sim.sensor.stretches import stretches_of
 from mjtactile.sim.sensor.switches import Effect, make_gas
 
@@ -35,6 +34,12 @@ _FLAT = 1.0  # Pa, below which the sheet lies flat
 _PATIENCE = 25  # steps without a solution in a row
 _LATE = 2  # such steps that are not worth a word
 _NO_FLEX = -2
+# places in what the kernel remembers (kernels/film_hold.c), and is given
+_MEMORY = 66
+_BODY, _SLIDES, _NEAR, _STATUS, _LOST = 0, 11, 18, 19, 20
+_WRENCH, _MIDDLE, _STRAIN = slice(1, 7), slice(7, 10), slice(12, 15)
+_SOLVED_GAS = slice(57, 59)
+_GAS, _TIME = 2, 6
 _FEELER = "feeler"
 
 
@@ -82,160 +87,154 @@ class FilmSensor:
         self._film = film = _film_of(design, (mesh.nx, mesh.ny))
         top = float(film.rest.x[2].max())
         half = math.hypot(design.frame.length, design.frame.width) / 2
-        self._geoms = FeltGeoms(model, data, self.body_id, math.hypot(half, top) + 1e-3)
+        self._geoms = FeltGeoms(model, self.body_id, math.hypot(half, top) + 1e-3)
         self._live = LiveFilm(film, self._geoms.rows, self._geoms.pool)
-        friction = design.membrane.friction if Effect.FRICTION in effects else 0.0
-        self._contact = FilmContact(self._live, friction, _bulge_stiffness(film))
+        self._sticking = _sticking_of(film)
+        self._given = np.array(
+            [
+                design.membrane.friction if Effect.FRICTION in effects else 0.0,
+                _bulge_stiffness(film),
+                0.0,
+                float(model.opt.timestep),
+                math.sqrt(design.frame.area / math.pi),
+                min(film.x[1] - film.x[0], film.y[1] - film.y[0]),
+                math.nan,
+            ]
+        )
+        self._memory = np.zeros(_MEMORY)
+        self._touched = np.zeros((2, *film.grid), np.uint8)
+        self._before = np.zeros((6, *film.grid))
         self._markers = MarkerInterpolator(mesh, design.markers.p_SM)
         self._gas = make_gas(design.chamber, effects)
         self._pushes = pushes_of(model, data)
+        self._number = self._pushes.join(prefix)
+        self._force = np.zeros(model.nv)
+        self._hold = np.zeros(HOLD)
         self._pushing = False
-        self._moved = np.zeros(6)
-        self._shifted = np.zeros(3)
-        self._flat = mesh.p_SV[mesh.interior]
-        self._place: tuple[int, Array, Array] | None = None
-        self._lost = 0
-        self._reason = ""
-        self._solved = math.nan
+        self._bind()
         self._time = float(data.time)
-        self._rows = np.full_like(self._geoms.rows, math.nan)
-        self._touches_many = False
         self.sleepy = True
         self._volume = design.chamber_volume_flat
         self._gas.advance(self._volume, 0.0)
-        self._follow()
+        self._look()
+
+    def _bind(self) -> None:
+        """Kernels on the very arrays of model and data."""
+        model = self._model
+        data = self._data
+        geoms = self._geoms
+        poses = (model.nbody, data.xpos, data.xmat)
+        self._follow = bound(
+            "film_follow",
+            *self._live.arguments,
+            self._given,
+            self._sticking.compliance,
+            self.body_id,
+            *poses,
+            model.ngeom,
+            data.geom_xpos,
+            data.geom_xmat,
+            geoms.ids,
+            geoms.bodies,
+            geoms.reach2,
+            self._memory,
+            self._touched,
+            self._before,
+        )
+        self._find_push = bound(
+            "film_push",
+            self._given,
+            self._memory,
+            self.body_id,
+            model.nbody,
+            model.body_parentid,
+            model.body_jntnum,
+            model.body_jntadr,
+            model.njnt,
+            model.jnt_type,
+            model.jnt_dofadr,
+            data.xanchor,
+            data.xaxis,
+            *poses[1:],
+            model.nv,
+            self._force,
+            self._hold,
+        )
 
     # -- before every step
 
     def update(self) -> None:
         """Come to rest on what is there now, and push; call before every `mj_step`."""
-        self._follow()
-        self._push()
+        self._look()
+        pushes = bool(self._find_push())
+        if pushes or self._pushing:
+            self._pushes.set(self._number, self._force, self._hold)
+        self._pushing = pushes
 
-    def _follow(self) -> None:
-        """Bring film, gas and what sticks up to the present poses, once for each moment."""
-        mujoco.mj_kinematics(self._model, self._data)
-        mujoco.mj_comPos(self._model, self._data)
-        time = float(self._data.time)
-        near = self._geoms.look()
-        moved = not np.array_equal(self._rows, self._geoms.rows)
-        if time == self._solved and not moved and not self._stale():
-            return
-        self._rows[:] = self._geoms.rows
-        free = not near and not self.is_touched
-        if not (free and self._gas.is_still and not self._stale() and not math.isnan(self._solved)):
-            self._settle(near)
-        if time != self._time or math.isnan(self._solved):
-            self._volume = self.design.chamber_volume_flat + self._live.volume
-            self._gas.advance(self._volume, time - self._time)
-            self._time = time
-        self._contact_follows(near)
-        self._solved = time
-
-    def _stale(self) -> bool:
-        """Whether somebody has moved the valve since."""
-        return self._gas.is_open and not math.isclose(
-            self._live.pressure_gauge, self._gas.supply_gauge, abs_tol=_FLAT
-        )
-
-    def _settle(self, near: bool) -> None:
+    def _look(self) -> None:
+        """Bring film, gas and what sticks up to the present poses."""
+        data = self._data
+        mujoco.mj_kinematics(self._model, data)
+        self._given[_TIME] = data.time
         live = self._live
+        if self._gas.is_sealed:
+            if not live.settings[1]:
+                self._seal()
+            self._follow()
+            return
+        self._let_flow()
+        self._follow()
+        self._breathe()
+
+    def _seal(self) -> None:
+        """From now on the gas stays in."""
+        self._breathe()
         gas = self._gas
-        kept = live.keep()
         stiffness = gas.stiffness(self._timestep)
-        if stiffness <= 0:  # a held pressure
-            pressure = gas.supply_gauge if gas.is_open else gas.pressure_gauge
-            if abs(pressure) < _FLAT and not near:
-                live.lie_flat()
-                status = Status.CONVERGED
-            else:
-                status = live.go_to_pressure(pressure)
-        else:
-            absolute = gas.pressure_gauge + gas.ambient
-            exponent = stiffness * self._volume / absolute
-            status = live.rest_on(absolute * self._volume**exponent, True, exponent)
-        if status == Status.CONVERGED:
-            self._lost = 0
+        absolute = gas.pressure_gauge + gas.ambient
+        exponent = stiffness * self._volume / absolute
+        self._given[_GAS] = stiffness
+        self._live.numbers[HEAT_RATIO] = exponent
+        self._live.settings[:2] = absolute * self._volume**exponent, True
+
+    def _let_flow(self) -> None:
+        """Set what the film feels of a gas that flows, leaks or warms, or of an open valve."""
+        gas = self._gas
+        live = self._live
+        stiffness = gas.stiffness(self._timestep)
+        if stiffness > 0:
+            self._seal()
+            live.settings[1] = 1.0
             return
-        live.restore(kept)
-        self._lost += 1
-        self._reason = _REASONS[status]
-        if status in (Status.AT_THE_RIM, Status.ON_THE_GLASS):
-            self._lost = _PATIENCE
-
-    def _contact_follows(self, near: bool) -> None:
-        if not self.is_touched:
-            self._contact.release()
-            self._place = None
+        pressure = gas.supply_gauge if gas.is_open else gas.pressure_gauge
+        self._given[_GAS] = 0.0
+        if live.settings[1] == 0 and live.settings[0] == pressure:
             return
-        bodies = self._geoms.near_bodies()
-        self._touches_many = len(bodies) > 1
-        body = int(bodies[0]) if len(bodies) else -1
-        R_SB, p_SB = self._pose(body)
-        moved = np.zeros(6)
-        if self._place is not None and self._place[0] == body:
-            moved = _motion(self._place[1], self._place[2], R_SB, p_SB, self._contact.middle)
-        self._contact.follow(moved)
-        self._moved = moved
-        self._shifted = np.zeros(3) if self._place is None else p_SB - self._place[2]
-        self._place = (body, R_SB, p_SB)
+        if abs(pressure) < _FLAT and not self.is_touched:
+            live.lie_flat()
+            self._memory[_SOLVED_GAS] = pressure, 0.0
+        elif live.go_to_pressure(pressure) != Status.CONVERGED:
+            self._memory[_LOST] += 1
+        live.settings[:2] = pressure, 0.0
 
-    def _pose(self, body: int) -> tuple[Array, Array]:
-        data = self._data
-        R_WS = data.xmat[self.body_id].reshape(3, 3)
-        return R_WS.T @ data.xmat[body].reshape(3, 3), (
-            data.xpos[body] - data.xpos[self.body_id]
-        ) @ R_WS
-
-    def _push(self) -> None:
-        """Write what the film bears to the body that touches and to the frame."""
-        if self._place is None:
-            if self._pushing:
-                self._pushing = False
-                self._pushes.set(self.prefix, np.zeros(self._model.nv), None)
-            return
-        model = self._model
-        data = self._data
-        body = self._place[0]
-        R_WS = data.xmat[self.body_id].reshape(3, 3)
-        stiff = self._contact.stiffness(self._gas.stiffness(self._timestep))
-        p_WC = data.xpos[self.body_id] + R_WS @ stiff.middle
-        wrench = self._contact.wrench
-        f_W = R_WS @ wrench[:3]
-        t_W = R_WS @ (wrench[3:] - geometry.cross(stiff.middle, wrench[:3]))
-        force = np.zeros(model.nv)
-        mujoco.mj_applyFT(model, data, f_W, t_W, p_WC, self.body_id, force)
-        mujoco.mj_applyFT(model, data, -f_W, -t_W, p_WC, body, force)
-        dof = _free_dof(model, body)
-        hold = None if dof < 0 else self._hold(body, dof, R_WS, p_WC, stiff)
-        self._pushes.set(self.prefix, force, hold)
-        self._pushing = True
-
-    def _hold(self, body: int, dof: int, R_WS: Array, p_WC: Array, stiff: Stiffness) -> Hold:
-        """How stiffly a free body is held, by the degrees of freedom of its joint."""
-        data = self._data
-        R_SB = R_WS.T @ data.xmat[body].reshape(3, 3)
-        r = R_WS.T @ (p_WC - data.xpos[body])
-        across = np.array([[0, -r[2], r[1]], [r[2], 0, -r[0]], [-r[1], r[0], 0]])
-        G = np.zeros((6, 6))
-        G[:3, :3] = R_WS.T
-        G[:3, 3:] = -across @ R_SB
-        G[3:, 3:] = R_SB
-        weight = np.concatenate([stiff.along, stiff.about])
-        moved = np.concatenate([R_WS @ self._shifted, R_SB.T @ self._moved[3:]])
-        return Hold(dof, (G.T * weight) @ G, moved / self._timestep)
+    def _breathe(self) -> None:
+        """Take the gas to the film's present volume."""
+        self._volume = self.design.chamber_volume_flat + self._live.volume
+        time = self.time
+        self._gas.advance(self._volume, time - self._time)
+        self._time = time
 
     # -- what it is like now
 
     @property
     def is_asleep(self) -> bool:
-        """Whether nothing is near and nothing moves it."""
-        return not self.is_touched and not self._geoms.near.any() and self._gas.is_still
+        """Whether nothing is near, so that nothing is computed."""
+        return not self.is_touched and not self._memory[_NEAR]
 
     @property
     def is_touched(self) -> bool:
         """Whether anything touches the film."""
-        return bool(self._live.force.any())
+        return self._memory[_BODY] > 0
 
     def wake(self) -> None:
         """Nothing to wake; as `TactileSensor` has it."""
@@ -247,8 +246,8 @@ class FilmSensor:
     @property
     def wrench(self) -> Array:
         """(6,) N and N m about the origin of S that the world exerts on the film, at the last
-        solution."""
-        return self._contact.wrench if self.is_touched else np.zeros(6)
+        look."""
+        return self._memory[_WRENCH].copy()
 
     @property
     def contact_area(self) -> float:
@@ -258,7 +257,17 @@ class FilmSensor:
     @property
     def slides(self) -> bool:
         """Whether what touches is at friction's limit."""
-        return self._contact.slides
+        return bool(self._memory[_SLIDES])
+
+    def look(self) -> Array:
+        """The wrench of this very moment: what `wrench` is after the next `update`."""
+        self._look()
+        return self.wrench
+
+    @property
+    def middle(self) -> Array:
+        """(3,) m in S, where what touches presses on the whole."""
+        return self._memory[_MIDDLE].copy()
 
     def contact_forces(self) -> tuple[Array, Array]:
         """Forces (n, 3) N on the film at its nodes that touch, and their places (n, 3) m in S;
@@ -276,11 +285,13 @@ class FilmSensor:
     @property
     def p_SV(self) -> Array:
         """Positions (n, 3) m in S of the film's nodes now, the frame's among them."""
-        self._follow()
+        self._look()
         p_SV = self.mesh.p_SV + self._live.x.reshape(3, -1).T
-        spread = self._contact.spread()
-        if spread is not None:
-            p_SV[self.mesh.interior, :2] += spread.T
+        strain = self._memory[_STRAIN]
+        if self.is_touched and strain.any():
+            held = np.where(self._touched[0], self._live.force + 1e-9, 0.0)
+            spread = self._sticking.grip(self._live.x, held).spread
+            p_SV[self.mesh.interior, :2] += (spread @ strain).T
         return p_SV
 
     @property
@@ -330,18 +341,22 @@ class FilmSensor:
 
     @property
     def pressure_gauge(self) -> float:
+        """Pa in the chamber, above ambient, at the last `update`."""
+        self._breathe()
         return self._gas.pressure_gauge
 
     @property
     def gas_time(self) -> float:
-        return self._time
+        return self.time
 
     @property
     def temperature(self) -> float:
+        self._breathe()
         return self._gas.temperature
 
     @property
     def volume(self) -> float:
+        self._breathe()
         return self._volume
 
     @property
@@ -350,26 +365,28 @@ class FilmSensor:
 
     def open_valve(self, supply_gauge: float | None = None) -> None:
         """Connect the chamber to a supply at `supply_gauge` Pa (default: the design's)."""
-        self._follow()
+        self._look()
+        self._breathe()
         self._gas.open(self.design.chamber.supply_gauge if supply_gauge is None else supply_gauge)
 
     def close_valve(self) -> None:
         """Trap the gas that is in the chamber now."""
-        self._follow()
+        self._look()
+        self._breathe()
         self._gas.close()
+        self._live.settings[1] = 0.0
 
     def inflate(self, displacements: Array, pressure_gauge: float) -> None:
         """Be at rest with these displacements (3 k,) m, sealed at `pressure_gauge` Pa."""
         live = self._live
         live.lie_flat()
-        x = live.x.reshape(3, -1)
-        x[:, self.mesh.interior] = displacements.reshape(-1, 3).T
+        live.x.reshape(3, -1)[:, self.mesh.interior] = displacements.reshape(-1, 3).T
         live.rest_on(pressure_gauge, False, 1.0)
+        self._memory[:] = 0.0
         self._volume = self.design.chamber_volume_flat + live.volume
         self._gas.seal(self._volume, pressure_gauge)
         self._time = self.time
-        self._solved = math.nan
-        self._follow()
+        self._look()
 
     def puncture(self, conductance: float) -> None:
         """Make a hole to ambient of `conductance` m^3/(s Pa); 0 mends it."""
@@ -384,22 +401,28 @@ class FilmSensor:
     def flags(self) -> limits.Flags:
         """What makes the present numbers less good than they look."""
         flags: limits.Flags = {}
-        if self._lost > _LATE:
-            flags["film"] = f"the film found no rest for {self._lost} steps: {self._reason}"
-        if self._touches_many:
+        lost = int(self._memory[_LOST])
+        if lost > _LATE:
+            flags["film"] = f"the film found no rest for {lost} steps: {self._reason()}"
+        if self._memory[_NEAR] > 1:
             flags["bodies"] = (
-                "several bodies are near one film, which takes all that touches it for the first "
-                "of them; leave the sheet on"
+                "several bodies are near one film, which takes all that touches it for one of "
+                "them; leave the sheet on"
             )
         return flags | limits.sheet_flags(self.design, self.pressure_gauge, *self.stretches())
 
     def failure(self) -> str | None:
         """Say why this sensor's state is outside what the film describes, or None."""
-        if self._lost >= _PATIENCE:
-            return f"sensor {self.prefix!r}: {self._reason}; leave the sheet on"
+        if self._memory[_LOST]:
+            misplaced = self._memory[_STATUS] in (Status.AT_THE_RIM, Status.ON_THE_GLASS)
+            if misplaced or self._memory[_LOST] >= _PATIENCE:
+                return f"sensor {self.prefix!r}: {self._reason()}; leave the sheet on"
         if self._volume <= 0:
             return f"sensor {self.prefix!r}: the chamber has no volume left"
         return None
+
+    def _reason(self) -> str:
+        return _REASONS.get(Status(int(self._memory[_STATUS])), "its pressure jumps")
 
 
 _REASONS = {
@@ -418,29 +441,19 @@ def _film_of(design: SensorDesign, grid: tuple[int, int]) -> Film:
 
 
 @lru_cache(maxsize=64)
+def _sticking_of(film: Film) -> Sticking:
+    """The film's sheet in the plane, inverted once a process."""
+    sticking = Sticking(film)
+    sticking.compliance.flags.writeable = False
+    return sticking
+
+
+@lru_cache(maxsize=64)
 def _bulge_stiffness(film: Film) -> float:
     """dp/dV, Pa/m^3, of the bulge about its rest."""
     step = 0.05 * film.pressure_gauge
     other = Film(film.design, film.grid, film.pressure_gauge + step)
     return step / (other.rest.volume - film.rest.volume)
-
-
-def _free_dof(model: mujoco.MjModel, body: int) -> int:
-    """Address of a body's own free joint, or -1."""
-    if model.body_jntnum[body] != 1:
-        return -1
-    joint = int(model.body_jntadr[body])
-    if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
-        return -1
-    return int(model.jnt_dofadr[joint])
-
-
-def _motion(R_0: Array, p_0: Array, R_1: Array, p_1: Array, middle: Array) -> Array:
-    """(6,) by which the body's point at `middle` moved, m, and its turn, rad, between two poses."""
-    R = R_1 @ R_0.T
-    turn = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    was = R.T @ (middle - p_1) + p_0
-    return np.concatenate([middle - was, turn])
 
 
 def _body(model: mujoco.MjModel, name: str) -> int:

@@ -78,6 +78,13 @@ class Gas:
             math.isinf(self._chamber.heat_exchange) or abs(self._temperature - self._wall) < _WARM
         )
 
+    @property
+    def is_sealed(self) -> bool:
+        """Whether the gas stays in and has one exponent: p V^gamma is all that there is to know."""
+        if self._is_open or self._leak or self._warming:
+            return False
+        return math.isinf(self._chamber.heat_exchange) or self._chamber.heat_ratio == 1
+
     def open(self, supply_gauge: float) -> None:
         """Connect the chamber to a supply. Raises InputError when the pressure is not a possible
         one."""

@@ -20,9 +20,6 @@ _KINDS = {
     int(_G.mjGEOM_CYLINDER): ("cylinder", 2),
     int(_G.mjGEOM_BOX): ("box", 3),
 }
-_AWAY = 10.0  # m, where the rows of what is not near are put
-_R = slice(4, 13)
-_P = slice(13, 16)
 
 
 class FeltGeoms:
@@ -30,48 +27,24 @@ class FeltGeoms:
 
     Attributes:
         ids: (k,) of the geoms.
-        rows: (k, NUMBERS), brought up to date by `look`.
+        bodies: (k,) that they belong to.
+        rows: (k, NUMBERS) of bodies, whose poses the kernel writes.
         pool: Planes of the meshes' hulls; None: there are none.
-        near: (k,) whether each is near enough to touch.
+        reach2: (k,) m^2, the squared distance from the sensor's origin within which each is near.
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, body: int, reach: float):
+    def __init__(self, model: mujoco.MjModel, body: int, reach: float):
         """`body` carries the sensor; a geom is near when it comes within `reach` m of its origin.
 
         Raises InputError for what a film cannot feel: soft bodies, height fields.
         """
-        self.ids: NDArray[np.int64] = features.touching_geoms(model, body)
+        self.ids: NDArray[np.int64] = features.touching_geoms(model, body).astype(np.int64)
         made = [_body_of(model, int(geom)) for geom in self.ids]
         filled, self.pool = bodies.pooled(made, (0, 0)) if made else (empty_rows(0), None)
         self.rows = np.ascontiguousarray(filled)
-        self.near = np.zeros(len(self.ids), bool)
-        self._bodies = model.geom_bodyid[self.ids]
-        self._reach2 = (reach + model.geom_rbound[self.ids]) ** 2
-        self._data = data
-        self._body = body
+        self.bodies: NDArray[np.int64] = model.geom_bodyid[self.ids].astype(np.int64)
+        self.reach2 = (reach + model.geom_rbound[self.ids]) ** 2
         _refuse_soft(model)
-
-    def look(self) -> bool:
-        """Bring the rows up to the present poses; whether anything is near."""
-        data = self._data
-        R_WS = data.xmat[self._body].reshape(3, 3)
-        p_SO = (data.geom_xpos[self.ids] - data.xpos[self._body]) @ R_WS
-        self.near = np.einsum("ki,ki->k", p_SO, p_SO) < self._reach2
-        if not self.near.any():
-            self.rows[:, _P] = _AWAY
-            return False
-        R_SO = R_WS.T @ data.geom_xmat[self.ids].reshape(-1, 3, 3)
-        self.rows[:, _R] = R_SO.reshape(-1, 9)
-        self.rows[:, _P] = np.where(self.near[:, None], p_SO, _AWAY)
-        return True
-
-    def near_bodies(self) -> NDArray[np.int64]:
-        """The bodies whose geoms are near."""
-        return np.unique(self._bodies[self.near])
-
-    def of_body(self, body: int) -> NDArray[np.intp]:
-        """Which rows are near geoms of `body`."""
-        return np.flatnonzero(self.near & (self._bodies == body))
 
 
 def _body_of(model: mujoco.MjModel, geom: int) -> Obstacle:

@@ -10,24 +10,15 @@ damping of joints implicitly, with which any stiffness is stable (decision 32).
 from __future__ import annotations
 
 import weakref
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
 from mjtactile.core.types import Array
+from mjtactile.kernels import bound
 
-_SHARE = 0.5  # of stiffness times step; the least with which every step is stable
-
-
-@dataclass(frozen=True, eq=False)
-class Hold:
-    """How one film holds a free body: the address of its joint, `stiffness` (6, 6) by its degrees
-    of freedom, and their `velocity` (6,) against the film."""
-
-    dof: int
-    stiffness: Array
-    velocity: Array
+HOLD = 43
+"""Numbers that say how a free body is held: its joint, stiffness (6, 6) and velocity (6,)."""
 
 
 class Pushes:
@@ -36,47 +27,54 @@ class Pushes:
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData):
         self._model = model
         self._data = data
-        self._step = float(model.opt.timestep)
-        self._parts: dict[str, tuple[Array, Hold | None]] = {}
+        self._owners: list[str] = []
+        self._forces = np.zeros((0, model.nv))
+        self._holds = np.zeros((0, HOLD))
         self._base = data.qfrc_applied.copy()
         self._left = data.qfrc_applied.copy()
-        self._damping = model.dof_damping.copy()
-        self._damped: set[int] = set()
+        self._undamped = model.dof_damping.copy()
+        self._add = None
 
-    def set(self, owner: str, force: Array, hold: Hold | None) -> None:
-        """Add `force` (nv,) and damping from now on, in place of what `owner` added before.
+    def join(self, owner: str) -> int:
+        """The number of `owner`'s row; one that comes again has its old one, emptied."""
+        if owner not in self._owners:
+            self._owners.append(owner)
+            self._forces = np.vstack([self._forces, np.zeros((1, self._model.nv))])
+            self._holds = np.vstack([self._holds, np.zeros((1, HOLD))])
+            self._bind()
+        number = self._owners.index(owner)
+        self._forces[number] = self._holds[number] = 0.0
+        return number
+
+    def set(self, number: int, force: Array, hold: Array) -> None:
+        """Add `force` (nv,) from now on, and damping of the body of `hold` (HOLD,), in place of
+        what that row added before.
 
         What somebody else has written to `qfrc_applied` since is theirs, and stays.
         """
-        applied = self._data.qfrc_applied
-        if not np.array_equal(applied, self._left):
-            self._base = applied.copy()
-        self._parts[owner] = (force, hold)
-        total = self._base.copy()
-        for one, _ in self._parts.values():
-            total += one
-        self._damp(total)
-        applied[:] = total
-        self._left = total
+        self._forces[number] = force
+        self._holds[number] = hold
+        assert self._add is not None
+        self._add()
 
-    def _damp(self, total: Array) -> None:
-        """Damp the bodies that are held, and add to `total` what damping takes from a motion that
-        goes with the films."""
+    def _bind(self) -> None:
         model = self._model
-        damping = model.dof_damping
-        for dof in self._damped:
-            damping[dof : dof + 6] = self._damping[dof : dof + 6]
-        holds = [hold for _, hold in self._parts.values() if hold is not None]
-        self._damped = {hold.dof for hold in holds}
-        for dof in self._damped:
-            mine = [hold for hold in holds if hold.dof == dof]
-            # at least the stiffness, by Gershgorin in coordinates with an inertia of one
-            inertia = np.sqrt(model.dof_M0[dof : dof + 6])
-            stiff = np.abs(sum(hold.stiffness for hold in mine))
-            most = _SHARE * self._step * (stiff / inertia).sum(axis=1) * inertia
-            against = sum(hold.velocity for hold in mine) / len(mine)
-            damping[dof : dof + 6] += most
-            total[dof : dof + 6] += most * (self._data.qvel[dof : dof + 6] - against)
+        data = self._data
+        self._add = bound(
+            "film_add",
+            model.nv,
+            len(self._owners),
+            self._forces,
+            self._holds,
+            float(model.opt.timestep),
+            model.dof_M0,
+            data.qvel,
+            self._base,
+            self._left,
+            data.qfrc_applied,
+            self._undamped,
+            model.dof_damping.reshape(-1),
+        )
 
 
 _known: weakref.WeakValueDictionary[int, Pushes] = weakref.WeakValueDictionary()
