@@ -9,6 +9,7 @@ that the opening leaves free.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -105,7 +106,8 @@ class Fiducials:
             return 0.0
         frame = design.frame
         outside = (frame.length + 2 * self.step) * (frame.width + 2 * self.step)
-        return (outside - frame.area) * self.groove(design)
+        corners = (4 - math.pi) * self.step**2  # as far from the opening's as the walls are
+        return (outside - corners - frame.area) * self.groove(design)
 
     def check(self, design: SensorDesign, section: Section) -> None:
         """See that they are on their surface, apart, and seen.

@@ -116,10 +116,13 @@ def _papers(layout: Layout) -> dict[str, bytes]:
         "led_ring": patterns.led_page(layout),
         "gasket": patterns.cut_page(layout),
     }
-    return {f"{name}.svg": write_svg(sheet).encode() for name, sheet in svgs.items()} | {
-        "markers.pdf": write_pdf(pages),
-        "board.pdf": write_pdf([board]),
-    }
+    pdfs = {"markers": pages, "board": [board]}
+    fiducials = patterns.fiducial_page(layout)
+    if fiducials is not None:
+        svgs["fiducials"] = fiducials
+        pdfs["fiducials"] = [fiducials]
+    drawn = {f"{name}.svg": write_svg(sheet).encode() for name, sheet in svgs.items()}
+    return drawn | {f"{name}.pdf": write_pdf(sheets) for name, sheets in pdfs.items()}
 
 
 def _bill(layout: Layout, optics: Optics) -> str:
@@ -141,7 +144,7 @@ def _pictures(layout: Layout, optics: Optics, parts: dict[str, Part]) -> dict[st
     parts = {**parts, manual.SHEET: Part(manual.SHEET, (sheet,), (0.95, 0.94, 0.9), make=False)}
     solids = {name: mesh.solid_of(part, mesh.COARSE) for name, part in parts.items()}
     found: dict[str, bytes | None] = {}
-    for step in manual.STEPS:
+    for step in manual.steps_of(layout):
         if step.parts:
             if step.cut:
                 shifts = dict.fromkeys(step.parts, 0.0)
@@ -152,6 +155,9 @@ def _pictures(layout: Layout, optics: Optics, parts: dict[str, Part]) -> dict[st
     found["camera_view"] = _camera_view(layout.design, optics)
     half = patterns.sheet_size(layout)
     found["print"] = write_png(patterns.marker_pages(layout)[0], half[0] + 2, half[1] + 2)
+    fiducials = patterns.fiducial_page(layout)
+    if fiducials is not None:
+        found["fiducials"] = write_png(fiducials, layout.outer_x, layout.outer_y)
     return {name: png for name, png in found.items() if png is not None}
 
 

@@ -102,6 +102,16 @@ class Layout:
         return self.rim + self.sheet + hw.CLEARANCE
 
     @property
+    def groove(self) -> tuple[float, float, float] | None:
+        """Lowest and highest height of the space behind the lip that fiducials are on, and how far
+        its walls stand back; None: there is none."""
+        fiducials = self.design.fiducials
+        if fiducials is None or fiducials.surface != "rim":
+            return None
+        lip = MM * fiducials.lip
+        return -lip - MM * fiducials.groove(self.design), -lip, MM * fiducials.step
+
+    @property
     def hold(self) -> float:
         """Width on which the pane lies on the frame."""
         return min(max(self.rim, hw.GLASS_HOLD), 2 * hw.GLASS_HOLD)

@@ -155,8 +155,38 @@ STEPS = (
         "write that into `chamber.extra_volume_mL`.",
     ),
 )
+FIDUCIALS = {
+    "rim": Step(
+        "Circles that do not move",
+        "fiducials",
+        (),
+        "Print [fiducials.pdf](fiducials.pdf) in matte black on white matte film of 0.1 mm (check "
+        "its scale bars), cut it in strips along the red lines, and glue them through the frame's "
+        "back to the inner face of its rim, behind the lip of {lip:g} mm, circles to the camera: "
+        "within 0.2 mm of their places, and for good. Each is measured where it is at every rest "
+        "reference: only what comes loose later is wrong.",
+    ),
+    "pane": Step(
+        "Circles that do not move",
+        "fiducials",
+        (),
+        "Transfer [fiducials.pdf](fiducials.pdf) onto the pane's inner face, white under black, "
+        "within 0.2 mm of the pane's edges, before the pane goes into its seat. Each is measured "
+        "where it is at every rest reference.",
+    ),
+}
+"""The step of a sensor that has fiducials, by their surface; it comes before the sheet is glued."""
 SHEET = "sheet"
 """The stretched sheet on the jig, a part of the pictures only."""
+
+
+def steps_of(layout: Layout) -> tuple[Step, ...]:
+    """The steps of this sensor's assembly."""
+    fiducials = layout.design.fiducials
+    if fiducials is None:
+        return STEPS
+    at = next(k for k, step in enumerate(STEPS) if step.picture == "stretch")
+    return (*STEPS[:at], FIDUCIALS[fiducials.surface], *STEPS[at:])
 
 
 def facts(layout: Layout, optics: Optics) -> dict[str, Any]:
@@ -186,6 +216,7 @@ def facts(layout: Layout, optics: Optics) -> dict[str, Any]:
             "them away; without these, markers there are lost."
         )
     return {
+        "lip": 0.0 if layout.groove is None else -layout.groove[1],
         "spacer": hw.SPACER,
         "pupil": layout.hardware.pupil,
         "focus": optics.focus,
@@ -214,7 +245,7 @@ def assembly(layout: Layout, optics: Optics, pictures: Sequence[str]) -> str:
         f"# Assembly of {layout.design.name!r}",
         "Lengths in mm. +x is the side of the air port; the camera's picture has it on the right.",
     ]
-    for number, step in enumerate(STEPS):
+    for number, step in enumerate(steps_of(layout)):
         if step.picture in pictures:
             picture = f"![{step.title}](pictures/{step.picture}.png)"
         else:
@@ -237,6 +268,12 @@ def readme(
         f"| `{p.name}` | {sizes[p.name]} | {1e-3 * p.volume:.2f} | {p.what} |" for p in made
     )
     checked = "\n".join(f"| {what} | {value} |" for what, value in checks.items())
+    fixed = ""
+    if layout.design.fiducials is not None:
+        fixed = (
+            "| [fiducials.pdf](fiducials.pdf), [fiducials.svg](fiducials.svg) | the circles that "
+            "do not move, at 1:1 |\n"
+        )
     return f"""# Sensor {layout.design.name!r}: all that a bench needs
 
 Made by `mjtactile make` from `{source}`; `sensor.toml` is a copy of it. Begin with
@@ -253,7 +290,7 @@ mm, a circle each |
 | [board.pdf](board.pdf), [board.svg](board.svg) | ChArUco board for `mjtactile calibrate camera` |
 | [led_ring.svg](led_ring.svg), [gasket.svg](gasket.svg) | outlines to cut or to make a circuit \
 board of |
-| `cad/*.step`, `cad/*.stl` | the parts below, exact and as triangles; mm, in the sensor's \
+{fixed}| `cad/*.step`, `cad/*.stl` | the parts below, exact and as triangles; mm, in the sensor's \
 frame, so that they open in place |
 | `checks.json` | the numbers below and more, for programs |
 

@@ -4,6 +4,7 @@ far as pictures need them."""
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 from mjtactile.make import hardware as hw
 from mjtactile.make.layout import Layout
@@ -104,18 +105,35 @@ def _membrane(layout: Layout) -> Part:
 
 
 def _frame(layout: Layout) -> Part:
-    block = plate(
-        layout.z_block, layout.z_flange, flange(layout), [opening(layout), *bolt_holes(layout)]
-    )
-    rim = plate(layout.z_flange, 0.0, rim_outer(layout), [opening(layout)])
+    """Block and rim, with the groove behind the lip where fiducials ask for one."""
+    heights = {layout.z_block, layout.z_flange, 0.0}
+    groove = layout.groove
+    if groove is not None:
+        heights |= {groove[0], groove[1]}
+    cuts = sorted(heights)
     bore = Bore(opening(layout), flange(layout), layout.port.radius, 0.0, layout.z_port)
     return Part(
         "frame",
-        (block, rim),
+        tuple(_frame_layer(layout, low, high) for low, high in pairwise(cuts)),
         _PRINTED,
         bore,
         what="the airtight frame; air comes in on its +x side",
     )
+
+
+def _frame_layer(layout: Layout, low: float, high: float) -> Layer:
+    inner = opening(layout)
+    groove = layout.groove
+    if groove is not None and groove[0] <= low and high <= groove[1]:
+        inner = groove_outline(layout, groove[2])
+    if high > layout.z_flange:
+        return plate(low, high, rim_outer(layout), [inner])
+    return plate(low, high, flange(layout), [inner, *bolt_holes(layout)])
+
+
+def groove_outline(layout: Layout, step: float) -> Contour:
+    """The walls of a groove that stand back by `step` mm from the opening, corners too."""
+    return Contour(layout.open_x + step, layout.open_y + step, step)
 
 
 def _gasket(layout: Layout) -> Part:

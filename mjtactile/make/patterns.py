@@ -15,11 +15,12 @@ from mjtactile.calibrate.camera import Board
 from mjtactile.core.design import SensorDesign
 from mjtactile.make.layout import Layout
 from mjtactile.make.limits import MM, marker_shrink
-from mjtactile.make.parts import PEG, bolt_holes, flange, led_places, opening, pegs
+from mjtactile.make.parts import PEG, bolt_holes, flange, groove_outline, led_places, opening, pegs
 from mjtactile.make.sheets import Shape, Sheet, cross, line, page
 from mjtactile.make.solid import Contour, circle
 
 _SHEET_EDGE = 6.0  # mm of rubber beyond the pegs, mounted
+_FILM_PLAY = 0.1  # mm of the fiducials' film to the groove's walls
 _BOARD_CELLS = 8  # across a square: Board's marker is 3/4 of it, six cells
 _COLUMNS = 9
 _ROWS = 7
@@ -123,6 +124,41 @@ def _register(layout: Layout, scale: float) -> list[Shape]:
         line("registration", (tip - 3, 1.0), (tip, 0), (tip - 3, -1.0)),
         Shape("black", "text", points=((tip - 3, 4.0),), text="+x", size=2.5),
     ]
+
+
+def fiducial_page(layout: Layout) -> Sheet | None:
+    """The circles that do not move, as the camera sees them: on the lip's inner face, cut out and
+    glued there, or on the pane, as a transfer print; None: there are none."""
+    fiducials = layout.design.fiducials
+    if fiducials is None:
+        return None
+    radius = MM * fiducials.radius
+    black = [
+        Shape("black", "fiducials", contour=circle(radius, MM * x, MM * y))
+        for x, y in fiducials.places
+    ]
+    groove = layout.groove
+    if groove is None:
+        note = "white under the black; register the marks with the pane's edges"
+        ground = MM * (fiducials.radius + fiducials.ground)
+        outlines = [
+            Shape("faint", "ground", contour=circle(ground, MM * x, MM * y))
+            for x, y in fiducials.places
+        ]
+        outlines.append(Shape("mark", "pane", contour=Contour(layout.glass_x, layout.glass_y)))
+    else:
+        note = "white matte film: cut along red, in strips, glue to the rim's inner face"
+        outlines = [
+            Shape("cut", "lip", contour=groove_outline(layout, groove[2] - _FILM_PLAY)),
+            Shape("cut", "lip", contour=opening(layout)),
+        ]
+    return page(
+        f"{layout.design.name}: fiducials",
+        [*outlines, *black],
+        layout.outer_x,
+        layout.outer_y,
+        (f"{fiducials.count} circles of radius {radius:g} mm, as the camera sees them", note),
+    )
 
 
 def cut_page(layout: Layout) -> Sheet:

@@ -54,7 +54,7 @@ def test_the_groove_is_gas():
     fiducials = design.fiducials
     without = replace(design, fiducials=None)
     assert without.chamber_volume_flat == pytest.approx(24e-6)
-    around = (46.4 * 36.4 - 40 * 30) * 1e-6
+    around = (46.4 * 36.4 - (4 - np.pi) * 3.2**2 - 40 * 30) * 1e-6
     more = design.chamber_volume_flat - without.chamber_volume_flat
     assert more == pytest.approx(around * fiducials.groove(design))
 
@@ -106,7 +106,7 @@ def test_a_sensor_without_them_has_the_fingerprint_that_it_had():
             "fiducials.places_mm",
             "[0, 16.5] is out of the picture",
         ),
-        ({"step_mm": 3.8}, "fiducials.step_mm", "no wall of frame.rim_mm 4"),
+        ({"step_mm": 4.0}, "fiducials.step_mm", "no wall of frame.rim_mm 4.4"),
         ({"lip_mm": 20.0}, "fiducials.lip_mm", "fills the chamber"),
         ({"blur_px": 2.0}, "fiducials.blur_px", "blur_px"),
     ],

@@ -1,0 +1,56 @@
+"""What `make` builds for fiducials: a groove behind the rim's lip, and their print."""
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from mjtactile.core.design import load_sensor
+from mjtactile.core.errors import InputError
+from mjtactile.make import manual, mesh
+from mjtactile.make.hardware import Hardware
+from mjtactile.make.layout import Layout
+from mjtactile.make.parts import make_parts
+from mjtactile.make.patterns import fiducial_page
+from mjtactile.make.sheets import write_svg
+
+DESIGN = load_sensor("dense_fiducials")
+
+
+def layout_of(design):
+    return Layout.of(design, Hardware(), "x.toml")
+
+
+def test_the_frame_has_the_groove_that_the_gas_is_reckoned_with():
+    """Against the same frame without: less by the groove's volume, one solid as before, and the
+    wall that is left is as thick as a printed one must be."""
+    plain = make_parts(layout_of(replace(DESIGN, fiducials=None)))["frame"]
+    frame = make_parts(layout_of(DESIGN))["frame"]
+    groove = 1e9 * DESIGN.fiducials.volume(DESIGN)
+    assert plain.volume - frame.volume == pytest.approx(groove, rel=1e-9)
+    solid = mesh.solid_of(frame)
+    assert solid.volume() == pytest.approx(frame.volume, rel=2e-3)
+    assert len(solid.decompose()) == 1
+
+
+def test_the_print_has_each_circle_at_its_place():
+    svg = write_svg(fiducial_page(layout_of(DESIGN)))
+    circles = re.findall(r'<circle cx="([-\d.]+)" cy="([-\d.]+)" r="([\d.]+)"', svg)
+    found = [(float(x), float(y)) for x, y, r in circles if float(r) == 0.8]
+    # to 1e-5 mm, as the file is written
+    wanted = [(round(1e3 * x, 5), round(1e3 * y, 5)) for x, y in DESIGN.fiducials.places]
+    assert sorted(found) == sorted(wanted)
+
+
+def test_a_sensor_without_them_has_no_step_and_no_page_more():
+    plain = layout_of(replace(DESIGN, fiducials=None))
+    assert fiducial_page(plain) is None
+    assert manual.steps_of(plain) == manual.STEPS
+    titles = [step.title for step in manual.steps_of(layout_of(DESIGN))]
+    assert titles.index("Circles that do not move") < titles.index("Glue it to the rim")
+
+
+def test_a_wall_that_would_be_too_thin_is_refused():
+    thin = replace(DESIGN, frame=replace(DESIGN.frame, rim=4.0e-3))
+    with pytest.raises(InputError, match=r"fiducials\.step_mm: 3\.2 leaves too thin a wall"):
+        layout_of(thin)
