@@ -54,6 +54,8 @@ def calibrate_frame(
         "tilt_deg": tilt,
         "rest_stiffness_scale": stiffness,
     }
+    if design.fiducials is not None and markers is not None and markers.fiducials is not None:
+        report["fiducials"] = len(markers.fiducials)
     part = FrameCalibration(
         found.R_SC,
         found.p_SC,

@@ -33,6 +33,7 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   truth       the simulation and what is felt, against references from outside of the project
   studio      what watching costs: an egg grasp in Studio, a page looking on, against it alone
   trust       one grasp felt again with its images changed, as some fifty camera troubles do
+  fiducials   the same with circles that do not move: knocks, zoom, focus, levels; their price
   attacks     everything bad that the tests do, counted by what must come of it
   settings    what half and twice of each number of the sensing chain do to what is felt
   tasks       what touch buys: tasks that ask for it, with and without, over the same episodes
@@ -68,6 +69,7 @@ BENCHMARKS = {
     "fit": "fit",
     "studio": "studio.run",
     "trust": "trust.run",
+    "fiducials": "trust.fiducials",
     "attacks": "attacks",
     "settings": "sensitivity",
     "tasks": "tasks.run",

@@ -19,6 +19,7 @@ EPILOG = """\
 examples:
   mjtactile new controller firm            firm.py, a copy of `gentle`
   mjtactile new sensor lab/my_sensor       lab/my_sensor.toml, a copy of `dense`
+  mjtactile new sensor my_sensor --like dense_fiducials
   mjtactile new object plum --like strawberry
   mjtactile new object thing --like random:7
   mjtactile new scenario my_scene          what `grasp --scenario my_scene.toml` runs

@@ -71,7 +71,9 @@ class ShapeEstimator:
         is_seen = state.camera is not None
         if state.shape is None and not is_seen:
             found = self._if_steady(state, reference, found, time, reading)
-        if state.knocked < KNOCKS_SURE and not is_seen:
+        # a camera that is seen is not knocked; gas that no gauge measures may be lost
+        sure = state.knocked >= KNOCKS_SURE or (is_seen and found.state.gas is not None)
+        if not sure:
             found = self._if_knocked(state, reference, found, time, reading)
         allowed = max(1, round(_SET_ASIDE_SHARE * self._design.markers.count))
         if self.is_explained(found.shape) or len(state.set_aside) >= allowed:

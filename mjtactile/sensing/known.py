@@ -13,6 +13,7 @@ from mjtactile.core.types import Ellipses, Markers
 from mjtactile.sensing.force.camera import KNOWN_MODES, CameraFinder, CameraSeen
 from mjtactile.sensing.force.inverse import darker
 from mjtactile.sensing.pose.fixed import FiducialFinder
+from mjtactile.sensing.pose.picture import UNCHANGED
 from mjtactile.sensing.settings import Settings
 from mjtactile.sensing.state import ChainState
 
@@ -47,12 +48,12 @@ class KnownCamera:
         """
         reference = state.reference
         before = None if reference is None else reference.fiducials
-        ellipses, seen = self._circles.split(ellipses, before)
+        markers, seen = self._circles.split(ellipses, before)
         camera = None if before is None else self._camera.find(seen, before)
         if camera is None and before is not None and state.camera is not None:
             camera = CameraSeen(state.camera.mean, np.eye(KNOWN_MODES), None)
-        if camera is not None:
-            ellipses = self._camera.picture(camera.mean).undone_ellipses(ellipses)
+        picture = UNCHANGED if camera is None else self._camera.picture(camera.mean)
+        ellipses = picture.undone_ellipses(ellipses, markers)
         return ellipses, replace(state, camera=camera, fiducials=seen)
 
     def undone(self, state: ChainState, markers: Markers) -> Markers:
@@ -65,9 +66,8 @@ class KnownCamera:
         Returns:
             The markers, with the fiducials beside.
         """
-        markers = replace(markers, fiducials=state.fiducials)
+        p_SM = markers.p_SM
         reference = state.reference
-        if reference is None or state.camera is None:
-            return markers
-        darkness = darker(markers, reference.rest)
-        return replace(markers, p_SM=self._camera.undone(markers.p_SM, darkness, state.camera))
+        if reference is not None and state.camera is not None:
+            p_SM = self._camera.undone(p_SM, darker(markers, reference.rest), state.camera)
+        return replace(markers, p_SM=p_SM, fiducials=state.fiducials)

@@ -32,10 +32,11 @@ class ChainState:
     at rest), the marker positions `expected` (M, 3) m in S, the membrane's `shape`, the histories
     of touch and slip, the markers' `tracks`, how far they stand `apart` (M, 3) m from the
     zero, the `gas`, where a gauge measures it, the markers `set_aside` since nothing explains
-    where they seem to be, and in how many images up to this one the camera seemed `knocked`: from
-    `KNOCKS_SURE` on it was; since nothing explains the markers, for how many images, `unexplained`,
-    and the force (3,) N in the last one before that they did explain, `lost_at`; the last image's
-    `fiducials`, and the `camera` that they showed."""
+    where they seem to be, and in how many images up to this one the camera seemed `knocked`, or,
+    where fiducials show it, gas seemed lost: from `KNOCKS_SURE` on it was; since nothing explains
+    the markers, for how many images, `unexplained`, and the force (3,) N in the last one before
+    that they did explain, `lost_at`; the last image's `fiducials`, and the `camera` that they
+    showed."""
 
     flat: FlatReference
     expected: Array

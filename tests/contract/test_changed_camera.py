@@ -31,12 +31,13 @@ class Errors(Observer):
 
 
 @pytest.mark.slow
-def test_a_grasp_goes_on_when_both_cameras_are_knocked(tmp_path):
+@pytest.mark.parametrize("sensor", ["dense", "dense_fiducials"])
+def test_a_grasp_goes_on_when_both_cameras_are_knocked(tmp_path, sensor):
     """At 4 s the fingers have just touched. Truth within five of the bars that are said, always."""
     path = tmp_path / "knocked.toml"
     path.write_text(TROUBLES)
     errors = Errors()
-    result = run_grasp(Scenario(object="egg", seed=6, vary=str(path)), [errors])
+    result = run_grasp(Scenario(object="egg", sensor=sensor, seed=6, vary=str(path)), [errors])
     assert result.outcome == "held" and errors.statuses == {"ok"}
     assert max(abs(off) for off in errors.off) < 5
     # N; a clean grasp's is 0.008 off

@@ -138,6 +138,8 @@ def _lines(report: dict[str, Any]) -> list[str]:
             f"  marker radii {low:.4f} to {high:.4f} mm, each known to "
             f"{100 * report['scale_sd']:.2f} % from one image",
         ]
+    if "fiducials" in report:
+        lines.append(f"  {report['fiducials']} fiducials seen, and where they are kept")
     if report.get("rest_stiffness_scale") is not None:
         stiffer = 100 * (report["rest_stiffness_scale"] - 1)
         lines.append(

@@ -29,6 +29,7 @@ _TURN, _ZOOM, _SIZE, _LEVELS = 5, 6, 7, 8
 _AROUND = 24  # points of a circle's outline
 _STEP = 1e-3  # of a mode's sd, for differences
 _ROUNDS = 4
+_BELONGS = 0.5  # of an outlier's misfit: below it nobody is one
 _LINEAR_PX = 0.3  # of the picture's motion, beyond which one linear step is not enough
 
 
@@ -80,7 +81,9 @@ class CameraFinder:
         self.camera = camera
         self._s = s
         self._own = own
-        self._on_pane = fiducials.surface == "pane"
+        # sd (3,) px of what the image stages' covariance does not know of
+        size = own.pane_size if fiducials.surface == "pane" else own.floor
+        self._floor = np.array([own.floor, own.floor, size])
         self._p_CF = fiducials.p_SF(design) - design.camera.p_SC
         turn = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False)
         ring = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(_AROUND)])
@@ -111,16 +114,18 @@ class CameraFinder:
         darker -= np.nan_to_num(np.log(rest.inside[there] / rest.outside[there]))
         rows = self._modes[ids].copy()
         rows[:, 2, _LEVELS] = self._s.drift_levels * darker
-        cov = now.cov[here] + rest.cov[there] + np.diag(self._floor() ** 2)
-        whiten = np.linalg.inv(np.linalg.cholesky(cov))
+        # place and size of a circle are independent, nearly
+        variance = np.diagonal(now.cov[here] + rest.cov[there], axis1=1, axis2=2)
+        weight = 1 / np.sqrt(variance + self._floor**2)
+        weighted = weight[:, :, None] * rows
         moved = shown - before
-        px = float(np.median(np.hypot(moved[:, 0], moved[:, 1])))
+        px = _middle(np.hypot(moved[:, 0], moved[:, 1]))
         likely = self._likely(px)
         outlier = self._own.outlier
-        mean, root, misfit = _solve(whiten @ rows, whiten @ moved[:, :, None], likely, outlier)
+        mean, root, misfit = _solve(weighted, weight * moved, likely, outlier)
         if px > _LINEAR_PX:
             moved = self._left(mean, ids, shown, before, rows) + rows @ mean
-            mean, root, misfit = _solve(whiten @ rows, whiten @ moved[:, :, None], likely, outlier)
+            mean, root, misfit = _solve(weighted, weight * moved, likely, outlier)
         return CameraSeen(mean, root, self._change(mean, now, rest, here, there, misfit))
 
     def picture(self, mean: Array) -> PictureChange:
@@ -139,11 +144,11 @@ class CameraFinder:
         picture is already taken back; `darker` (m,) as of `camera_modes`."""
         R, aside = self._motion(seen.mean)
         p_SC = self.design.camera.p_SC
-        p_SM = (p_SM - p_SC - aside) @ R + p_SC
-        if not darker.any():
-            return p_SM
-        modes = known_modes(self.design, p_SM, darker, self._s, self._own)
-        return p_SM - modes[:, :, _LEVELS] * seen.mean[_LEVELS]
+        away = (p_SM - p_SC - aside) @ R
+        # a circle that seems larger seems nearer by the same share
+        radius_px = self.design.camera.fx * self.design.markers.radius / away[:, 2]
+        grown_px = self._s.drift_levels * float(seen.mean[_LEVELS]) * darker
+        return p_SC + away * (1 + grown_px / radius_px)[:, None]
 
     def _motion(self, mean: Array) -> tuple[Array, Array]:
         """Turn (3, 3) and shift (3,) m of what the camera sees, but for the turn of its picture."""
@@ -175,11 +180,6 @@ class CameraFinder:
         sd[_ZOOM] = px / self._far / s.drift_zoom
         sd[MODES:] = px / self._own.picture
         return sd
-
-    def _floor(self) -> Array:
-        """Sd (3,) px of what the image stages' covariance does not know of."""
-        size = self._own.pane_size if self._on_pane else self._own.floor
-        return np.array([self._own.floor, self._own.floor, size])
 
     def _responses(self) -> Array:
         """Change of (u, v, radius) px of each fiducial for one sd of each mode, (F, 3, K); by
@@ -231,7 +231,7 @@ class CameraFinder:
         nearer = -s.knock_place * float(mean[2]) / camera.distance
         tone = tone_of(now.inside[here], now.outside[here], rest.inside[there], rest.outside[there])
         blur = np.square(now.blur_px[here]) - np.square(rest.blur_px[there])
-        more = float(np.median(blur))
+        more = _middle(blur)
         return CameraChange(
             shift=(float(shift[0]), float(shift[1])),
             turn=float(turn[2]),
@@ -247,21 +247,29 @@ class CameraFinder:
 
 
 def _solve(rows: Array, moved: Array, likely: Array, outlier: float) -> tuple[Array, Array, float]:
-    """Mean, lower factor of the covariance, and misfit of modes with whitened `rows` (n, 3, K) and
-    sds `likely` (K,) that explain `moved` (n, 3, 1), robustly: a fiducial `outlier` times farther
-    off than the others counts for little."""
+    """Mean, lower factor of the covariance, and misfit of modes with weighted `rows` (n, 3, K) and
+    sds `likely` (K,) that explain `moved` (n, 3), robustly: a fiducial `outlier` times farther off
+    than the others counts for little."""
     n, _, K = rows.shape
-    of_each = rows.transpose(0, 2, 1) @ rows
-    seen_each = (rows.transpose(0, 2, 1) @ moved)[..., 0]
+    turned = rows.transpose(0, 2, 1)
+    of_each = (turned @ rows).reshape(n, -1)
+    seen_each = (turned @ moved[:, :, None])[..., 0]
+    prior = np.diag(likely**-2)
     weight = np.ones(n)
     for _ in range(_ROUNDS):
-        normal = np.tensordot(weight, of_each, axes=1)
-        normal[np.diag_indices(K)] += likely**-2
+        normal = (weight @ of_each).reshape(K, K) + prior
         mean = np.linalg.solve(normal, weight @ seen_each)
-        left = moved[..., 0] - rows @ mean
-        square = np.einsum("nk,nk->n", left, left) / 3
-        usual = max(float(np.median(square)), 1.0)
+        left = moved - rows @ mean
+        square = (left * left).sum(axis=1) / 3
+        usual = max(_middle(square), 1.0)
+        if square.max() < _BELONGS * outlier * usual and weight.min() > _BELONGS:
+            break
         weight = 1 / (1 + np.square(square / (outlier * usual)))
     misfit = float(weight @ square / weight.sum())
     covariance = np.linalg.inv(normal) * max(misfit, 1.0)
     return mean, np.linalg.cholesky(covariance), misfit
+
+
+def _middle(values: Array) -> float:
+    """The median, or the upper one of two."""
+    return float(np.sort(values)[len(values) // 2])

@@ -273,7 +273,8 @@ class InverseMembrane:
     ) -> Shape:
         """Tractions and deformation that explain the markers, starting from the last frame's where
         there is one; with a camera that may have been `knocked` since `rest`, or that fiducials
-        show: markers are then as they would be without its change."""
+        show: markers are then as they would be without its change, and it is the gas that may have
+        been lost."""
         c, before = (rest.c, None) if start is None else (start.c, start)
         gain = None if start is None else start.gain
         for steps in range(1, STEPS_MAX + 1):
@@ -386,7 +387,8 @@ class InverseMembrane:
             slope_weights = self._slopes.weights(markers, c) / distrust[1]
             tilts = self._slopes.rows(c, ids) * slope_weights[:, None, None]
         prior = self.prior.first() if before is None else self.prior.after(before.traction)
-        pressure, load = self._gas_drift(state, rest)
+        lost = knocked and camera is not None
+        pressure, load = self._gas_drift(state, rest, self._known.gas_lost if lost else None)
         rows = (3 if tilts is None else 5) * len(ids)
         half = np.empty((rows, 3 * len(self.nodes)))
         changed = darker(markers, rest)
@@ -441,8 +443,11 @@ class InverseMembrane:
         modes = known_modes(self.design, p_SM, changed, self.settings, self._known)
         return modes @ camera.root
 
-    def _gas_drift(self, state: State, rest: InverseRest) -> tuple[float, Array]:
-        """One sd of the gas's drift, as pressure, Pa, and as a load (3, n)."""
+    def _gas_drift(
+        self, state: State, rest: InverseRest, lost: float | None
+    ) -> tuple[float, Array]:
+        """One sd of the gas's drift, as pressure, Pa, and as a load (3, n); that of its amount is
+        `lost` where some may have been."""
         chamber = self.design.chamber
         volume = self.design.chamber_volume_flat + state.volume
         pressure = self.sheet.gas_pressure(state, rest.gas)[0] + chamber.ambient
@@ -451,7 +456,8 @@ class InverseMembrane:
             sd = math.hypot(rest.gas_sd, self.settings.dent_share * change * pressure)
             return sd, sd * state.gradient
         dent = self.sheet.state(rest.c).volume - state.volume
-        share = float(np.hypot(self.settings.drift_gas, self.settings.dent_share * dent / volume))
+        drift = self.settings.drift_gas if lost is None else lost
+        share = float(np.hypot(drift, self.settings.dent_share * dent / volume))
         pressure *= share if rest.gas.constant is not None else 0.0
         return pressure, pressure * state.gradient
 

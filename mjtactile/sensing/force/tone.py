@@ -13,6 +13,7 @@ from mjtactile.core.types import Array
 _ROUNDS = 5
 _STEP_MOST = 0.3  # of ln gamma in a round
 _FEWEST = 3
+_AS_BEFORE = 0.02  # of all levels: less is no other curve
 _TOP = 255.0
 
 
@@ -48,6 +49,9 @@ def tone_of(inside: Array, outside: Array, inside_then: Array, outside_then: Arr
     known = np.isfinite(then + now) & (then > 0)
     if known.sum() < 2 * _FEWEST:
         return _UNKNOWN
+    ratio = now[known] / then[known]
+    if np.abs(ratio - 1).max() < _AS_BEFORE:
+        return Tone(float(ratio.mean()), 1.0, 0.0)
     share = np.log(then[known] / _TOP)
     level = now[known] / _TOP
     power = 1.0

@@ -36,7 +36,7 @@ class FiducialFinder:
 
     def split(
         self, ellipses: Ellipses, before: FiducialsSeen | None
-    ) -> tuple[Ellipses, FiducialsSeen]:
+    ) -> tuple[Array, FiducialsSeen]:
         """Tell fiducials from markers.
 
         Args:
@@ -44,7 +44,7 @@ class FiducialFinder:
             before: Where fiducials were; None: where the sensor file has them.
 
         Returns:
-            The circles that are no fiducials, and the fiducials that were seen well.
+            Which circles are no fiducials, and the fiducials that were seen well.
         """
         places = self.places_px
         if before is not None and len(before):
@@ -52,20 +52,14 @@ class FiducialFinder:
             moved = np.median(before.center_px - places[before.ids], axis=0)
             places = places + moved
             places[before.ids] = before.center_px
-        off = places[:, None] - ellipses.center_px
-        distance = np.sqrt(np.einsum("fnk,fnk->fn", off, off))
+        u, v = ellipses.center_px.T
+        distance = np.hypot(places[:, :1] - u, places[:, 1:] - v)
         within = distance < self._reach
         good = within & (ellipses.status == "ok")
         ids = np.flatnonzero(good.any(axis=1))
         nearest = np.where(good, distance, np.inf)[ids].argmin(axis=1)
         rest = np.flatnonzero(~within.any(axis=0))
-        return taken(ellipses, rest), _seen(ids, taken(ellipses, nearest))
-
-
-def taken(ellipses: Ellipses, at: Array) -> Ellipses:
-    """The ellipses with these numbers."""
-    known = {name: value[at] for name, value in vars(ellipses).items() if value is not None}
-    return Ellipses(**known)
+        return rest, _seen(ids, ellipses, nearest)
 
 
 def average(seen: Sequence[FiducialsSeen]) -> FiducialsSeen:
@@ -93,17 +87,17 @@ def average(seen: Sequence[FiducialsSeen]) -> FiducialsSeen:
     return FiducialsSeen(ids, center, radius, cov / share, inside, outside, blur)
 
 
-def _seen(ids: Array, circles: Ellipses) -> FiducialsSeen:
-    a, b = circles.semi_axes_px.T
+def _seen(ids: Array, ellipses: Ellipses, at: Array) -> FiducialsSeen:
+    a, b = ellipses.semi_axes_px[at].T
     radius = np.sqrt(a * b)
     of_shape = np.zeros((len(a), 3, 5))
     of_shape[:, 0, 0] = 1
     of_shape[:, 1, 1] = 1
     of_shape[:, 2, 2] = b / (2 * radius)
     of_shape[:, 2, 3] = a / (2 * radius)
-    cov = of_shape @ circles.cov @ of_shape.transpose(0, 2, 1)
+    cov = of_shape @ ellipses.cov[at] @ of_shape.transpose(0, 2, 1)
     unknown = np.full(len(ids), np.nan)
-    outside = unknown if circles.outside is None else circles.outside
-    inside = unknown if circles.darkness is None else outside * np.exp(circles.darkness)
-    blur = unknown if circles.blur_px is None else circles.blur_px
-    return FiducialsSeen(ids, circles.center_px, radius, cov, inside, outside, blur)
+    outside = unknown if ellipses.outside is None else ellipses.outside[at]
+    inside = unknown if ellipses.darkness is None else outside * np.exp(ellipses.darkness[at])
+    blur = unknown if ellipses.blur_px is None else ellipses.blur_px[at]
+    return FiducialsSeen(ids, ellipses.center_px[at], radius, cov, inside, outside, blur)

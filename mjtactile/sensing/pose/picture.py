@@ -4,7 +4,7 @@ have grown alike. Done to ellipses, it holds whatever lens and pane are."""
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,12 +28,18 @@ class PictureChange:
         away = (uv - self.middle - self.shift) / (1 + self.scale)
         return self.middle + away @ np.array([[cos, -sin], [sin, cos]])
 
-    def undone_ellipses(self, ellipses: Ellipses) -> Ellipses:
-        """What ellipses were before."""
-        axes = (ellipses.semi_axes_px - self.grown) / (1 + self.scale)
-        return replace(
-            ellipses,
-            center_px=self.undone(ellipses.center_px),
-            semi_axes_px=np.maximum(axes, 1e-3),
-            angle=ellipses.angle - self.turn,
+    def undone_ellipses(self, ellipses: Ellipses, at: Array) -> Ellipses:
+        """What the ellipses with the numbers `at` were before."""
+        axes = (ellipses.semi_axes_px[at] - self.grown) / (1 + self.scale)
+        dark = ellipses.darkness
+        return Ellipses(
+            self.undone(ellipses.center_px[at]),
+            np.maximum(axes, 1e-3),
+            ellipses.angle[at] - self.turn,
+            ellipses.cov[at],
+            ellipses.status[at],
+            None if dark is None else dark[at],
         )
+
+
+UNCHANGED = PictureChange(np.zeros(2), np.zeros(2), 0.0, 0.0, 0.0)

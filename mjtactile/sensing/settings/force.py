@@ -145,6 +145,12 @@ class FiducialSettings:
         "gamma of 1.3 at 2 px of blur against 0.7",
     )
     picture: float = number(3.0, "px, sd of the picture's middle", "a lens that was pushed aside")
+    gas_lost: float = number(
+        0.02,
+        "sd of the amount of gas that no gauge measures, once markers show more drift than a known "
+        "camera has",
+        "a leak; bench fiducials",
+    )
     still: float = number(
         0.02, "px of a fiducial's motion that are none", "bench trust: 0.005 px of noise"
     )
