@@ -29,6 +29,8 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   effects     what each effect costs, and what leaving it out costs
   film        the film against an independent sheet, its scatter over places, and its time
   shape       what body touches: contact area, kind, radius and edge, from images alone
+  sensors     the shipped marker layouts on one membrane: what more markers tell, and their cost
+  explore     whole objects touched twelve times: how far their surface is from the true one
   fit         sensors that differ from their file, recorded and fitted: each number's error
   truth       the simulation and what is felt, against references from outside of the project
   studio      what watching costs: an egg grasp in Studio, a page looking on, against it alone
@@ -66,6 +68,8 @@ BENCHMARKS = {
     "truth": "truth.run",
     "film": "film",
     "shape": "shape.run",
+    "sensors": "sensors",
+    "explore": "explore",
     "fit": "fit",
     "studio": "studio.run",
     "trust": "trust.run",
@@ -80,7 +84,7 @@ BENCHMARKS = {
 draws into `out`, and `table(result) -> str` in Markdown."""
 
 OPTIONS = {
-    "resume": ("stability", "rig", "bars", "tasks", "attacks"),
+    "resume": ("stability", "rig", "bars", "tasks", "attacks", "explore"),
     "parts": ("rig",),
     "soak": ("rig",),
     "cases": ("truth",),
@@ -111,7 +115,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--resume",
         action="store_true",
-        help="stability, rig, bars, tasks, attacks: keep what an interrupted run finished",
+        help="stability, rig, bars, tasks, attacks, explore: keep what an interrupted run finished",
     )
     parser.add_argument(
         "--parts",

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mjtactile import InputError, Scenario
+from mjtactile import InputError, Scenario, load_recording
 from mjtactile.commands import plots, ranges, scenario
 from mjtactile.commands.output import output_folder, print_flags, print_json, stdout_to_stderr
 from mjtactile.core import signals
@@ -28,8 +28,11 @@ examples:
   mjtactile explore --object my_fruit.xml --touches 20 --accuracy-mm 0.3 --force-N 0.2
   mjtactile explore --object egg --out runs/egg_shape --touches 20 --resume
       goes on where it ended, or was interrupted: touched.jsonl has every touch
-  mjtactile explore --from runs/egg_shape --from runs/more --out runs/both
-      fuses what was touched before; touches nothing
+  mjtactile explore --on gripper --object egg --touches 8 --out runs/egg_grip
+      the simulated hand grips it where it stands, at other heights and turns
+  mjtactile explore --from runs/egg_shape --from runs/probe --out runs/both
+      fuses what was touched before; touches nothing. Recorded grips of any rig of two fingers
+      (`probe` or `grasp --out`) count as grips of the same object, which nobody turned
 
 Places are mm in the holder's frame. The surface is a body of thirteen numbers (a superquadric
 that tapers) and a Gaussian process of what it leaves over; needs manifold3d:
@@ -43,8 +46,13 @@ _DEFAULT = Scenario(object="egg")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    scenario.add_arguments(
-        parser, _DEFAULT, leave_out=("controller", "rig", "accuracy", "effects", "vary", "task")
+    scenario.add_arguments(parser, _DEFAULT, leave_out=("controller", "effects", "vary", "task"))
+    parser.add_argument(
+        "--on",
+        choices=["stage", "gripper"],
+        default="stage",
+        help="what holds it: a stage that turns it over one sensor (default), or the fingers of "
+        "--rig, two, which grip it where it stands, at other heights and turns",
     )
     parser.add_argument(
         "--touches", type=int, default=12, metavar="N", help="touch at most so often (default: 12)"
@@ -73,7 +81,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="RUN",
-        help="fuse what an earlier exploration touched, in place of touching; may be repeated",
+        help="fuse what an earlier exploration touched, or a recorded grip, in place of touching; "
+        "may be repeated",
     )
     parser.add_argument("--resume", action="store_true", help="go on with the exploration in --out")
     parser.add_argument(
@@ -98,10 +107,10 @@ def _check(options: argparse.Namespace) -> None:
         raise InputError(f"{options.force:g} is not within 0.1 and 2 N", field="--force-N")
     if options.accuracy_mm < 0:
         raise InputError(f"{options.accuracy_mm:g} is below 0", field="--accuracy-mm")
-    if options.resume and (options.out is None or not (options.out / _TOUCHED).is_file()):
-        raise InputError(f"needs --out DIR with {_TOUCHED} in it", field="--resume")
     if options.sources and options.resume:
         raise InputError("say either what to fuse or what to go on with", field="--from")
+    if options.resume and (options.out is None or not (options.out / _TOUCHED).is_file()):
+        raise InputError(f"needs --out DIR with {_TOUCHED} in it", field="--resume")
 
 
 def _in(options: argparse.Namespace, out: Path | None) -> int:
@@ -120,13 +129,15 @@ def _in(options: argparse.Namespace, out: Path | None) -> int:
 
 
 def _fused(options: argparse.Namespace) -> tuple[Explored, dict[str, Any]]:
+    from mjtactile.explore.grip import patches_of_recording
     from mjtactile.explore.run import Store, explored
 
     patches = []
-    for source in options.sources:
-        if not (source / _TOUCHED).is_file():
-            raise InputError(f"has no {_TOUCHED}", source=source, field="--from")
-        patches += Store(source / _TOUCHED).read()
+    for number, source in enumerate(options.sources):
+        if (source / _TOUCHED).is_file():
+            patches += Store(source / _TOUCHED).read()
+        else:
+            patches += patches_of_recording(load_recording(source), 1000 + number)
     if not patches:
         raise InputError("nothing was touched there", source=options.sources[0], field="--from")
     found = explored(patches, "fused", len(patches), {})
@@ -137,13 +148,13 @@ def _live(
     options: argparse.Namespace, out: Path | None, progress: Progress
 ) -> tuple[Explored, dict[str, Any]]:
     from mjtactile.explore.run import Store, Wanted
-    from mjtactile.explore.simulated import explore_on_stage
+    from mjtactile.explore.simulated import explore_in_gripper, explore_on_stage
 
     wanted = scenario.scenario_of(options, _DEFAULT)
     store = None if out is None else Store(out / _TOUCHED)
     known = store.read() if store is not None and options.resume else []
     with signals.deferred() as stop:
-        found, true = explore_on_stage(
+        found, true = (explore_on_stage if options.on == "stage" else explore_in_gripper)(
             wanted,
             Wanted(options.touches, 1e-3 * options.accuracy_mm, options.force),
             known=known,

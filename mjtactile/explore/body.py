@@ -29,8 +29,8 @@ NAMES = (
 """Of its numbers: place in mm, turn as a rotation vector, logarithms of half sizes in mm, exponents
 (1: round, 0: sharp) along and across its axis z, share by which it is wider at its upper end."""
 COUNT = len(NAMES)
-LOW = np.array([-200.0] * 3 + [-7.0] * 3 + [0.0] * 3 + [0.1] * 2 + [-0.8] * 2)
-HIGH = np.array([200.0] * 3 + [7.0] * 3 + [5.0] * 3 + [1.5] * 2 + [0.8] * 2)
+LOW = np.array([-200.0] * 3 + [-7.0] * 3 + [0.7] * 3 + [0.1] * 2 + [-0.8] * 2)
+HIGH = np.array([200.0] * 3 + [7.0] * 3 + [4.2] * 3 + [1.5] * 2 + [0.8] * 2)
 STEP = np.array([1e-3] * 3 + [1e-4] * 3 + [1e-4] * 3 + [1e-4] * 4)
 """Over which derivatives are taken."""
 _TINY = 1e-9

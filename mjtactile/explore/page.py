@@ -15,7 +15,7 @@ import numpy as np
 from mjtactile.core.types import Array
 from mjtactile.explore.files import SOFT, colours
 from mjtactile.explore.plan import Mesh
-from mjtactile.explore.run import Explored
+from mjtactile.explore.run import Explored, principal_sizes
 from mjtactile.explore.solid import mesh_of
 from mjtactile.explore.stiffness import Stiffness
 from mjtactile.recording.files import to_json
@@ -23,6 +23,15 @@ from mjtactile.report.html import document, table
 
 _EDGE = 1.6e-3  # m, of triangles that a browser turns smoothly
 _UNSURE = 1e-3  # m of sd: the darkest
+_ELEVATION, _AZIMUTH = 12, -55  # deg
+_VIEW = np.array(
+    [
+        math.cos(math.radians(_ELEVATION)) * math.cos(math.radians(_AZIMUTH)),
+        math.cos(math.radians(_ELEVATION)) * math.sin(math.radians(_AZIMUTH)),
+        math.sin(math.radians(_ELEVATION)),
+    ]
+)
+_LIGHT = np.array([0.62, -0.45, 0.64])
 _STYLE = """#solid{width:100%;height:520px;touch-action:none;border:1px solid #e6e6e6;
 box-sizing:border-box;cursor:grab}.hint{color:#666;font-size:13px}"""
 _FACTS = (
@@ -111,7 +120,8 @@ def _words(value: Any, unit: str) -> str:
 
 
 def draw(figure: Any, found: Explored) -> None:
-    """Draw the surface from two sides: stiffness, and how well it is known, with the touches."""
+    """Draw the surface, its longest axis up: stiffness, and how well it is known, with the
+    touches."""
     mesh = mesh_of(found.surface, _EDGE)
     soft = Stiffness.of(found.patches, mesh).by_vertex
     for number, (colour, title) in enumerate(
@@ -125,17 +135,27 @@ def draw(figure: Any, found: Explored) -> None:
 def _paint(axes: Any, mesh: Mesh, colour: Array, found: Explored) -> None:
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-    corners = 1e3 * mesh.vertices[mesh.triangles]
-    normal = mesh.normals[mesh.triangles].mean(axis=1)
-    light = 0.5 + 0.5 * np.clip(normal @ np.array([0.55, -0.6, 0.58]), 0, 1)
-    faces = light[:, None] * colour[mesh.triangles].mean(axis=1)
-    axes.add_collection3d(Poly3DCollection(corners, facecolors=faces, edgecolors=faces, lw=0.2))
-    places = 1e3 * np.stack([p.middle + 8e-4 * p.normal for p in found.patches])
-    axes.scatter(*places.T, s=10, c="k", depthshade=False)
+    _, own = principal_sizes(mesh)
+    up = own[:, ::-1]
+    up = up * np.array([np.linalg.det(up), 1.0, 1.0])
+    corners = 1e3 * (mesh.vertices[mesh.triangles] @ up)
+    normal = mesh.normals[mesh.triangles].mean(axis=1) @ up
+    seen = normal @ _VIEW > 0
+    light = 0.5 + 0.5 * np.clip(normal @ _LIGHT, 0, 1)
+    faces = (light[:, None] * colour[mesh.triangles].mean(axis=1))[seen]
+    axes.add_collection3d(
+        Poly3DCollection(corners[seen], facecolors=faces, edgecolors=faces, lw=0.2, zorder=1)
+    )
+    for touch, patch in enumerate(found.patches):
+        if patch.normal @ up @ _VIEW > 0.1:
+            place = 1e3 * (patch.middle + 1e-3 * patch.normal) @ up
+            axes.scatter(*place, s=14, c="k", depthshade=False, zorder=3)
+            axes.text(*place, f" {touch + 1}", fontsize=8, zorder=4)
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     middle, half = (low + high) / 2, float((high - low).max()) / 2
     for set_limits, at in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), middle, strict=True):
         set_limits(at - half, at + half)
     axes.set_box_aspect((1, 1, 1))
-    axes.set(xlabel="x, mm", ylabel="y, mm", zlabel="z, mm")
-    axes.view_init(elev=20, azim=-55)
+    axes.computed_zorder = False
+    axes.set(xlabel="mm", ylabel="mm", zlabel="mm")
+    axes.view_init(elev=_ELEVATION, azim=_AZIMUTH)

@@ -11,7 +11,18 @@ import numpy as np
 
 from mjtactile.core.types import Array
 
-_KEPT = ("points", "free", "normal", "kind", "force", "compliance", "compliance_sd", "spread")
+_KEPT = (
+    "points",
+    "free",
+    "normal",
+    "kind",
+    "force",
+    "compliance",
+    "compliance_sd",
+    "spread",
+    "group",
+    "loose",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +39,8 @@ class Patch:
         compliance_sd: m/N.
         spread: (4,) sd of the patch as one, m; of its tilt, rad; of its curvature, 1/m; of each
             point alone, m.
+        group: Patches of one grip have the same; 0: none of them.
+        loose: m, sd of a shift that all patches of the group have in common.
     """
 
     points: Array
@@ -38,6 +51,8 @@ class Patch:
     compliance: float = math.nan
     compliance_sd: float = math.nan
     spread: tuple[float, float, float, float] = (5e-5, 5e-3, 5.0, 2e-5)
+    group: int = 0
+    loose: float = 0.0
 
     @property
     def middle(self) -> Array:
@@ -82,6 +97,8 @@ class Patch:
             _known(values["compliance"]),
             _known(values["compliance_sd"]),
             (height, tilt, curvature, alone),
+            int(values.get("group", 0)),
+            float(values.get("loose", 0.0)),
         )
 
 
@@ -95,3 +112,12 @@ def tangents(normal: Array) -> Array:
     first = np.cross(normal, np.eye(3)[least])
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(normal, first)])
+
+
+def between(patch: Patch, other: Patch) -> Array:
+    """Covariance (N, M) m^2 of two patches' points along their normals, by what their grip did to
+    both."""
+    if not patch.group or patch.group != other.group:
+        return np.zeros((len(patch.points), len(other.points)))
+    alike = patch.loose * other.loose * float(patch.normal @ other.normal)
+    return np.full((len(patch.points), len(other.points)), alike)

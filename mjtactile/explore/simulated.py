@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,14 +13,29 @@ from scipy.spatial.transform import Rotation
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Array
+from mjtactile.explore.grip import Log, Squeeze, patches_of_grip
 from mjtactile.explore.patch import Patch
-from mjtactile.explore.run import Explored, Wanted, explore
+from mjtactile.explore.plan import Mesh
+from mjtactile.explore.run import Explored, Wanted, explore, explored
 from mjtactile.explore.score import score
+from mjtactile.explore.solid import mesh_of
 from mjtactile.explore.stage import Stage
-from mjtactile.sim.scenes.objects import load_object
+from mjtactile.explore.surface import fuse
+from mjtactile.rig.file import load_sim_rig
+from mjtactile.rig.variation import Drawn, ObjectChange
+from mjtactile.run.session import Session
+from mjtactile.sim.rig import build_sim_rig
+from mjtactile.sim.scenes.objects import ObjectModel, load_object
 from mjtactile.sim.true_surface import TrueSurface
 
 _ASIDE = 3e-3  # m: an object is held so far from the holder's origin, along each axis
+TURNS = tuple(math.radians(turn) for turn in (0, 90, 45, 135, 22.5, 67.5, 112.5, 157.5))
+HEIGHTS = (0.0, 6e-3, 12e-3, 18e-3)
+"""m above the object's own grasp height: lower, the sensors' frames would meet the table."""
+_PLAN_EDGE = 2e-3  # m
+_FINGER = 6e-3  # m around a finger's axis that it meets
+_FACES = 0.6  # cosine of what a finger can lie on
+_GRIP_TIME = 30.0  # s
 _GENTLE = 0.5  # of the force that breaks it, at most
 
 
@@ -39,13 +56,7 @@ def explore_on_stage(
     Raises:
         InputError: For names, an object that no holder holds, a force that may break it.
     """
-    model = load_object(scenario.object)
-    if wanted.force > _GENTLE * model.break_force:
-        raise InputError(
-            f"{wanted.force:g} N is more than half of the {model.break_force:g} N that break "
-            f"{model.name!r}",
-            field="--force-N",
-        )
+    model = _checked(scenario, wanted)
     p_HO, R_HO = placed(scenario.seed)
     stage = Stage(scenario.design(), model, p_HO=p_HO, R_HO=R_HO, seed=scenario.seed)
     found = explore(stage, wanted, known=known, begun=len(known), **told)
@@ -54,7 +65,134 @@ def explore_on_stage(
     return found, score(found, TrueSurface.of(model), p_HO, R_HO)
 
 
+def _checked(scenario: Scenario, wanted: Wanted) -> ObjectModel:
+    """The object, where the force cannot break it."""
+    model = load_object(scenario.object)
+    if wanted.force > _GENTLE * model.break_force:
+        raise InputError(
+            f"{wanted.force:g} N is more than half of the {model.break_force:g} N that break "
+            f"{model.name!r}",
+            field="--force-N",
+        )
+    return model
+
+
 def placed(seed: int) -> tuple[Array, Array]:
     """How an object lies in its holder: p_HO (3,) m and R_HO (3, 3)."""
     rng = np.random.default_rng([seed, 31])
     return rng.uniform(-_ASIDE, _ASIDE, 3), Rotation.random(rng=rng).as_matrix()
+
+
+def explore_in_gripper(
+    scenario: Scenario,
+    wanted: Wanted,
+    *,
+    known: Sequence[Patch] = (),
+    say: Callable[[str], None] = lambda _: None,
+    keep: Callable[[Patch], None] = lambda _: None,
+    stopped: Callable[[], bool] = lambda: False,
+) -> tuple[Explored, dict[str, Any]]:
+    """Grip a simulated object at other heights and turns.
+
+    Args:
+        scenario: Object, sensor, rig (two fingers) and seed.
+        wanted: When to stop; a grip counts as one touch.
+        known: Patches from before.
+        say: Is given a line for each grip.
+        keep: Is given each patch.
+        stopped: Whether somebody wants to stop.
+
+    Returns:
+        What was found, and how true it is.
+
+    Raises:
+        InputError: For names, another rig than a simulated one, a force that may break the object.
+    """
+    model = _checked(scenario, wanted)
+    if scenario.rig.partition(":")[0] in ("replay", "emulated") or "emulat" in scenario.rig:
+        raise InputError(
+            f"the rig {scenario.rig!r} cannot turn what it grips; record its grips and fuse them "
+            "(--from RUN)",
+            field="--rig",
+        )
+    patches = list(known)
+    number = max((patch.group for patch in patches), default=0)
+    tried: list[tuple[float, float]] = []
+    surface = fuse(patches)
+    flags: dict[str, str] = {}
+    outcome = "touches"
+    while number < wanted.touches:
+        mesh = mesh_of(surface, _PLAN_EDGE)
+        if patches and mesh.error() <= wanted.accuracy:
+            outcome = "accurate"
+            break
+        if stopped():
+            outcome = "interrupted"
+            break
+        turn, height = next_grip(mesh, tried, bool(patches))
+        tried.append((turn, height))
+        number += 1
+        new = _grip(scenario, turn, height, wanted.force, number, flags)
+        for patch in new:
+            keep(patch)
+        patches += new
+        surface = fuse(patches, surface)
+        doubt = 1e3 * mesh_of(surface, _PLAN_EDGE).error()
+        kinds = ", ".join(patch.kind for patch in new) or "nothing felt"
+        say(
+            f"grip {number}: turned {math.degrees(turn):.0f} deg, {1e3 * height:.0f} mm up: "
+            f"{kinds}; surface known to {doubt:.2f} mm"
+        )
+    found = explored(patches, outcome if patches else "nothing there", number, flags, (), surface)
+    if not patches:
+        return found, {}
+    return found, score(found, TrueSurface.of(model), np.zeros(3), np.eye(3))
+
+
+def next_grip(mesh: Mesh, tried: Sequence[tuple[float, float]], begun: bool) -> tuple[float, float]:
+    """Choose turn (rad) and height (m) of a grip: where what the fingers would meet is least known.
+
+    Args:
+        mesh: The surface as it is believed.
+        tried: Grips that were done.
+        begun: Whether anything was felt.
+
+    Returns:
+        Turn and height.
+    """
+    if not begun:
+        return TURNS[len(tried) % len(TURNS)], HEIGHTS[0]
+    worth = {}
+    for turn in TURNS:
+        axis = np.array([math.cos(turn), -math.sin(turn), 0.0])
+        for height in HEIGHTS:
+            if (turn, height) in tried:
+                continue
+            off = mesh.vertices - (0.0, 0.0, height)
+            along = off @ axis
+            aside = np.linalg.norm(off - along[:, None] * axis, axis=1)
+            near = (aside < _FINGER) & (np.abs(mesh.normals @ axis) > _FACES)
+            worth[turn, height] = float(mesh.sd[near].mean()) if near.sum() > 8 else 0.0
+    if not worth:
+        return tried[0]
+    return max(worth, key=lambda grip: worth[grip])
+
+
+def _grip(
+    scenario: Scenario, turn: float, height: float, force: float, number: int, flags: dict[str, str]
+) -> list[Patch]:
+    """One grip in a world in which the object stands turned."""
+    # the first things that a seed draws are cameras' noise: each grip has its own
+    file = load_sim_rig(scenario.rig)
+    drawn = Drawn(object=ObjectChange(place=(0.0, 0.0), yaw=turn))
+    rig = build_sim_rig(replace(scenario, seed=scenario.seed + number), file=file, drawn=drawn)
+    log = Log()
+    try:
+        session = Session(rig, threads=0)
+        session.take_references()
+        session.run(Squeeze(height, force), time_limit=_GRIP_TIME, observer=log)
+        flags |= dict(rig.flags())
+        designs = [finger.design for finger in rig.fingers]
+        return patches_of_grip(log.moments, session.perceptions, designs, yaw=turn, group=number)
+    finally:
+        rig.close()

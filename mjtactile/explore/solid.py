@@ -12,6 +12,7 @@ from mjtactile.explore.plan import Mesh
 from mjtactile.explore.surface import Surface
 
 _MARGIN = 4e-3  # m around what was touched and believed
+_ACROSS = 90  # triangles along its longest side, at most
 _SLOPE_STEP = 5e-5  # m
 
 
@@ -20,7 +21,7 @@ def mesh_of(surface: Surface, edge: float = 1e-3) -> Mesh:
 
     Args:
         surface: The surface.
-        edge: m, of a triangle.
+        edge: m, of a triangle; longer where the thing is more than ninety of them long.
 
     Returns:
         The mesh: closed.
@@ -35,6 +36,7 @@ def mesh_of(surface: Surface, edge: float = 1e-3) -> Mesh:
             "needs manifold3d: pip install 'mjtactile[explore]'", source="explore"
         ) from error
     low, high = _box(surface)
+    edge = max(edge, float((high - low).max()) / _ACROSS)
     counts = np.ceil((high - low) / edge).astype(int) + 1
     axes = [low[k] + edge * np.arange(counts[k]) for k in range(3)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)

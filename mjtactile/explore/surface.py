@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from mjtactile.core.types import Array
 from mjtactile.explore import body
-from mjtactile.explore.patch import Patch
+from mjtactile.explore.patch import Patch, between
 
 _MM = 1e3
 _HALF = 15.0
@@ -163,6 +163,10 @@ class _Data:
     def of(cls, patches: Sequence[Patch]) -> _Data:
         points = _MM * np.concatenate([patch.points for patch in patches])
         noise: Array = np.asarray(block_diag(*(_MM**2 * patch.covariance() for patch in patches)))
+        if any(patch.group for patch in patches):
+            noise += _MM**2 * np.block(
+                [[between(one, other) for other in patches] for one in patches]
+            )
         free = _MM * np.concatenate([patch.free for patch in patches])
         return cls(points, np.zeros(len(points)), noise, free)
 

@@ -1,0 +1,137 @@
+"""`mjtactile bench sensors`: the shipped layouts on one simulated membrane: what more and smaller
+markers tell, and what they cost.
+
+A membrane, fine enough to have the shape of rubber, is pressed by a ball and a disc at places that
+nothing was tuned on; the camera of each sensor looks at it with its own markers.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjtactile.core.design import load_sensor
+from mjtactile.experiments.station import View, take_references
+from mjtactile.run.progress import Progress
+from mjtactile.sim import truth
+from mjtactile.sim.scenes.indentation import Indenter, PressWorld
+
+SENSORS = ("paper16", "dense", "fine")
+MESH = (33, 25)
+BODIES = (("sphere", 7e-3), ("sphere", 14e-3), ("cylinder", 4.5e-3), ("box", 8e-3))
+DEPTHS = (1e-3, 1.5e-3, 2e-3)
+IMAGES = 4
+_BALLS = ("sphere",)
+
+
+def run(out: Path, quick: bool = False) -> dict[str, Any]:
+    """Press each body into each sensor; two minutes of a processor.
+
+    Args:
+        out: Not used.
+        quick: One body.
+
+    Returns:
+        "rows", one a sensor.
+    """
+    del out
+    say = Progress().message
+    rows = []
+    for name in SENSORS:
+        rows.append(_row(name, BODIES[:1] if quick else BODIES))
+        say(f"{name}: normal force off by {1e3 * rows[-1]['force_error_N']:.1f} mN")
+    return {"rows": rows}
+
+
+def _row(name: str, bodies: tuple[tuple[str, float], ...]) -> dict[str, Any]:
+    design = load_sensor(name)
+    force: list[float] = []
+    marker: list[float] = []
+    area: list[float] = []
+    radius: list[float] = []
+    spent = np.zeros(3)  # ms: drawing, perception, shape
+    images = shapes = 0
+    for number, (kind, size) in enumerate(bodies):
+        rng = np.random.default_rng([number, 77])
+        at = tuple(rng.uniform(-4e-3, 4e-3, 2))
+        world = PressWorld(design, Indenter(kind, size), at=at, mesh=MESH)
+        view = View(world, design, seed=number)
+        take_references(world, [view], design.chamber.supply_gauge)
+        for depth in DEPTHS:
+            world.press(depth)
+            true = -float(truth.contact_force(world, 0)[2])
+            for _ in range(IMAGES):
+                begin = time.process_time()
+                image = view.image()
+                drawn = time.process_time()
+                touch = view.perception.perceive(image, image.time)
+                spent[:2] += (drawn - begin, time.process_time() - drawn)
+                images += 1
+                force.append(touch.force_normal - true)
+                if touch.markers is not None:
+                    off = touch.markers.p_SM - world.marker_poses(0)[0][touch.markers.ids]
+                    marker.append(float(np.mean(off**2)) ** 0.5)
+            begin = time.process_time()
+            shape = view.perception.shape([touch])
+            spent[2] += time.process_time() - begin
+            shapes += 1
+            area.append(shape.area / truth.contact_area(world, 0) - 1)
+            if kind in _BALLS:
+                radius.append(shape.radius / size - 1)
+    known = np.isfinite(force)
+    return {
+        "sensor": name,
+        "markers": design.markers.count,
+        "layout": f"{design.markers.columns} x {design.markers.rows}",
+        "radius_mm": 1e3 * design.markers.radius,
+        "image": f"{design.camera.width} x {design.camera.height}",
+        "force_error_N": float(np.sqrt(np.mean(np.square(np.array(force)[known])))),
+        "unknown": int(np.count_nonzero(~known)),
+        "marker_error_um": 1e6 * float(np.sqrt(np.mean(np.square(marker)))),
+        "area_error": _median(area),
+        "radius_error": _median(radius),
+        "shape_unknown": int(np.count_nonzero(~np.isfinite(area))),
+        "camera_ms": 1e3 * spent[0] / images,
+        "perception_ms": 1e3 * spent[1] / images,
+        "shape_ms": 1e3 * spent[2] / shapes,
+    }
+
+
+def _median(values: list[float]) -> float:
+    """Of absolute values, of what is known."""
+    known = np.abs(np.array(values))
+    known = known[np.isfinite(known)]
+    return float(np.median(known)) if len(known) else float("nan")
+
+
+def table(result: Mapping[str, Any]) -> str:
+    """Markdown."""
+    rows = result["rows"]
+    presses = len(DEPTHS) * len(BODIES)
+
+    def line(what: str, *cells: str) -> str:
+        return f"| {what} | " + " | ".join(cells) + " |"
+
+    lines = [
+        line("", *(row["sensor"] for row in rows)),
+        "|---" * (1 + len(rows)) + "|",
+        line("markers, radius mm", *(f"{r['layout']}, {r['radius_mm']:g}" for r in rows)),
+        line("image, px", *(r["image"] for r in rows)),
+        line("normal force, rms error, mN", *(f"{1e3 * r['force_error_N']:.1f}" for r in rows)),
+        line(
+            "a marker's place, rms of x, y, z, um", *(f"{r['marker_error_um']:.0f}" for r in rows)
+        ),
+        line("contact area, median error, %", *(f"{100 * r['area_error']:.0f}" for r in rows)),
+        line(
+            "radius of a ball, median error, %", *(f"{100 * r['radius_error']:.1f}" for r in rows)
+        ),
+        line(f"shapes unknown, of {presses}", *(f"{r['shape_unknown']}" for r in rows)),
+        line("drawing an image, ms", *(f"{r['camera_ms']:.1f}" for r in rows)),
+        line("perception, ms an image", *(f"{r['perception_ms']:.1f}" for r in rows)),
+        line("shape, ms", *(f"{r['shape_ms']:.0f}" for r in rows)),
+    ]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,105 @@
+"""What a grip of two fingers says of a surface, and the controller that grips."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mjtactile.core.types import Command, GripperState, Observation, Touch
+from mjtactile.explore.grip import _FACING, Squeeze
+from mjtactile.explore.patch import Patch, between
+from mjtactile.explore.run import principal_sizes
+from mjtactile.explore.simulated import HEIGHTS, TURNS, next_grip
+from mjtactile.explore.solid import mesh_of
+from mjtactile.explore.surface import fuse
+
+RADIUS = 0.012
+
+
+def test_two_fingers_face_each_other():
+    # right-handed frames, z towards the other finger, y up, and x of one is -x of the other
+    for R in _FACING:
+        assert np.linalg.det(R) == pytest.approx(1.0)
+        assert R[1] == pytest.approx([0, 0, 1])
+    assert _FACING[0][2] == pytest.approx(-_FACING[1][2]) and _FACING[0][2] @ [1, 0, 0] == 1
+    assert _FACING[0][0] == pytest.approx(-_FACING[1][0])
+
+
+def drive(squeeze, force_of, cycles=600, period=1 / 30):
+    """Run a controller with fingers that feel `force_of(opening)`; what it sent."""
+    command = Command(0.08, 1.0)
+    sent = []
+    for cycle in range(cycles):
+        force = force_of(command.opening)
+        touch = tuple(Touch(0.0, 0.0, one, 0.01, one > 0) for one in force)
+        state = GripperState(command.opening, 0.0, 0.0, command.lift_height)
+        command = squeeze.step(Observation(cycle * period, period, touch, state, (), command))
+        sent.append((command, force))
+        if command.phase == "done":
+            break
+    return sent
+
+
+def test_the_squeeze_stops_at_its_force_and_comes_down():
+    # 160 N/m a finger, as two membranes are, around a thing of 30 mm
+    sent = drive(Squeeze(0.012, 0.3), lambda opening: [max(0.0, 160 * (0.03 - opening))] * 2)
+    assert sent[-1][0].phase == "done"
+    most = max(force[0] for _, force in sent)
+    # one cycle at 3 mm/s is 0.016 N
+    assert 0.3 <= most < 0.32
+    assert max(command.lift_height for command, _ in sent) == pytest.approx(0.012)
+    assert sent[-1][0].lift_height == 0
+
+
+def test_one_finger_alone_is_not_pressed_on():
+    sent = drive(Squeeze(0.0, 0.3), lambda opening: [max(0.0, 160 * (0.03 - opening)), 0.0])
+    assert max(force[0] for _, force in sent) < 1.5 * 0.3 + 0.02
+
+
+def test_an_unknown_force_stands_still():
+    sent = drive(Squeeze(0.0, 0.3), lambda opening: [math.nan, 0.1], cycles=20)
+    assert {command.opening for command, _ in sent} == {0.08}
+
+
+def ball_patch(way, shift, group=0, loose=0.0):
+    way = np.asarray(way, float) / np.linalg.norm(way)
+    near = way + np.random.default_rng(7).uniform(-0.15, 0.15, (12, 3))
+    points = RADIUS * near / np.linalg.norm(near, axis=1)[:, None] + shift
+    free = np.zeros((0, 3))
+    return Patch(points, free, way, "smooth", 0.3, group=group, loose=loose)
+
+
+@pytest.mark.slow
+def test_a_grip_that_pushed_the_object_aside_spoils_no_size():
+    # four grips, three of them shifted by up to 1 mm; a grip's two patches have the shift in common
+    rng = np.random.default_rng(4)
+    shifts = [np.zeros(3), *rng.normal(0, 7e-4, (3, 3))]
+    ways = ([1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0])
+    grips = list(zip(ways, shifts, strict=True))
+
+    def patches(loose):
+        return [
+            ball_patch(sign * np.array(way), shift, number + 1, loose)
+            for number, (way, shift) in enumerate(grips)
+            for sign in (1, -1)
+        ]
+
+    meshes = {loose: mesh_of(fuse(patches(loose)), 1.5e-3) for loose in (0.0, 1e-3)}
+    sizes, _ = principal_sizes(meshes[1e-3])
+    # each pair says 24 mm exactly; two of the shifts are across their own grip, by 1 mm
+    assert 1e3 * sizes == pytest.approx([24, 24, 24], abs=0.3)
+    # who knows of the shifts does not take the ball's place for sure
+    assert meshes[1e-3].error() > 1.5 * meshes[0.0].error()
+    alike = patches(1e-3)
+    assert between(alike[0], alike[1]) == pytest.approx(np.full((12, 12), -1e-6))
+    assert not between(alike[0], alike[2]).any()
+
+
+def test_the_next_grip_is_where_least_is_known():
+    # both ends of x are known well, those of y not at all: turned by 90 deg
+    mesh = mesh_of(fuse([ball_patch([1, 0, 0], 0), ball_patch([-1, 0, 0], 0)]), 2e-3)
+    turn, height = next_grip(mesh, [(TURNS[0], HEIGHTS[0])], begun=True)
+    assert turn != TURNS[0] and height in HEIGHTS
+    assert next_grip(mesh, [], begun=False) == (TURNS[0], HEIGHTS[0])
