@@ -126,7 +126,7 @@ def test_optional_section_has_defaults():
 
 
 def test_missing_and_unknown_files_are_named(tmp_path):
-    with pytest.raises(InputError, match=r"dense, dense_fiducials, paper16"):
+    with pytest.raises(InputError, match=r"dense, dense_fiducials, fine, paper16"):
         load_sensor("dence")
     with pytest.raises(InputError, match="no such file"):
         load_sensor(tmp_path / "x.toml")
