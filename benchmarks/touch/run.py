@@ -1,7 +1,7 @@
 """`mjtactile bench touch`: force, shear, torque, patch, smallest touch and error bars, over random
 indenters.
 
-One simulated membrane is seen by two cameras with their own markers, `dense` and `paper16`, which
+One simulated membrane is seen by three cameras with their own markers (`SENSORS`), which
 share everything but the layout. Nothing is calibrated for an object. The truth is the simulator's
 on a mesh finer than the default's, since a coarse mesh is stiffer than rubber; its contact area is
 that of a film on the object, the centroid that of the forces. Seeds below FIRST_SEED were used in
@@ -32,7 +32,7 @@ from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.sensor.mesh import MarkerInterpolator
 
 __all__ = ["run", "table"]
-SENSORS = ("dense", "paper16")
+SENSORS = ("dense", "paper16", "fine")
 MESH = (33, 25)
 MESH_QUICK = (21, 16)
 FIRST_SEED = 1000

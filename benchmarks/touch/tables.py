@@ -153,7 +153,8 @@ def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     if (figure := new_figure(path.name, (9.6, 4.2))) is None:
         return
     left, right = figure.subplots(1, 2)
-    for name, color in (("dense", "#1f5fa8"), ("paper16", "#c0221c")):
+    colours = (("dense", "#1f5fa8"), ("paper16", "#c0221c"), ("fine", "#2e7d32"))
+    for name, color in colours:
         mine = [r for r in rows if r["sensor"] == name]
         true = -np.array([r["force_true_N"][2] for r in mine])
         error = -np.array([r["error_N"][2] for r in mine])

@@ -21,6 +21,7 @@ EPILOG = """\
 examples:
   mjtactile summary runs/still                     writes runs/still/summary.html
   mjtactile summary runs/egg --out egg.html
+  mjtactile summary runs/egg --shape --out egg.html   with the body that each finger believes in
 
 `mjtactile grasp` and `mjtactile probe --out` write it by themselves. exit codes: 0 written,
 2 bad input.
@@ -29,12 +30,18 @@ examples:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", type=Path, metavar="RUN", help="a run's folder, or a recording")
+    parser.add_argument(
+        "--shape",
+        action="store_true",
+        help="find what body touches each finger, too, and draw it: a tenth of a second and more "
+        "for each moment that is shown",
+    )
     parser.add_argument("--out", type=Path, metavar="FILE.html", help="(default: RUN/summary.html)")
 
 
 def run(options: argparse.Namespace) -> int:
     from mjtactile.report.page import write_page
-    from mjtactile.report.summary import see_again
+    from mjtactile.report.summary import see_again, with_shapes
 
     recording = load_recording(options.source)
     path = options.out or options.source / "summary.html"
@@ -44,7 +51,8 @@ def run(options: argparse.Namespace) -> int:
     with stdout_to_stderr():
         Progress(quiet=options.json).message(f"{len(recording)} cycles")
         felt = see_again(recording, strip.add)
-        write_page(path, recording, strip.kept, _summary(options.source, recording))
+        kept = with_shapes(recording, strip.kept) if options.shape else strip.kept
+        write_page(path, recording, kept, _summary(options.source, recording))
     result = {
         "out": str(path),
         "cycles": len(recording),

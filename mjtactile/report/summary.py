@@ -3,9 +3,9 @@ thread beside it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from mjtactile.report.page import write_page
 from mjtactile.report.summary_figure import write_figure
 from mjtactile.rig.registry import build_rig
 from mjtactile.run.session import Session
+from mjtactile.sensing.chain import Perception
 
 PICTURES = ("summary.png", "summary.html")
 
@@ -67,23 +68,43 @@ def see_again(recording: Recording, on_cycle: Callable[[Seen], None]) -> bool:
     That takes the images of the references and those of all cycles. Raises InputError for a missing
     image or sensor file.
     """
-    felt = bool(
-        len(recording.references) > 1 and all(len(names) for names in recording.columns["images"])
-    )
-    perceptions = []
-    if felt:
-        sensor = str(recording.header.get("sensor", "dense"))
-        rig = build_rig(Scenario(rig=f"replay:{recording.folder}", sensor=sensor))
-        session = Session(rig)
-        session.take_references()
-        perceptions = session.perceptions
+    session = session_of(recording)
+    perceptions = [] if session is None else session.perceptions
     for cycle, images in enumerate(recording.images()):
         time = recording.column("time")[cycle, 0]
-        readings = rig.readings(recording.valves(cycle)) if felt else ()
+        readings = () if session is None else session.rig.readings(recording.valves(cycle))
         touch = [
             perception.perceive(image, float(time), reading)
             for perception, image, reading in zip(perceptions, images, readings, strict=False)
         ]
         if images:
             on_cycle(ReplayedCycle(float(time), images, tuple(touch)))
-    return felt
+    return session is not None
+
+
+def session_of(recording: Recording) -> Session | None:
+    """Chains that know what a recording's sensors measured of themselves; None without the images
+    for it. Raises InputError for a missing image or sensor file."""
+    if len(recording.references) < 2 or not all(len(n) for n in recording.columns["images"]):
+        return None
+    sensor = str(recording.header.get("sensor", "dense"))
+    session = Session(build_rig(Scenario(rig=f"replay:{recording.folder}", sensor=sensor)))
+    session.take_references()
+    return session
+
+
+def with_shapes(recording: Recording, strip: Sequence[tuple[Seen, Any]]) -> list[tuple[Seen, Any]]:
+    """Cycles with what body touches each finger, found in their images: some tenths of a second
+    each."""
+    session = session_of(recording)
+    if session is None:
+        return list(strip)
+    found: list[tuple[Seen, Any]] = []
+    for cycle, view in strip:
+        touches = []
+        for touch, chain in zip(cycle.touch, session.perceptions, strict=False):
+            if touch.touching and isinstance(chain, Perception):
+                touch = replace(touch, shape=chain.shape([touch]))
+            touches.append(touch)
+        found.append((ReplayedCycle(cycle.time, tuple(cycle.images), tuple(touches)), view))
+    return found

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from mjtactile.core.types import Array, Image, Touch
 from mjtactile.recording.columns import Seen
 from mjtactile.recording.reader import Recording
+from mjtactile.report.body_lines import lines_of, words_of
 from mjtactile.report.html import data_uri
 from mjtactile.report.overlay import with_ellipses
 from mjtactile.report.scene_picture import picture_of
@@ -236,8 +237,12 @@ def _felt(touch: Touch, unit: float) -> Mapping[str, Any] | None:
         said = f"{touch.force_normal:.2f} \u00b1 {2 * touch.force_normal_sd:.2f} N"
     else:
         said = f"force unknown: {touch.status}"
+    shape = touch.shape
+    if shape is not None:
+        said += f"; {words_of(shape)}"
     return {
         "z": base64.b64encode(z.tobytes()).decode("ascii"),
+        "body": [] if shape is None else [(1e3 * one).round(2).tolist() for one in lines_of(shape)],
         "arrows": np.column_stack([foot.round(2), -stress.round(0)]).tolist(),
         "text": said,
     }

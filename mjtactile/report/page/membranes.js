@@ -52,6 +52,9 @@ function drawMembrane(canvas, finger) {
     c.fill();
     c.stroke();
   }
+  for (const body of felt.body || []) {  // what is believed to touch: its border, and itself
+    line(c, body.map(([x, y, up]) => seen(x, y, up)), "#1b1b1b", 1.4);
+  }
   c.fillStyle = "#222";
   c.fillText(`${felt.text}; heights from ${low.toFixed(1)} to ${high.toFixed(1)} mm` + (tall > 1 ? `, drawn ${tall} times as high` : ""),
              8, height - 24);
