@@ -116,7 +116,10 @@ def _is_known(value: Any) -> bool:
 
 
 def _words(value: Any, unit: str) -> str:
-    return f"{value:#.3g} {unit}".strip() if isinstance(value, float) else f"{value} {unit}".strip()
+    if not isinstance(value, float):
+        return f"{value} {unit}".strip()
+    said = f"{value:.0f}" if abs(value) >= 1000 else f"{value:#.3g}"
+    return f"{said} {unit}".strip()
 
 
 def draw(figure: Any, found: Explored) -> None:

@@ -47,9 +47,11 @@ class Stiffness:
     def summary(self) -> dict[str, Any]:
         """`stiffness_N_m`, unknown where the object gave way by less than can be seen, and then
         `stiffness_least_N_m` says what it has at least."""
+        if not math.isfinite(self.mean):
+            return {"stiffness_N_m": math.nan, "stiffness_least_N_m": math.nan}
         least = 1 / (max(self.mean, 0.0) + _TOLD * self.mean_sd)
         seen = self.mean > _TOLD * self.mean_sd
         return {
             "stiffness_N_m": 1 / self.mean if seen else math.nan,
-            "stiffness_least_N_m": least if math.isfinite(self.mean) else math.nan,
+            "stiffness_least_N_m": math.nan if seen else least,
         }
