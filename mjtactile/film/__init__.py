@@ -3,9 +3,10 @@
 
 What it is. The sensor's sheet with its own rubber (neo-Hookean, pre-stretched) on a regular grid of
 1 to 2 mm, over its gas, at rest on bodies that are heights over it. Nodes move in all three
-directions. Each step solves twice: in the plane with one constant matrix, and for the heights with
-a film's under the sheet's tension; residuals are the sheet's own, so that the result is the
-sheet's, not the matrices'.
+directions. Each step solves twice: for the heights with a film's stiffness under the sheet's
+tension, and in the plane with one constant matrix; residuals are the sheet's own, so that the
+result is the sheet's, not the matrices'. A state goes on as it came (`FilmState.trend`): bodies
+that move evenly want one step.
 
 What it leaves out, and what that costs (docs/benchmarks.md, `bench film`):
 - Bending: nothing that a sheet of 0.3 mm shows, but for features narrower than about five
@@ -16,8 +17,13 @@ What it leaves out, and what that costs (docs/benchmarks.md, `bench film`):
 - What is undercut, or steeper than about 75 degrees: a body is seen along z alone (`bodies.py`);
   flanks of boxes and cylinders beyond 63 degrees are met at their edges only.
 - What happens between nodes: a contact smaller than a cell is up to 14 % off (a 4 mm ball, 0.5 mm
-  deep, nodes 2 mm apart); ridges and blades are met by the nearest row of nodes, a
-  steep cone's tip is a quarter too soft there.
+  deep, nodes 2 mm apart) and a thin rod's hangs on its place as much; ridges and blades are met by
+  the nearest line of nodes, straight ones within 3 %, turned ones within 10 %; a steep cone's tip
+  is a quarter too soft there. What is thinner than a tenth of the spacing may be missed.
+
+What it refuses, in one line: what touches the rim, lies on the glass, pulls the sheet inside out
+or beyond what its rubber's law is known for, or goes through between nodes. What does not converge
+says so in `state.converged`, and its numbers are NaN.
 
 Frame S, SI units; p V^gamma with the design's gamma, or a pressure that is held. Equations:
 docs/equations.md, X1-X7. Why so: docs/decisions/0025-film.md.

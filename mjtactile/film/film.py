@@ -42,6 +42,8 @@ _COMPLAINTS = {
     Status.ON_THE_GLASS: "an obstacle lies on the glass",
     Status.INSIDE_OUT: "an obstacle pulls the sheet inside out",
     Status.BROKEN_DOWN: "the numbers break down on this obstacle",
+    Status.GOES_THROUGH: "an obstacle goes through between the film's nodes; take a finer grid",
+    Status.OVERSTRETCHED: "an obstacle stretches the sheet beyond what its law is known for",
 }
 
 
@@ -153,8 +155,8 @@ class Film:
             The state, with `converged` False where none was found.
 
         Raises:
-            InputError: An obstacle touches the rim, lies on the glass, or pulls the sheet inside
-                out.
+            InputError: An obstacle touches the rim, lies on the glass, pulls the sheet inside out
+                or too far, or goes through between nodes.
         """
         listed = (obstacles,) if isinstance(obstacles, Obstacle) else obstacles
         rows, pool = bodies.pooled(listed, self.grid)

@@ -20,6 +20,8 @@ class Status(IntEnum):
     ON_THE_GLASS = 3
     INSIDE_OUT = 4
     BROKEN_DOWN = 5
+    GOES_THROUGH = 6
+    OVERSTRETCHED = 7
 
 
 # Places in `found`, as kernels/film.c has them.

@@ -395,6 +395,12 @@ static int come_from_rest(const Film *f, const Settings *set, const Bodies *bodi
     return status;
 }
 
+/* Whether what was found is what a film can tell of. */
+static int can_be(const Film *f, const Bodies *bodies, const Work *w) {
+    if (f->numbers.neo_hookean != 0 && (w->sums.least_root - f->numbers.law_middle) * f->numbers.law_per_unit < -1) return OVERSTRETCHED;
+    return goes_through(f, bodies, w->x, &w->seen) ? GOES_THROUGH : CONVERGED;
+}
+
 int64_t film_solve(const double *numbers, const double *law, int64_t columns, int64_t rows, int64_t keeping, const float *kept,
                    const double *rest, int64_t roomy, double *room, int64_t environments, int64_t begin, int64_t end,
                    const double *settings, int64_t bodies, const double *body, int64_t pooled, const double *pool, double *x,
@@ -413,8 +419,10 @@ int64_t film_solve(const double *numbers, const double *law, int64_t columns, in
         memset(own, 0, FOUND * sizeof *own);
         film_pad(&f, 3, own_x, w.x), film_pad(&f, 1, own_force, w.force);
         int status = come_to_rest(&f, set, &own_bodies, 0, own_trend, own, &w);
-        if (set->most_steps > 1 && (status == NOT_CONVERGED || status == INSIDE_OUT || status == BROKEN_DOWN))
+        if (status == CONVERGED) status = can_be(&f, &own_bodies, &w);
+        if (set->most_steps > 1 && (status == GOES_THROUGH || status == NOT_CONVERGED || status == INSIDE_OUT || status == BROKEN_DOWN))
             status = come_from_rest(&f, set, &own_bodies, rest, own, &w);
+        if (status == CONVERGED) status = can_be(&f, &own_bodies, &w);
         own[STATUS] = status;
         for (long k = 0; k < n; k++) w.seen.cell[k] = (double)w.swells[k];
         if (status == CONVERGED) add_up(&f, w.x, w.force, own, &w.seen);

@@ -51,10 +51,10 @@ typedef struct { REAL *force[3], *volume[2], *low, *high, *link; } TYPE(Loads);
 typedef struct {
     TYPE(Edges) across, along[2];               /* to the next line; on this line and on the next */
     TYPE(Loads) before, low, high, left, right; /* across: of the cells before; along: of this line and of the next */
-    REAL *weight, *area, *tension, *turn;
+    REAL *weight, *area, *tension, *turn, *root; /* the last two: the least of cells */
 } TYPE(Lines);
 
-#define LINES (3 * 5 + 5 * LOADS + 4)
+#define LINES (3 * 5 + 5 * LOADS + 5)
 typedef struct { REAL *next; long line; } TYPE(Room);
 
 INLINE REAL *TYPE(a_line)(TYPE(Room) *room) { /* with room before its first, and behind its last */
@@ -91,7 +91,7 @@ INLINE void TYPE(see_edges)(const double *const from[3], const double *const to[
 }
 
 /* One corner: its stress times weight, and what it adds to sums and links. */
-typedef struct { REAL S11, S22, S12, xx, yy, turn, tension, area; } TYPE(Corner);
+typedef struct { REAL S11, S22, S12, xx, yy, turn, tension, area, root; } TYPE(Corner);
 
 INLINE TYPE(Corner) TYPE(see_corner)(const TYPE(Numbers) *o, const REAL g1[3], const REAL g2[3], REAL C11, REAL C22, REAL weight,
                                      int neo_hookean, int parts) {
@@ -99,7 +99,7 @@ INLINE TYPE(Corner) TYPE(see_corner)(const TYPE(Numbers) *o, const REAL g1[3], c
     const TYPE(Strained) s = TYPE(strained)(o, C11, C22, C12, neo_hookean);
     TYPE(Corner) c = {.S11 = weight * s.S11, .S22 = weight * s.S22, .S12 = weight * s.S12, .turn = g1[0] * g2[1] - g1[1] * g2[0]};
     c.tension = (c.S11 * C11 + c.S22 * C22 + 2 * c.S12 * C12) * s.root / 2;
-    c.area = weight / s.root;
+    c.area = weight / s.root, c.root = s.root;
     if (parts & FILM_LINKS) {
         const REAL fair = (REAL)LEAST_TENSION * (c.tension > 0 ? c.tension : 0), by = 1 / (1 + g1[2] * g1[2] + g2[2] * g2[2]);
         c.xx = by * (c.S11 > fair ? c.S11 : fair) * o->over_x * o->over_x;
@@ -150,6 +150,9 @@ INLINE void TYPE(see_cells)(const Film *f, const TYPE(Lines) *l, int neo_hookean
         const REAL turn_low = ll.turn < lr.turn ? ll.turn : lr.turn, turn_high = hl.turn < hr.turn ? hl.turn : hr.turn;
         const REAL turn = turn_low < turn_high ? turn_low : turn_high;
         l->turn[j] = weight > 0 && turn < l->turn[j] ? turn : l->turn[j];
+        const REAL root_low = ll.root < lr.root ? ll.root : lr.root, root_high = hl.root < hr.root ? hl.root : hr.root;
+        const REAL root = root_low < root_high ? root_low : root_high;
+        l->root[j] = weight > 0 && root < l->root[j] ? root : l->root[j];
         if (parts & FILM_LINKS) {
             l->low.link[j] = ll.xx + lr.xx, l->high.link[j] = hl.xx + hr.xx;
             l->left.link[j] += ll.yy + hl.yy, l->right.link[j] = lr.yy + hr.yy;
@@ -201,12 +204,13 @@ SheetSums TYPE(film_sheet)(const Film *f, const double *x, int parts, long first
     l.before = TYPE(loads_in)(&room), l.low = TYPE(loads_in)(&room), l.high = TYPE(loads_in)(&room);
     l.left = TYPE(loads_in)(&room), l.right = TYPE(loads_in)(&room);
     l.weight = TYPE(a_line)(&room), l.area = TYPE(a_line)(&room), l.tension = TYPE(a_line)(&room), l.turn = TYPE(a_line)(&room);
-    for (long j = 0; j < line; j++) l.weight[j] = j < f->rows - 1 ? (REAL)(f->dx * f->dy / 4) : 0, l.turn[j] = 1;
+    l.root = TYPE(a_line)(&room);
+    for (long j = 0; j < line; j++) l.weight[j] = j < f->rows - 1 ? (REAL)(f->dx * f->dy / 4) : 0, l.turn[j] = 1, l.root[j] = (REAL)1e9;
     l.across.g[0][line] = l.across.C[line] = 1;
     const double *at[3] = {x, x + count, x + 2 * count};
     const double *above[3] = {x + 1, x + count + 1, x + 2 * count + 1};
     const REAL lambda2 = (REAL)f->numbers.lambda2;
-    SheetSums sums = {.least_turn = INFINITY};
+    SheetSums sums = {.least_turn = INFINITY, .least_root = INFINITY};
     TYPE(see_edges)(at, above, 1 / f->dy, 1, lambda2, line, &l.along[1]);
     for (long i = 0; i < f->columns - 1; i++) {
         const TYPE(Edges) kept = l.along[0];
@@ -251,6 +255,7 @@ SheetSums TYPE(film_sheet)(const Film *f, const double *x, int parts, long first
     for (long j = 0; j < line; j++) {
         tension += (double)l.tension[j], area += (double)l.area[j];
         if ((double)l.turn[j] < sums.least_turn) sums.least_turn = (double)l.turn[j];
+        if ((double)l.root[j] < sums.least_root) sums.least_root = (double)l.root[j];
     }
     sums.tension = tension / (f->numbers.length_x * f->numbers.length_y), sums.area = area / f->numbers.lambda2;
     return sums;

@@ -8,6 +8,8 @@
 
 #define CORRECTION (1 / 24.) /* of curvature times spacing^2, by which the grid makes a smooth body too high */
 #define THIN 5              /* places looked at on each side of a node for what is thinner than the spacing */
+#define BEHIND 1.5          /* spacings */
+#define BEHIND_UNSEEN 0.2
 #define LEAN_OVER 0.3      /* spacings */
 #define HALF_A_CELL 0.55    /* of a spacing: nodes have moved apart */
 #define NEAREST_EDGE 0.95   /* of a spacing */
@@ -296,6 +298,43 @@ int against_the_frame(const Film *f, const Seen *seen) {
             if (h[k] - f->numbers.half_thickness <= -f->numbers.depth) return ON_THE_GLASS;
         }
     return CONVERGED;
+}
+
+/* How far a body is behind the sheet over a place in the cell of node `k`, where the sheet is flat. */
+static int is_behind(const Film *f, const Bodies *bodies, const double *x, const Seen *seen, long k, double at_x, double at_y) {
+    const long corners[4] = {k, k + 1, k + f->line, k + f->line + 1};
+    double height, slope[2], z = 0;
+    int touches = 0;
+    if (lowest(f, bodies, at_x, at_y, &height, slope)) return 0;
+    for (int c = 0; c < 4; c++) z += x[2 * f->count + corners[c]] / 4;
+    for (long i = -1; i <= 2; i++)
+        for (long j = -1; j <= 2; j++) {
+            const long near = k + i * f->line + j;
+            touches |= near >= 0 && near < f->count && seen->touching[near];
+        }
+    return z - height > (touches ? BEHIND : BEHIND_UNSEEN) * most(f->dx, f->dy);
+}
+
+int goes_through(const Film *f, const Bodies *bodies, const double *x, const Seen *seen) {
+    const long count = f->count;
+    for (long i = seen->box[0]; i < least(seen->box[1], f->columns - 1); i++)
+        for (long j = seen->box[2]; j < least(seen->box[3], f->rows - 1); j++) {
+            const long k = i * f->line + j, corners[4] = {k, k + 1, k + f->line, k + f->line + 1};
+            double at[2] = {(i + 0.5) * f->dx - f->numbers.length_x / 2, (j + 0.5) * f->dy - f->numbers.length_y / 2};
+            for (int c = 0; c < 4; c++) at[0] += x[corners[c]] / 4, at[1] += x[count + corners[c]] / 4;
+            if (is_behind(f, bodies, x, seen, k, at[0], at[1])) return 1;
+        }
+    for (long b = 0; b < bodies->count; b++) { /* and at a body's own ends */
+        const FilmBody *one = body_of(bodies, b);
+        const double half = one->kind == BODY_CAPSULE || one->kind == BODY_CYLINDER ? one->sizes[1] : 0;
+        for (int end = -1; end <= 1; end++) {
+            const double at[2] = {one->p[0] + end * half * one->R[2], one->p[1] + end * half * one->R[5]};
+            const double i = floor((at[0] + f->numbers.length_x / 2) / f->dx), j = floor((at[1] + f->numbers.length_y / 2) / f->dy);
+            if (i < 0 || j < 0 || i > f->columns - 2 || j > f->rows - 2) continue;
+            if (is_behind(f, bodies, x, seen, (long)i * f->line + (long)j, at[0], at[1])) return 1;
+        }
+    }
+    return 0;
 }
 
 void gas_of(const Film *f, const Settings *set, double bulge, double *pressure, double *stiffness) {

@@ -8,7 +8,8 @@
 typedef struct { double *elastic, *gradient, *along_x, *along_y; } SheetFields;
 typedef struct { float *elastic, *gradient, *along_x, *along_y; } SheetFieldsFloat;
 
-typedef struct { double volume, area, tension, least_turn; } SheetSums; /* the last: of the cells' shadows on the plane */
+typedef struct { double volume, area, tension, least_turn, least_root; } SheetSums; /* the last two: of the cells' shadows on the
+   plane, and of 1 / sqrt(det C) */
 
 /* What is wanted of forces and gradients: of heights, of displacements in the plane. What is not is not written, but for the volume's
    slopes by heights. `x` has room for a node behind its last. */

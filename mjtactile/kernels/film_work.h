@@ -4,7 +4,7 @@
 #include "film.h"
 #include "film_sheet.h"
 
-enum { CONVERGED, NOT_CONVERGED, AT_THE_RIM, ON_THE_GLASS, INSIDE_OUT, BROKEN_DOWN };
+enum { CONVERGED, NOT_CONVERGED, AT_THE_RIM, ON_THE_GLASS, INSIDE_OUT, BROKEN_DOWN, GOES_THROUGH, OVERSTRETCHED };
 
 /* What is found, one row an environment. */
 enum { FORCE_X, FORCE_Y, FORCE_Z, TORQUE_X, TORQUE_Y, TORQUE_Z, PRESSURE, VOLUME, AREA, STATUS, STEPS, STRETCHED_AREA, TENSION,
@@ -45,6 +45,8 @@ void see_bodies(const Film *film, const Bodies *bodies, const double *x, Seen *s
 void find_edges(const Film *film, const Bodies *bodies, const double *x, long node, int halves, Seen *seen);
 void follow_bodies(const Film *film, const double *x, Seen *seen);
 void lower_round_bodies(const Film *film, Seen *seen);
+/* Whether a body is behind the sheet between its nodes: by more than they can tell, or where none of them touches. */
+int goes_through(const Film *film, const Bodies *bodies, const double *x, const Seen *seen);
 int against_the_frame(const Film *film, const Seen *seen);
 /* Springs of a sheet that bends over edges, (4, count) by the side of the node on the body; returns a number that tells which. */
 double find_springs(const Film *film, const double *z, Seen *seen);

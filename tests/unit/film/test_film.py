@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mjtactile import Film, InputError
+from mjtactile.film import Status
 
 # An independent sheet of 9-node elements on `dense` at 1 kPa, neo-Hookean, frictionless, sealed: radius mm, place mm, force N,
 # gauge pressure Pa, height of the ball's middle mm against the sheet's middle.
@@ -96,6 +97,8 @@ def test_a_film_goes_on_as_its_body_does(coarse):
     [
         ("sphere", (0.008,), (0.016, 0, 0.004), "rim"),
         ("sphere", (0.008,), (0, 0, -0.0125), "glass"),
+        ("capsule", (0.001, 0.02), (0, 0, 0.013), "between"),  # a pin, between nodes
+        ("sphere", (0.004,), (0, 0, -0.008), "inside out"),
         ("sphere", (0.008,), (0, 0, np.nan), "finite"),
         ("sphere", (-0.008,), (0, 0, 0.01), "positive"),
         ("ball", (0.008,), (0, 0, 0.01), "unknown"),
@@ -105,6 +108,31 @@ def test_what_cannot_be_is_refused_in_one_line(coarse, kind, sizes, p_SO, says):
     with pytest.raises(InputError, match=says) as caught:
         coarse.solve(coarse.obstacle(kind, sizes, p_SO=p_SO))
     assert "\n" not in str(caught.value)
+
+
+def test_one_node_pulled_to_the_glass_is_beyond_the_rubber_s_law(coarse):
+    heights = np.full(coarse.grid, np.inf)
+    heights[10, 8] = -0.018
+    with pytest.raises(InputError, match="law"):
+        coarse.solve(coarse.obstacle("heights", data=heights))
+
+
+def test_what_does_not_converge_is_no_number(coarse):
+    """A ball pressed to its equator beside the rim; with bodies of which a batch tells one by
+    one."""
+    deep = coarse.obstacle("sphere", (0.004,), p_SO=(0.012, 0.007, -0.004))
+    rim = coarse.obstacle("sphere", (0.008,), p_SO=(0.016, 0, 0.004))
+    fine = coarse.obstacle("sphere", (0.008,), p_SO=(0, 0, 0.009))
+    batch = coarse.solve_batch([[deep], [rim], [fine]])
+    assert batch.converged.tolist() == [False, False, True]
+    assert np.isnan(batch.force_normal[:2]).all() and batch.force_normal[2] > 0
+    lost = batch[0]
+    assert lost.status in (Status.NOT_CONVERGED, Status.INSIDE_OUT)
+    assert batch[1].status is Status.AT_THE_RIM
+    numbers = (lost.pressure_gauge, lost.area, lost.volume, *lost.wrench)
+    assert np.isnan(numbers).all() and np.isnan(lost.heights).all()
+    again = coarse.solve_batch([[fine]] * 3, batch)  # from rest, where there was nothing
+    assert again.converged.all()
 
 
 def test_a_batch_is_each_of_its_films_with_any_number_of_threads(coarse):
