@@ -352,7 +352,7 @@ static int come_to_rest(const Film *f, const Settings *set, const Bodies *bodies
     int far = 0;
     Learnt *l = &w->learnt;
     film_forget(l);
-    w->heights.first = f->columns, w->heights.last = -1;
+    w->heights.first = trend ? f->columns : 0, w->heights.last = trend ? -1 : f->columns - 1; /* second tries see all */
     see_touch(f, w->force, &w->seen);
     for (int step = 0; step < (int)set->most_steps; step++) {
         look(f, bodies, lifted, step, w);
