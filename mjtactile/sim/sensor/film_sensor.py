@@ -431,6 +431,8 @@ _REASONS = {
     Status.ON_THE_GLASS: "the membrane is pushed against the glass",
     Status.INSIDE_OUT: "what touches is steeper than a film can follow",
     Status.BROKEN_DOWN: "what touches is more than a film can follow",
+    Status.GOES_THROUGH: "what touches is so thin that it goes through between the film's nodes",
+    Status.OVERSTRETCHED: "the sheet is stretched beyond what its rubber's law is known for",
 }
 
 
