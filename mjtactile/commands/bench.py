@@ -28,6 +28,7 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   cheap       episodes without images against episodes with them: markers, forces, time
   effects     what each effect costs, and what leaving it out costs
   film        the film against an independent sheet, its scatter over places, and its time
+  thin        blades, wires, pins and small faces, at random places and speeds: their force
   shape       what body touches: contact area, kind, radius and edge, from images alone
   sensors     the shipped marker layouts on one membrane: what more markers tell, and their cost
   explore     whole objects touched twelve times: how far their surface is from the true one
@@ -67,6 +68,7 @@ BENCHMARKS = {
     "stability": "stability.run",
     "truth": "truth.run",
     "film": "film",
+    "thin": "thin.run",
     "shape": "shape.run",
     "sensors": "sensors",
     "explore": "explore",

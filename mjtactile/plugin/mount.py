@@ -24,9 +24,12 @@ from pathlib import Path
 import mujoco
 
 from mjtactile.core.design import SensorDesign, load_sensor
+from mjtactile.core.errors import InputError
 from mjtactile.plugin.sim_finger import OUTPUTS, SimFinger
 from mjtactile.sim.attach import Attachment, attach_membrane
 from mjtactile.sim.sensor.switches import CAMERA, PHYSICS
+
+_LEAST_MESH = 8  # vertices along a side: the shipped sensors' references are in balance from there
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +98,13 @@ def attach(
     """
     design = load_sensor(sensor)
     design.require_rectangle("attach, whose sensors feel,")
+    if mesh is not None and min(mesh) < _LEAST_MESH:
+        raise InputError(
+            f"{mesh} vertices make a bulge that sensing takes for a disturbed one; at least "
+            f"({_LEAST_MESH}, {_LEAST_MESH})",
+            source="attach",
+            field="mesh",
+        )
     placed = attach_membrane(
         spec,
         design,

@@ -79,6 +79,10 @@ class Stepper:
             self.flags = self.flags | self._monitor.hurried()
         if self.step_count % self._look_every == 0:
             self._look()
+            return
+        reason = self._monitor.passed(every=False)
+        if reason:
+            self._stop(reason)
 
     def _look(self) -> None:
         flags, reason = self._monitor.look()

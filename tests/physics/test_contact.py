@@ -89,13 +89,9 @@ def test_force_does_not_depend_on_the_time_step(timestep):
     assert other == pytest.approx(force, rel=0.015)
 
 
-def test_contact_model_follows_the_smallest_feature():
-    assert PressWorld("paper16", Indenter.parse("sphere:8")).sensors[0].contact == "vertices"
-    assert PressWorld("paper16", Indenter.parse("cylinder:0.5")).sensors[0].contact == "elements"
-    assert (
-        PressWorld("paper16", Indenter.parse("cylinder:0.5"), mesh=(49, 39)).sensors[0].contact
-        == "vertices"
-    )
+def test_vertices_feel_whatever_has_a_shape_that_is_known():
+    for indenter in ("sphere:8", "cylinder:0.5", "box:1"):
+        assert PressWorld("paper16", Indenter.parse(indenter)).sensors[0].contact == "vertices"
     for name in ("egg", "vial", "strawberry"):
         assert {s.contact for s in GraspWorld("paper16", name, mesh=(11, 9)).sensors} == {
             "vertices"
@@ -105,17 +101,16 @@ def test_contact_model_follows_the_smallest_feature():
 
 
 def test_a_pin_between_the_vertices_is_felt_and_its_error_is_stated():
-    """The truth, and the statement: vertices miss a 1 mm pin, triangles feel it, its force is about
-    0.161 N (an independent solver says 0.190 for St. Venant-Kirchhoff's law at 2 mm, and 0.0685 for
-    0.0808 at 1 mm with this one: the same ratio is taken; triangles at 41 x 33 say 0.181) and the
-    flag owns up to what the default mesh makes of it."""
-    place = (1.1e-3, 1.2e-3)
-    with pytest.raises(InputError, match="slips between"):
-        pressed("cylinder:0.5", at=place, contact="vertices")
-    (force, _), world = pressed("cylinder:0.5", (2e-3,), at=place)
-    assert "finer than the mesh" in world.flags["feature"] and "off by" in world.flags["feature"]
-    stated = float(world.flags["feature"].split("off by ")[1].split("%")[0]) / 100
-    assert 0.05 < force[0] / 0.161 - 1 < stated  # 0.11 on the uniform default mesh
+    """The truth, and the statement: a 1 mm pin's force is about 0.161 N (an independent solver says
+    0.190 for St. Venant-Kirchhoff's law at 2 mm, and 0.0685 for 0.0808 at 1 mm with this one: the
+    same ratio is taken), triangles are too hard, vertices too soft, and the flag owns up to it."""
+    for contact, sign in (("auto", -1), ("elements", 1)):
+        (force, _), world = pressed("cylinder:0.5", (2e-3,), at=(1.1e-3, 1.2e-3), contact=contact)
+        assert (
+            "finer than the mesh" in world.flags["feature"] and "off by" in world.flags["feature"]
+        )
+        stated = float(world.flags["feature"].split("off by ")[1].split("%")[0]) / 100
+        assert 0 < sign * (force[0] / 0.161 - 1) < stated
 
 
 @pytest.mark.parametrize("radius", [0.5, 1, 2, 4])
@@ -139,7 +134,7 @@ def test_an_edge_costs_what_the_flag_says(indenter):
     low by up to a third."""
     (force, _), world = pressed(indenter, (2e-3,))
     stated = float(world.flags["edge"].split("off by ")[1].split("%")[0]) / 100
-    assert abs(force[0] / EDGES[indenter] - 1) < stated < 0.5
+    assert abs(force[0] / EDGES[indenter] - 1) < stated <= 0.7  # 0.3 to 1.4 times, and no worse
 
 
 def test_actuator_contact_and_torque_agree():

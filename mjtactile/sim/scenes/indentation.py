@@ -16,7 +16,6 @@ from mjtactile.sim.attach import attach_membrane, recommend_options
 from mjtactile.sim.scenes.meshes import SUFFIXES, add_solid, convex_parts, load_solid
 from mjtactile.sim.scenes.mjcf import read_mjcf
 from mjtactile.sim.scenes.world import World
-from mjtactile.sim.sensor import features
 from mjtactile.sim.sensor.mesh import MarkerInterpolator
 from mjtactile.sim.sensor.switches import PHYSICS
 
@@ -244,8 +243,7 @@ class PressWorld(World):
         that alone can touch.
         """
         sensor = self.sensors[0]
-        radius, _ = features.smallest_feature(self.model, sensor.body_id)
-        if sensor.contact == "vertices" and radius < features.SLIPS * sensor.mesh.spacing:
+        if sensor.contact == "vertices" and np.isfinite(sensor.missed[0]):
             raise InputError(
                 "slips between the membrane's vertices; contact 'elements' feels it",
                 source="press",

@@ -35,10 +35,12 @@ class FeltGeoms:
 
     def __init__(self, model: mujoco.MjModel, body: int, reach: float):
         """`body` carries the sensor; a geom is near when it comes within `reach` m of its origin.
+        What is fixed to the world is left out: a table is near for ever, and dear.
 
         Raises InputError for what a film cannot feel: soft bodies, height fields.
         """
-        self.ids: NDArray[np.int64] = features.touching_geoms(model, body).astype(np.int64)
+        felt = np.intersect1d(features.touching_geoms(model, body), features.touching_geoms(model))
+        self.ids: NDArray[np.int64] = felt.astype(np.int64)
         made = [_body_of(model, int(geom)) for geom in self.ids]
         filled, self.pool = bodies.pooled(made, (0, 0)) if made else (empty_rows(0), None)
         self.rows = np.ascontiguousarray(filled)

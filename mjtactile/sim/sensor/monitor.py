@@ -13,7 +13,9 @@ from mjtactile.core import geometry
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor import features, limits, loads
 from mjtactile.sim.sensor.any import AnySensor
+from mjtactile.sim.sensor.film_sensor import FilmSensor
 from mjtactile.sim.sensor.limits import Flags
+from mjtactile.sim.sensor.passed import CorePoints
 
 PENETRATION = 0.05  # share of the indentation
 _SUNK = 0.5  # share of the indentation at which a force means nothing
@@ -39,6 +41,19 @@ class SceneMonitor:
         self._felt = [np.isin(self._geoms, own) for own in felt]
         """Which of `_geoms` each sensor can feel."""
         self._sizes = np.array([features.feature_radius(model, int(g)) for g in self._geoms])
+        self._seen = [self._geoms[own] for own in self._felt]
+        self._thin = [
+            self._geoms[own & (self._sizes < features.RESOLVED * sensor.mesh.spacing)]
+            for own, sensor in zip(self._felt, sensors, strict=True)
+        ]
+        self._any_thin = any(map(len, self._thin))
+        self._cores = [
+            CorePoints(model, self._geoms[own], sensor.mesh, sensor.contact)
+            for own, sensor in zip(self._felt, sensors, strict=True)
+        ]
+        mujoco.mj_kinematics(model, data)  # a fresh state has no places yet
+        for core, sensor in zip(self._cores, sensors, strict=True):
+            core.forget(data, sensor.body_id, sensor.p_SV, sensor.design.chamber.depth)
         self._index = np.full(model.ngeom + 1, -1)  # of geom ids, and of -1
         self._index[self._geoms] = np.arange(len(self._geoms))
         self._faces, self._sides = (
@@ -64,6 +79,14 @@ class SceneMonitor:
         flags: Flags = {}
         for sensor in self._sensors:
             flags |= limits.design_flags(sensor.design, sensor.mesh.nx, sensor.mesh.ny)
+            if isinstance(sensor, FilmSensor) or sensor.contact != "vertices":
+                continue
+            radius, name = sensor.missed
+            if np.isfinite(radius):
+                flags["feature"] = (
+                    f"{name!r} (radius {radius * 1e3:.2g} mm) can slip between the membrane's "
+                    "vertices, which alone touch; contact 'auto' or 'elements' feels it"
+                )
         return flags
 
     def look(self) -> tuple[Flags, str | None]:
@@ -92,8 +115,9 @@ class SceneMonitor:
                 )
             if lasting > _SUNK:
                 stop = f"sensor {sensor.prefix!r}: {flags['penetration']}"
-            stop = stop or self._passed(number, places[number])
+            stop = stop or self._jumped(number, places[number])
         self._places = places
+        stop = stop or self.passed()
         if self._looks % _RARELY == 0:
             flags |= self._too_fast(places)
         return flags, stop
@@ -109,7 +133,11 @@ class SceneMonitor:
             return flags
         smallest = min(touching, key=lambda k: self._sizes[k])
         feature = features.resolution_flag(
-            self._model, int(self._geoms[smallest]), float(self._sizes[smallest]), sensor.mesh
+            self._model,
+            int(self._geoms[smallest]),
+            float(self._sizes[smallest]),
+            sensor.mesh,
+            sensor.contact,
         )
         if feature:
             flags["feature"] = feature
@@ -172,29 +200,62 @@ class SceneMonitor:
             for s in sensors
         ]
 
-    def _passed(self, number: int, places: Array) -> str | None:
-        """Something whose middle is behind the membrane, or was before it and is now behind the
-        glass, went through it."""
+    def passed(self, every: bool = True) -> str | None:
+        """What went through a membrane, if anything did.
+
+        Args:
+            every: Look at all that may touch, else only at what is thin, which a step suffices for.
+        """
+        if not every and not self._any_thin:
+            return None
+        for number, sensor in enumerate(self._sensors):
+            if sensor.is_asleep:
+                continue
+            p_SV = None
+            for geom in self._over(sensor, self._seen[number] if every else self._thin[number]):
+                p_SV = sensor.p_SV if p_SV is None else p_SV
+                if self._cores[number].behind(
+                    self._data, sensor.body_id, p_SV, int(geom), sensor.design.chamber.depth
+                ):
+                    return self._went_through(sensor, int(geom))
+        return None
+
+    def _over(self, sensor: AnySensor, geoms: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Those of `geoms` whose balls reach into the sensor's opening, or behind it."""
+        if not len(geoms):
+            return geoms
+        data = self._data
+        frame = sensor.design.frame
+        R_WS = data.xmat[sensor.body_id].reshape(3, 3)
+        places = (data.geom_xpos[geoms] - data.xpos[sensor.body_id]) @ R_WS
+        radii = self._model.geom_rbound[geoms]
+        depth = sensor.design.chamber.depth
+        top = max(float(sensor.heights.max()), 0.0)
+        return geoms[
+            (np.abs(places[:, 0]) < frame.length / 2 + radii)
+            & (np.abs(places[:, 1]) < frame.width / 2 + radii)
+            & (places[:, 2] < top + radii)
+            & (places[:, 2] > -depth - radii)
+        ]
+
+    def _jumped(self, number: int, places: Array) -> str | None:
+        """What was before the membrane at the last look and is now behind the glass."""
         sensor = self._sensors[number]
         frame = sensor.design.frame
-        before = self._places[number]
-        top = max(float(sensor.heights.max()), 0.0)
         glass = -sensor.design.chamber.depth
-        low = np.flatnonzero((places[:, 2] < top) & self._felt[number])
-        if not len(low):
-            return None
-        p_SV = sensor.p_SV
-        for k in low[
-            (np.abs(places[low, :2]) < (0.45 * frame.length, 0.45 * frame.width)).all(axis=1)
-        ]:
-            nearest = np.argmin(((p_SV[:, :2] - places[k, :2]) ** 2).sum(axis=1))
-            if (places[k, 2] < p_SV[nearest, 2]) if places[k, 2] > glass else (before[k, 2] > top):
-                name = self._model.geom(int(self._geoms[k])).name or f"geom {self._geoms[k]}"
-                return (
-                    f"sensor {sensor.prefix!r}: {name!r} went through the membrane; use a "
-                    "smaller timestep or finer mesh"
-                )
+        top = max(float(sensor.heights.max()), 0.0)
+        jumped = (self._places[number][:, 2] > top) & (places[:, 2] < glass) & self._felt[number]
+        over = np.abs(places[:, :2]) < (0.45 * frame.length, 0.45 * frame.width)
+        for k in np.flatnonzero(jumped & over.all(axis=1)):
+            return self._went_through(sensor, int(self._geoms[k]))
         return None
+
+    def _went_through(self, sensor: AnySensor, geom: int) -> str:
+        name = features.name_of(self._model, geom)
+        return (
+            f"sensor {sensor.prefix!r}: {name!r} went through the membrane; use a smaller "
+            "timestep or finer mesh"
+        )
 
     def hurried(self) -> Flags:
         """The flag of something too fast, which a look now and then could miss; cheap while nothing

@@ -12,11 +12,12 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.rubber import Law, principal_stresses
 from mjtactile.core.types import Array
-from mjtactile.sim.sensor import features, limits
+from mjtactile.sim.sensor import limits
+from mjtactile.sim.sensor.approach import Approach, refuse_thin
 from mjtactile.sim.sensor.facets import StandOff
 from mjtactile.sim.sensor.membrane import FLEX, ContactStiffness, pre_stretch, touch_with
 from mjtactile.sim.sensor.mesh import MarkerInterpolator, MembraneMesh
-from mjtactile.sim.sensor.points import ContactPoints
+from mjtactile.sim.sensor.points import ContactPoints, missed
 from mjtactile.sim.sensor.rubber import Rubber
 from mjtactile.sim.sensor.sleep import Sleeper
 from mjtactile.sim.sensor.stiction import Stiction
@@ -68,23 +69,25 @@ class TactileSensor:
         pre_stretch(model, self.flex_id, mesh, design.membrane.pre_stretch)
         # a trace is needed to compile without a warning, none to simulate
         model.flex_damping[self.flex_id] = 0.0
+        self.missed = missed(model, self.body_id, mesh)
+        """Radius, m, and name of what vertices alone would let slip between them."""
         if contact == "auto":
-            contact = features.contact_model(model, self.body_id, mesh)
+            contact = "elements" if np.isfinite(self.missed[0]) else "vertices"
         self.contact = contact
+        on_vertices = contact == "vertices"
+        if not on_vertices:
+            refuse_thin(model, self.body_id, mesh)
         touch_with(model, self.vertex_geom_ids, self.flex_id, self.contact)
         self._contact_stiffness = ContactStiffness(
-            model,
-            self.vertex_geom_ids,
-            self.flex_id,
-            mesh,
-            design.membrane,
-            remembers=self.contact == "vertices",
+            model, self.vertex_geom_ids, self.flex_id, mesh, design.membrane, remembers=on_vertices
         )
         # a live view
         self._margins = model.geom_margin[self.vertex_geom_ids[0] : self.vertex_geom_ids[-1] + 1]
         self._stand_off = StandOff(model, data, self.vertex_geom_ids, mesh)
         sheet = design.membrane
-        on_vertices = self.contact == "vertices"
+        self._approach = (
+            None if on_vertices else Approach(model, data, self.body_id, self.flex_id, mesh)
+        )
         self._points = (
             ContactPoints(
                 model, data, self.vertex_geom_ids, self.body_id, mesh, sheet.young * sheet.thickness
@@ -168,6 +171,8 @@ class TactileSensor:
             self._rubber.update(p_SV)
         self._turning.update(p_SV)
         self._stand_off.update()
+        if self._approach:
+            self._approach.update(p_SV)
         if self._points:
             self._points.update(p_SV, self.tensions, pressure)
         if self._stiction:
@@ -208,11 +213,9 @@ class TactileSensor:
         mine = (pairs >= first) & (pairs <= self.vertex_geom_ids[-1])
         vertices = np.where(mine[:, 1], pairs[:, 1], pairs[:, 0]) - first
         on_vertex = mine.any(axis=1)  # else on a triangle
-        margins = np.where(
-            on_vertex,
-            self._stand_off.margins[np.where(on_vertex, vertices, 0)],
-            contact.includemargin[rows],
-        )
+        stand_off = self._stand_off.margins[np.where(on_vertex, vertices, 0)]
+        skin = self._approach.skin if self._approach else 0.0
+        margins = np.where(on_vertex, stand_off, skin)
         return margins - contact.dist[rows]
 
     @property

@@ -28,9 +28,9 @@ Entry = Callable[[Array, Array], Array]
 the lines to where they enter the geom, `MISSED` where they do not."""
 
 
-def entry_of(model: mujoco.MjModel, geom: int) -> Entry | None:
+def entry_of(model: mujoco.MjModel, geom: int, most: int | None = None) -> Entry | None:
     """How lines enter a geom, or None for a kind that is not known (a plane, a height field) or a
-    hull of too many faces."""
+    hull of more than `most` faces (None: `MOST_FACES`)."""
     kind = int(model.geom_type[geom])
     size = np.asarray(model.geom_size[geom], float).copy()
     if kind == _BOX:
@@ -42,7 +42,7 @@ def entry_of(model: mujoco.MjModel, geom: int) -> Entry | None:
     if kind == _CAPSULE:
         return _capsule(size[0], size[1])
     if kind == _MESH and model.geom_dataid[geom] >= 0:
-        return _hull(model, int(model.geom_dataid[geom]))
+        return _hull(model, int(model.geom_dataid[geom]), MOST_FACES if most is None else most)
     return None
 
 
@@ -127,7 +127,7 @@ def _capsule(radius: float, half: float) -> Entry:
     return entry
 
 
-def _hull(model: mujoco.MjModel, mesh: int) -> Entry | None:
+def _hull(model: mujoco.MjModel, mesh: int, most: int) -> Entry | None:
     from scipy.spatial import ConvexHull, QhullError
 
     first = int(model.mesh_vertadr[mesh])
@@ -136,6 +136,6 @@ def _hull(model: mujoco.MjModel, mesh: int) -> Entry | None:
         planes = np.unique(ConvexHull(vertices).equations.round(6), axis=0)
     except QhullError:  # flat
         return None
-    if len(planes) <= MOST_FACES:
+    if len(planes) <= most:
         return _polytope(planes[:, :3], -planes[:, 3])
     return None

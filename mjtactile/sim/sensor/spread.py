@@ -51,20 +51,25 @@ def contact_radius(load: Array, slope: Array, curvature: Array) -> Array:
     return high
 
 
-def depth_beyond_mesh(load: Array, slope: Array, curvature: Array) -> tuple[Array, Array]:
+def depth_beyond_mesh(
+    load: Array, slope: Array, curvature: Array, width: float = 0.0
+) -> tuple[Array, Array]:
     """How much deeper (k,) a sheet is under each `load` (k,) than its mesh, and the radii (k,) of
     contact.
 
     `slope` and `curvature` (k, d) are the shape's in d directions around the contact, evenly spread
-    over half a turn.
+    over half a turn; `width` is half of that of a flat end, on whose rim the sheet hangs.
     """
     radii = contact_radius(load[:, None], slope, curvature)
+    on_rim = radii.max(axis=1) < width
+    radii = np.maximum(radii, width)
     longest = radii.max(axis=1)
     shortest = radii.min(axis=1)
     radius = (longest + shortest) / 2  # an ellipse's, as its potential sees it
     steep = slope.mean(axis=1)
     bent = curvature.mean(axis=1)
     compact = _deepening(steep + bent * radius / 4, steep + bent * radius / 2)
+    compact = np.where(on_rim, 0.0, compact)
     deepening = _LINE + (compact - _LINE) * shortest / longest
     return load * (np.log(MESH_RADIUS / radius) + deepening), radius
 

@@ -1,0 +1,145 @@
+"""One thin body or face that is driven into a sensor in a user's scene, to a depth, at a speed."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+import mjtactile
+from mjtactile.core.types import Array
+from mjtactile.sim.sensor.switches import PHYSICS
+
+_STIFFNESS = 2e5  # N/m of the drive: gives way by 5 um at 1 N
+_MASS = 0.2  # kg
+_CLEARANCE = 1e-3  # m above first touch
+_STILL = 1.2  # s given to settle
+_STATED = re.compile(r"off by (\d+)%")
+
+
+@dataclass(frozen=True)
+class Body:
+    """What is pressed: its kind of geom, MuJoCo's sizes in m, its turn about x, rad, how far, m,
+    its lowest point is below its middle, and how deep, m, it is driven below first touch."""
+
+    kind: str
+    size: tuple[float, ...]
+    tilt: float
+    below: float
+    depth: float
+
+    def rotation(self, turn: float) -> Array:
+        """Rotation (3, 3) in S, turned by `turn` rad about S's z."""
+        turned = np.zeros(9)
+        tilted = np.zeros(9)
+        for matrix, axis, angle in ((turned, "z", turn), (tilted, "x", self.tilt)):
+            quaternion = np.zeros(4)
+            mujoco.mju_axisAngle2Quat(quaternion, [axis == "x", 0.0, axis == "z"], angle)
+            mujoco.mju_quat2Mat(matrix, quaternion)
+        return turned.reshape(3, 3) @ tilted.reshape(3, 3)
+
+
+def _lying(kind: str, radius: float, half: float, depth: float) -> Body:
+    return Body(kind, (radius, half, 0.0), np.pi / 2, radius, depth)
+
+
+def _standing(radius: float, depth: float) -> Body:
+    return Body("cylinder", (radius, 5e-3, 0.0), 0.0, 5e-3, depth)
+
+
+def _square(side: float, depth: float) -> Body:
+    return Body("box", (side / 2, side / 2, 5e-3), 0.0, 5e-3, depth)
+
+
+BODIES = {
+    "blade 0.4 x 12 mm": Body("box", (2e-4, 6e-3, 5e-3), 0.0, 5e-3, 2.8e-3),
+    "blade 1 x 12 mm": Body("box", (5e-4, 6e-3, 5e-3), 0.0, 5e-3, 2e-3),
+    "rod of 1 mm radius": _lying("capsule", 1e-3, 12e-3, 1.3e-3),
+    "wire of 0.3 mm radius": _lying("cylinder", 3e-4, 10e-3, 1.5e-3),
+    "wire of 0.6 mm radius": _lying("cylinder", 6e-4, 10e-3, 1.5e-3),
+    "pin of 0.5 mm radius": _standing(5e-4, 1.5e-3),
+    "pin of 1 mm radius": _standing(1e-3, 1.5e-3),
+    "pin of 1.5 mm radius": _standing(1.5e-3, 1.5e-3),
+}
+FACES = {
+    "square of 6 mm": _square(6e-3, 1e-3),
+    "square of 12 mm": _square(12e-3, 1.5e-3),
+    "disc of 6 mm": _standing(3e-3, 1e-3),
+    "disc of 10 mm": _standing(5e-3, 1.5e-3),
+}
+
+
+@dataclass(frozen=True)
+class Pressed:
+    """What came of a press: the true force, N, along the press, and the finger's flags."""
+
+    force: float
+    flags: dict[str, str]
+
+    @property
+    def stated(self) -> float:
+        """By what share the flags say that the force may be off."""
+        shares = [int(s) / 100 for text in self.flags.values() for s in _STATED.findall(text)]
+        return max(shares, default=0.0)
+
+
+def press(
+    body: Body,
+    at: tuple[float, float],
+    speed: float,
+    *,
+    turn: float = 0.0,
+    timestep: float = 4e-3,
+    **attaching: Any,
+) -> Pressed:
+    """Press `body` into `dense` at 1 kPa, over the point `at` m of S, turned by `turn` rad about z.
+
+    Args:
+        body: What presses.
+        at: Where, x and y in S, m.
+        speed: Of the drive, m/s.
+        turn: Rad about S's z, before it is pressed.
+        timestep: Of the scene, s.
+        attaching: Further arguments of `mjtactile.attach`.
+
+    Returns:
+        The force when it has settled, and what is flagged.
+
+    Raises:
+        InputError: the scene was refused.
+        SimulationError: the body went through.
+    """
+    spec = mujoco.MjSpec()
+    mjtactile.recommend_options(spec, timestep)
+    spec.option.gravity = [0.0, 0.0, 0.0]
+    spec.option.tolerance = 1e-9
+    spec.worldbody.add_body(name="base").add_site(name="here")
+    carrier = spec.worldbody.add_body(name="carrier", pos=[*at, 0.05])
+    carrier.add_joint(name="drive", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1])
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, body.rotation(turn).ravel())
+    geom = carrier.add_geom(name="thin", mass=_MASS, quat=quaternion)
+    geom.type = getattr(mujoco.mjtGeom, f"mjGEOM_{body.kind.upper()}")
+    geom.size = body.size
+    drive = spec.add_actuator(name="drive", target="drive", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    drive.set_to_position(kp=_STIFFNESS, kv=2 * np.sqrt(_STIFFNESS * _MASS))
+    mount = mjtactile.attach(spec, "dense", site="here", effects=PHYSICS, **attaching)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    finger = mount.bind(model, data)
+    joint = int(model.joint("drive").qposadr[0])
+    touch = finger.sensor.height_at(*at) + body.below - 0.05
+    start = touch + _CLEARANCE
+    data.qpos[joint] = start
+    data.ctrl[0] = start
+    mujoco.mj_forward(model, data)
+    goal = touch - body.depth
+    count = max(1, round((start - goal) / (speed * timestep)))
+    for height in np.linspace(start, goal, count + 1)[1:]:
+        data.ctrl[0] = height
+        mjtactile.step(model, data, [finger])
+    mjtactile.step(model, data, [finger], nstep=round(_STILL / timestep))
+    return Pressed(-float(finger.true_wrench()[2]), dict(finger.flags))

@@ -1,0 +1,139 @@
+"""`mjtactile bench thin`: thin things and small faces at random places and speeds, against the
+film on a grid of 81 x 61 nodes (`bench film` says how good that is; wires: 61 x 46 or 41 x 31)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.thin.press import BODIES, FACES, Body, press
+from mjtactile import Film, FilmState, Obstacle
+from mjtactile.core.errors import InputError, SimulationError
+from mjtactile.core.types import Array
+from mjtactile.run.progress import Progress
+
+PLACES, PLACES_QUICK = 40, 2
+SPEEDS = (0.01, 0.03, 0.1)  # m/s
+_GRID = (81, 61)
+_COARSER = ((61, 46), (41, 31))  # for wires, on which the finest film does not come to rest
+_AROUND = 3e-3  # m: places are as far from the middle at most, along x and along y
+_SEED = 20
+_ARC = np.radians(np.linspace(-45, 45, 13))  # of a wire, that a sheet can touch
+_FLANK = 3e-3  # m, along which the wire's flanks go on, so that no node is beside it
+
+Say = Callable[[str], None]
+
+
+def run(out: Path, *, quick: bool = False, say: Say | None = None) -> dict[str, Any]:
+    """Forces of all bodies at all places and speeds, and the film's."""
+    say = say or Progress().message
+    films = [Film("dense", grid, 1000.0) for grid in (_GRID, *_COARSER)]
+    places = PLACES_QUICK if quick else PLACES
+    rows = []
+    for name, body in (BODIES | FACES).items():
+        say(f"thin: {name}")
+        draw = np.random.default_rng(_SEED)
+        for _ in range(places):
+            at = draw.uniform(-_AROUND, _AROUND, 2)
+            turn = float(draw.uniform(0, np.pi))
+            rows.append({"body": name, **_compared(films, body, at, turn)})
+    return {"places": places, "speeds": list(SPEEDS), "rows": rows}
+
+
+def _compared(films: list[Film], body: Body, at: Array, turn: float) -> dict[str, Any]:
+    """Forces, N, at each speed (None: stopped or refused), the film's, and what the flags say."""
+    forces: list[float | None] = []
+    stated = 0.0
+    for speed in SPEEDS:
+        try:
+            pressed = press(body, (at[0], at[1]), speed, turn=turn)
+        except (InputError, SimulationError):
+            forces.append(None)
+            continue
+        forces.append(pressed.force)
+        stated = max(stated, pressed.stated)
+    return {
+        "at": at.tolist(),
+        "turn": turn,
+        "forces": forces,
+        "film": _reference(films, body, at, turn),
+        "stated": stated,
+    }
+
+
+def _reference(films: list[Film], body: Body, at: Array, turn: float) -> float | None:
+    """Force, N, of the finest film that comes to rest on the body."""
+    forces = (_film_force(film, body, at, turn) for film in films[1 if body.tilt else 0 :])
+    return next((force for force in forces if force is not None), None)
+
+
+def _film_force(film: Film, body: Body, at: Array, turn: float) -> float | None:
+    """Force, N, of the film at rest on the body; None where it finds none."""
+    from scipy.interpolate import RectBivariateSpline
+
+    surface = RectBivariateSpline(film.x, film.y, film.rest.displacements[2])
+    height = float(surface.ev(*at)) - body.depth + body.below
+    state: FilmState | None = None
+    try:
+        for lift in np.linspace(body.depth, 0.0, 9)[1:]:
+            pose = ((at[0], at[1], height + lift), body.rotation(turn))
+            state = film.solve(_obstacle(body, *pose), state)
+    except InputError:
+        return None
+    return state.force_normal if state is not None and state.converged else None
+
+
+def _obstacle(body: Body, p_SO: tuple[float, float, float], R_SO: Array) -> Obstacle:
+    """The body as the film takes it. A lying wire goes on in flanks that a sheet does not reach:
+    between two nodes it would be missed."""
+    if body.kind == "box":
+        return Film.obstacle("box", body.size, p_SO, R_SO)
+    if not body.tilt:
+        return Film.obstacle("cylinder", body.size[:2], p_SO, R_SO)
+    radius, half = body.size[:2]
+    half += radius if body.kind == "capsule" else 0.0
+    # the wire's axis is its z; its lowest line is at -y, which the tilt about x turns down
+    across = radius * np.sin(_ARC)
+    down = -radius * np.cos(_ARC)
+    flank = _FLANK * np.array([np.cos(_ARC[-1]), np.sin(_ARC[-1])])
+    section = [*zip(across, down, strict=True)]
+    section += [(x + np.sign(x) * flank[0], y + flank[1]) for x, y in (section[0], section[-1])]
+    corners = [(x, y, z) for x, y in section for z in (-half, half)]
+    return Film.obstacle("mesh", (), p_SO, R_SO, data=corners)
+
+
+def table(result: dict[str, Any]) -> str:
+    """Force over the film's, by body, as Markdown."""
+    speeds = ", ".join(f"{1e3 * s:.0f}" for s in result["speeds"])
+    lines = [
+        f"{result['places']} places within {1e3 * _AROUND:.0f} mm of the middle, turned by any "
+        f"angle, each at {speeds} mm/s; force over that of the film.",
+        "",
+        "| pressed | film, N | middle | 90 % within | worst | by speed, worst | stopped | beyond "
+        "the flag's number |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    lines += [_line(result["rows"], name) for name in BODIES | FACES]
+    return "\n".join(lines) + "\n"
+
+
+def _line(rows: list[dict[str, Any]], name: str) -> str:
+    mine = [row for row in rows if row["body"] == name]
+    stopped = sum(force is None for row in mine for force in row["forces"])
+    known = [row for row in mine if row["film"] is not None and None not in row["forces"]]
+    if not known:
+        return f"| {name} | | | | | | {stopped} | |"
+    ratios = np.array([np.array(row["forces"]) / row["film"] for row in known])
+    low, middle, high = np.quantile(ratios, [0.05, 0.5, 0.95])
+    worst = ratios.flat[np.abs(ratios - 1).argmax()]
+    spread = (ratios.max(axis=1) - ratios.min(axis=1)) / ratios.mean(axis=1)
+    stated = np.array([row["stated"] for row in known])[:, None]
+    beyond = int((np.abs(ratios - 1) > stated).sum())
+    film = np.mean([row["film"] for row in known])
+    return (
+        f"| {name} | {film:.3f} | {middle:.2f} | {low:.2f} to {high:.2f} | {worst:.2f} | "
+        f"{100 * spread.max():.0f} % | {stopped} | {beyond} of {ratios.size} |"
+    )

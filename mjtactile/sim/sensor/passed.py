@@ -1,0 +1,79 @@
+"""What went through a membrane, by geometry: points inside of an object that are behind the
+sheet."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.core.types import Array
+from mjtactile.sim.sensor.cores import core
+from mjtactile.sim.sensor.mesh import MembraneMesh
+
+_SLACK = 0.3e-3  # m: triangles may stand in a thin thing by so much while they find their place
+_BETWEEN = 0.6  # spacings that a sharp thing may stand between vertices, where only they are met
+
+
+class CorePoints:
+    """Points inside of what a sensor may feel, about as deep below its surface as it is thin.
+
+    An object that is held is above the sheet with all of them; one that went through, or sticks
+    through, is not.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, geoms: NDArray[np.int64], mesh: MembraneMesh, contact: str
+    ):
+        self._model = model
+        self._mesh = mesh
+        self._on_vertices = contact in ("vertices", "film")
+        self._slack = _BETWEEN * mesh.spacing if self._on_vertices else _SLACK
+        self._points = {int(geom): core(model, int(geom)) for geom in geoms}
+        self._inside: set[int] = set()
+
+    def forget(self, data: mujoco.MjData, body: int, p_SV: Array, depth: float) -> None:
+        """Leave out what is behind the sheet from the start: parts of what carries the sensor."""
+        behind = [geom for geom in self._points if self.behind(data, body, p_SV, geom, depth)]
+        self._inside.update(behind)
+
+    def behind(self, data: mujoco.MjData, body: int, p_SV: Array, geom: int, depth: float) -> bool:
+        """Whether a point inside `geom` is behind the sheet.
+
+        Args:
+            data: The scene's state.
+            body: The sensor's body.
+            p_SV: Vertices (n, 3) m of the sheet, in S.
+            geom: One of the geoms that the sensor may feel.
+            depth: Of the chamber behind the sheet, m.
+        """
+        core = self._points[geom]
+        if geom in self._inside or not len(core):
+            return False
+        R_WS = data.xmat[body].reshape(3, 3)
+        R_WG = data.geom_xmat[geom].reshape(3, 3)
+        points = (data.geom_xpos[geom] + core @ R_WG.T - data.xpos[body]) @ R_WS
+        low = (points[:, 2] < p_SV[:, 2].max() - self._slack) & (points[:, 2] > -depth)
+        points = points[low]
+        if not len(points):
+            return False
+        corners = p_SV[self._mesh.triangles]
+        if self._on_vertices:
+            # a face's edge may stand in a triangle's slope, but not below its lowest vertex
+            corners[..., 2] = corners[..., 2].min(axis=1, keepdims=True)
+        heights = _heights(corners, points[:, :2])
+        return bool((points[:, 2] < heights - self._slack).any())
+
+
+def _heights(triangles: Array, places: Array) -> Array:
+    """Heights (n,) m of `triangles` (m, 3, 3) m over `places` (n, 2) m; -inf outside of them."""
+    a, b, c = triangles.transpose(1, 0, 2)
+    u, v = b - a, c - a
+    twice = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+    twice = np.where(np.abs(twice) > 1e-15, twice, np.inf)
+    x, y = (places[:, None, axis] - a[None, :, axis] for axis in range(2))
+    along_u = (x * v[:, 1] - y * v[:, 0]) / twice
+    along_v = (y * u[:, 0] - x * u[:, 1]) / twice
+    inside = (along_u >= 0) & (along_v >= 0) & (along_u + along_v <= 1) & np.isfinite(twice)
+    heights = a[:, 2] + along_u * u[:, 2] + along_v * v[:, 2]
+    return np.where(inside, heights, -np.inf).max(axis=1)
