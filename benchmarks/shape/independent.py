@@ -45,7 +45,7 @@ def rows() -> list[dict[str, Any]]:
         places = 1e-6 * np.array(case["markers_um"])[order]
         markers = _seen(places + _NOISE * np.random.default_rng(seed).standard_normal((81, 3)))
         touch, _ = chain.feel(state, markers, chain.fitter.fit(markers), 0.0)
-        shape = finder.find([touch])
+        shape = chain.find_shape(state, [touch], finder)
         found.append(
             {
                 "kind": shape.kind,

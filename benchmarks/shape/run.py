@@ -3,9 +3,10 @@ on.
 
 Balls, ellipsoids, lying and standing cylinders, round rims, blocks, wedges, corners and two balls
 at once, pressed into the simulated sheet of `dense` in steps, tilted and off the middle, on a mesh
-that is finer than the default's. Each image is judged by itself; at 0.3 N the press up to there,
-too. The truth is the body's own, and the simulator's contact area; that of lines and points, which
-have none, is left out.
+that is finer than the default's, and held for some images at the end. Each image is judged twice:
+as part of its press, which is followed from image to image as a session does, and by itself. The
+truth is the body's own, and the simulator's forces and contact area; that of lines and points,
+which have none, is left out.
 """
 
 from __future__ import annotations
@@ -22,8 +23,9 @@ from benchmarks.shape import independent
 from benchmarks.shape.bodies import Case, draw
 from benchmarks.shape.tables import summary, table
 from mjtactile.core.design import load_sensor
-from mjtactile.core.types import FeltShape, Touch
+from mjtactile.core.types import Array, FeltShape, Touch, Traction
 from mjtactile.experiments.station import View, take_references
+from mjtactile.sensing.body.finder import ShapeFinder
 from mjtactile.sim import truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
@@ -32,7 +34,8 @@ FIRST_SEED = 1000
 BODIES, BODIES_QUICK = 18, 2
 MESH = (33, 25)
 _DEPTHS = np.array([0.4, 0.8, 1.2, 1.7, 2.3, 3.0]) * 1e-3
-_FORCE_LEAST, _FORCE_END, _FORCE_MOST = 0.06, 0.3, 1.5  # N
+_FORCE_LEAST, _FORCE_MOST = 0.06, 1.5  # N
+_HELD = 4  # images
 
 Say = Callable[[str], None]
 
@@ -53,7 +56,7 @@ def run(out: Path, *, quick: bool = False, say: Say = lambda _: None) -> dict[st
     rows: list[dict[str, Any]] = []
     for seed in range(FIRST_SEED, FIRST_SEED + (BODIES_QUICK if quick else BODIES)):
         rows += _press(seed)
-        said = [row["kind"] for row in rows if row["seed"] == seed]
+        said = [row["kind"] for row in rows if row["seed"] == seed and row["looked"] == "press"]
         say(f"body {seed}, {rows[-1]['name']}: {', '.join(said)}")
     return {"mesh": MESH, "rows": rows, "independent": balls, "summary": summary(rows)}
 
@@ -65,54 +68,82 @@ def _press(seed: int) -> list[dict[str, Any]]:
         world = PressWorld("dense", indenter, at=case.at, mesh=MESH)
     view = View(world, load_sensor("dense"), seed=seed)
     take_references(world, [view], world.design.chamber.supply_gauge)
-    view.perception.shape([view.touch()])  # the finder is made once
-    rows = []
-    touches: list[Touch] = []
-    ended = False
-    for depth in _DEPTHS:
-        world.press(float(depth))
-        touch = view.touch()
-        force = -float(truth.contact_force(world, 0)[2])
-        if force > _FORCE_MOST:
+    finder = view.perception.chain.shape_finder(view.perception.state)  # made once
+    rows: list[dict[str, Any]] = []
+    for depth in (*_DEPTHS, *[None] * _HELD):
+        if depth is not None:
+            world.press(float(depth))
+        true = truth.contact_wrench(world, 0)
+        if -true[2] > _FORCE_MOST:
             break
-        if force < _FORCE_LEAST:
+        row = _followed(case, view, finder, true)
+        if row is None or -true[2] < _FORCE_LEAST:
             continue
-        touches.append(touch)
-        area = truth.contact_area(world, 0)
-        rows.append(_row(seed, case, view, [touch], force, area, "image"))
-        if force > _FORCE_END and not ended:
-            ended = True
-            rows.append(_row(seed, case, view, touches, force, area, "press"))
+        row |= {"seed": seed, "looked": "hold" if depth is None else "press"}
+        row |= {"first": not rows, "area_true_mm2": 1e6 * truth.contact_area(world, 0)}
+        rows.append(row)
+        if depth is not None:
+            rows.append(row | _alone(case, view, row["touch"]))
+    for row in rows:
+        del row["touch"]
     return rows
 
 
-def _row(
-    seed: int, case: Case, view: View, touches: list[Touch], force: float, area: float, looked: str
-) -> dict[str, Any]:
+def _followed(case: Case, view: View, finder: ShapeFinder, true: Array) -> dict[str, Any] | None:
+    """One image more of a press; None where nothing is felt."""
+    perception = view.perception
+    before = perception.state
+    nodal = view.touch()
+    if nodal.traction is None or not nodal.touching:
+        return None
     start = time.thread_time()
-    shape = view.perception.shape(touches)
+    felt, perception.state = perception.chain.follow_shape(before, perception.state, nodal, finder)
     seconds = time.thread_time() - start
-    contact = touches[-1].contact
+    assert felt.shape is not None and felt.traction is not None
+    contact = nodal.contact
     return {
-        "seed": seed,
+        "touch": nodal,
+        "force_true_N": -float(true[2]),
+        "force_N": felt.force_normal,
+        "force_nodal_N": nodal.force_normal,
+        "chi2": _chi2(felt.traction, true),
+        "chi2_nodal": _chi2(nodal.traction, true),
+        "area_nodal_mm2": 1e6 * contact.area if contact is not None else np.nan,
+        "milliseconds": 1e3 * seconds,
+        **_said(case, felt.shape),
+    }
+
+
+def _alone(case: Case, view: View, touch: Touch) -> dict[str, Any]:
+    """What the same image says by itself."""
+    start = time.thread_time()
+    shape = view.perception.shape(touch)
+    seconds = time.thread_time() - start
+    return {"looked": "image", "milliseconds": 1e3 * seconds, **_said(case, shape)}
+
+
+def _said(case: Case, shape: FeltShape) -> dict[str, Any]:
+    return {
         "name": case.name,
-        "looked": looked,
         "family": case.family,
         "kind": shape.kind,
         "probability": shape.probabilities.get(case.family, np.nan),
-        "force_true_N": force,
-        "force_N": shape.force_normal,
-        "force_nodal_N": touches[-1].force_normal,
-        "area_true_mm2": 1e6 * area,
         "area_mm2": 1e6 * shape.area,
-        "area_nodal_mm2": 1e6 * contact.area if contact is not None else np.nan,
         "area_interval_mm2": [1e6 * value for value in shape.area_interval],
         "radius_true_mm": 1e3 * case.radius,
         "radius_mm": 1e3 * shape.radius,
+        "curvatures_true_per_m": list(case.curvatures),
+        "curvatures_per_m": list(shape.curvatures),
+        "curvatures_sd_per_m": list(shape.curvatures_sd),
         "misfit": shape.misfit,
-        "milliseconds": 1e3 * seconds,
         **_edge(case, shape),
     }
+
+
+def _chi2(traction: Traction, true: Array) -> float:
+    """Of the wrench, over its six numbers."""
+    off = traction.wrench - true
+    return float(off @ np.linalg.solve(traction.wrench_cov, off)) / len(off)
 
 
 def _edge(case: Case, shape: FeltShape) -> dict[str, float]:

@@ -20,58 +20,105 @@ def summary(rows: Iterable[Row]) -> dict[str, Any]:
         rows: Of the benchmark.
 
     Returns:
-        Medians, shares and how many there were, by name.
+        Medians, shares and how many there were, by name: of presses that were followed, and of
+        images each alone.
     """
-    images = [row for row in rows if row["looked"] == "image"]
-    presses = [row for row in rows if row["looked"] == "press" and row["family"] != "several"]
-    broad = [row for row in images if row["family"] in ("smooth", "face")]
-    firm = [row for row in broad if row["force_true_N"] >= _FIRM]
-    light = [row for row in broad if _LIGHT <= row["force_true_N"] < _FIRM]
+    listed = list(rows)
+    followed = [row for row in listed if row["looked"] != "image"]
+    presses = [row for row in listed if row["looked"] == "press"]
+    sharp = [row for row in presses if row["family"] in ("edge", "tip", "several")]
+    smooth = [row for row in presses if row["family"] == "smooth"]
+    wedges = [row for row in presses if row["name"] == "wedge" and row["force_true_N"] >= _FIRM]
+    two = [row for row in presses if row["family"] == "several" and row["force_true_N"] >= _FIRM]
+    ends = _ends(presses)
+    return {
+        "press": _told(presses),
+        "image": _told([row for row in listed if row["looked"] == "image"]),
+        "nodal": {key: _errors(some, "area_nodal") for key, some in _broad(presses).items()},
+        "kind_end": [_share(row["kind"] == row["family"] for row in ends), len(ends)],
+        "several": [_share(row["kind"] == "several" for row in two), len(two)],
+        "edge_off_mm": _median(row["edge_off_mm"] for row in wedges),
+        "edge_turn_deg": _median(row["edge_turn_deg"] for row in wedges),
+        "force_smooth": _mean_and_worst(smooth, "force_N"),
+        "force_smooth_nodal": _mean_and_worst(smooth, "force_nodal_N"),
+        "force_sharp": _mean_and_worst(sharp, "force_N"),
+        "force_sharp_nodal": _mean_and_worst(sharp, "force_nodal_N"),
+        "chi2": {
+            family: [
+                _mean(row[key] for row in sharp if row["family"] == family)
+                for key in ("chi2", "chi2_nodal")
+            ]
+            for family in ("edge", "tip", "several")
+        },
+        "chi2_sharp": [_mean(row[key] for row in sharp) for key in ("chi2", "chi2_nodal")],
+        "first_ms": _median(row["milliseconds"] for row in followed if row["first"]),
+        "hold_ms": _median(row["milliseconds"] for row in listed if row["looked"] == "hold"),
+        "look_ms": _median(row["milliseconds"] for row in presses if not row["first"]),
+        "kinds": _kinds(ends),
+        "bodies": len({row["seed"] for row in presses}),
+        "images": len(presses),
+    }
+
+
+def _told(rows: list[Row]) -> dict[str, Any]:
+    """Areas, radii, kinds and intervals."""
+    broad = _broad(rows)
     balls = [
         row
-        for row in images
+        for row in rows
         if row["name"] == "ball"
         and _SMALL <= row["radius_true_mm"] <= _LARGE
         and row["force_true_N"] >= _FIRM
     ]
-    one_image = [
-        row for row in images if row["force_true_N"] >= _END and row["family"] != "several"
+    late = [row for row in rows if row["force_true_N"] >= _END]
+    said = [row for row in broad["firm"] if np.isfinite(row["area_mm2"])]
+    bent = [
+        row
+        for row in rows
+        if row["family"] == "smooth" and row["kind"] == "smooth" and row["force_true_N"] >= _FIRM
     ]
-    wedges = [row for row in images if row["name"] == "wedge" and row["force_true_N"] >= _FIRM]
-    said = [row for row in firm if np.isfinite(row["area_mm2"])]
+    curvatures = [covers for row in bent for covers in _curvatures_cover(row)]
     return {
-        "area_firm": _errors(firm, "area"),
-        "area_firm_nodal": _errors(firm, "area_nodal"),
-        "area_smooth": _errors([row for row in firm if row["family"] == "smooth"], "area"),
-        "area_face": _errors([row for row in firm if row["family"] == "face"], "area"),
-        "area_light": _errors(light, "area"),
-        "area_light_nodal": _errors(light, "area_nodal"),
+        "area": {key: _errors(some, "area") for key, some in broad.items()},
         "coverage": [_share(_covers(row) for row in said), len(said)],
+        "coverage_curvature": [_share(curvatures), len(curvatures)],
         "radius": _errors(balls, "radius"),
-        "family_press": [_share(row["kind"] == row["family"] for row in presses), len(presses)],
-        "family_image": [_share(row["kind"] == row["family"] for row in one_image), len(one_image)],
-        "unknown": [_share(row["kind"] == "unknown" for row in one_image), len(one_image)],
-        "several_unknown": [
-            _share(
-                row["kind"] == "unknown"
-                for row in images
-                if row["family"] == "several" and row["force_true_N"] >= _FIRM
-            ),
-            sum(row["family"] == "several" and row["force_true_N"] >= _FIRM for row in images),
-        ],
-        "edge_off_mm": _median(row["edge_off_mm"] for row in wedges),
-        "edge_turn_deg": _median(row["edge_turn_deg"] for row in wedges),
-        "force_smooth": _errors(
-            [row for row in images if row["family"] == "smooth"], "force", share=False
-        ),
-        "force_smooth_nodal": _errors(
-            [row for row in images if row["family"] == "smooth"], "force_nodal", share=False
-        ),
-        "milliseconds": _median(row["milliseconds"] for row in images),
-        "kinds": _kinds(presses),
-        "bodies": len({row["seed"] for row in images}),
-        "images": len(images),
+        "kind": [_share(row["kind"] == row["family"] for row in late), len(late)],
+        "unknown": [_share(row["kind"] == "unknown" for row in late), len(late)],
     }
+
+
+def _broad(rows: list[Row]) -> dict[str, list[Row]]:
+    """Those that have an area to speak of, by how firmly they are pressed."""
+    broad = [row for row in rows if row["family"] in ("smooth", "face")]
+    firm = [row for row in broad if row["force_true_N"] >= _FIRM]
+    return {
+        "firm": firm,
+        "smooth": [row for row in firm if row["family"] == "smooth"],
+        "face": [row for row in firm if row["family"] == "face"],
+        "light": [row for row in broad if _LIGHT <= row["force_true_N"] < _FIRM],
+    }
+
+
+def _ends(presses: list[Row]) -> list[Row]:
+    """Of each press the first image of 0.3 N or more."""
+    found: dict[int, Row] = {}
+    for row in presses:
+        if row["force_true_N"] >= _END:
+            found.setdefault(row["seed"], row)
+    return list(found.values())
+
+
+def _curvatures_cover(row: Row) -> list[bool]:
+    """Whether each curvature is within its standard deviation; of one that the family has as
+    exact, nothing is said."""
+    given = zip(
+        row["curvatures_per_m"],
+        row["curvatures_true_per_m"],
+        row["curvatures_sd_per_m"],
+        strict=True,
+    )
+    return [abs(found - true) <= sd for found, true, sd in given if sd > 0]
 
 
 def table(result: dict[str, Any]) -> str:
@@ -84,52 +131,64 @@ def table(result: dict[str, Any]) -> str:
         Markdown.
     """
     s = result["summary"]
+    press, image, nodal = s["press"], s["image"], s["nodal"]
 
-    def errors(key: str) -> str:
-        median, most, count = s[key]
-        if not count:
-            return "-"
-        return f"{100 * median:.0f} % / {100 * most:.0f} % ({count})"
+    def areas(key: str) -> tuple[str, str, str]:
+        return _both(press["area"][key]), _both(image["area"][key]), _both(nodal[key])
 
-    def share(key: str) -> str:
-        part, count = s[key]
-        if not count:
-            return "-"
-        return f"{100 * part:.0f} % ({count})"
-
-    def newtons(key: str) -> str:
-        median, most, count = s[key]
-        return f"{median:.4f} / {most:.3f} ({count})"
-
-    def off(key: str) -> str:
-        median, count = s[key]
-        return f"{median:.2f} ({count})"
+    def shares(key: str) -> tuple[str, str, str]:
+        return _part(press[key]), _part(image[key]), "none"
 
     rows = [
-        ("what", "body", "nodal estimate"),
-        ("---", "---", "---"),
+        ("what", "press, followed", "one image", "nodal estimate"),
+        ("---", "---", "---", "---"),
+        ("area from 0.2 N on, smooth and faces, error: median / 90 % within", *areas("firm")),
+        ("of smooth bodies", *areas("smooth")),
+        ("of faces", *areas("face")),
+        ("area, 0.06 to 0.2 N", *areas("light")),
+        ("68 % interval of the area has the true one, from 0.2 N on", *shares("coverage")),
+        ("68 % interval of curvatures, the same", *shares("coverage_curvature")),
         (
-            "contact area from 0.2 N on, smooth and faces, error: median / 90 % within",
-            errors("area_firm"),
-            errors("area_firm_nodal"),
+            "radius of balls of 4.2 to 30 mm, from 0.2 N on",
+            _both(press["radius"]),
+            _both(image["radius"]),
+            "none",
         ),
-        ("of smooth bodies", errors("area_smooth"), ""),
-        ("of faces", errors("area_face"), ""),
-        ("contact area, 0.06 to 0.2 N", errors("area_light"), errors("area_light_nodal")),
-        ("68 % interval of the area has the true one", share("coverage"), "none"),
-        ("radius of balls of 4.2 to 30 mm, from 0.2 N on", errors("radius"), "none"),
-        ("kind right, press up to 0.3 N", share("family_press"), "none"),
-        ("kind right, one image of 0.3 N or more", share("family_image"), "none"),
-        ("said to be unknown, of these", share("unknown"), "none"),
-        ("two balls at once said to be unknown", share("several_unknown"), "none"),
-        ("a wedge's edge: off across it, mm, median", off("edge_off_mm"), "none"),
-        ("a wedge's edge: turned, deg, median", off("edge_turn_deg"), "none"),
+        ("kind right at the end of a press to 0.3 N", _part(s["kind_end"]), "", "none"),
+        ("kind right, images of 0.3 N or more", *shares("kind")),
+        ("said to be unknown, of these", *shares("unknown")),
+        ("two balls at once, said to be several", _part(s["several"]), "", "none"),
+        ("a wedge's edge: off across it, mm, median", _number(s["edge_off_mm"]), "", "none"),
+        ("a wedge's edge: turned, deg, median", _number(s["edge_turn_deg"]), "", "none"),
         (
-            "normal force of smooth bodies, N: median / 90 % within",
-            newtons("force_smooth"),
-            newtons("force_smooth_nodal"),
+            "normal force of smooth bodies, error, N: mean / worst",
+            _newtons(s["force_smooth"]),
+            "",
+            _newtons(s["force_smooth_nodal"]),
         ),
-        ("time, ms an image, median", off("milliseconds"), ""),
+        (
+            "normal force of edges, corners, two balls",
+            _newtons(s["force_sharp"]),
+            "",
+            _newtons(s["force_sharp_nodal"]),
+        ),
+        *(
+            (f"chi-square of the wrench, {name}", f"{now:.2f}", "", f"{before:.2f}")
+            for name, (now, before) in (
+                ("edges", s["chi2"]["edge"]),
+                ("corners", s["chi2"]["tip"]),
+                ("two balls", s["chi2"]["several"]),
+                ("all three", s["chi2_sharp"]),
+            )
+        ),
+        ("time of a processor, ms: the first image of a press", _number(s["first_ms"]), "", ""),
+        (
+            "images between which the force grows by half: all that may be it",
+            _number(s["look_ms"]),
+            "",
+            "",
+        ),
+        ("images of a hold", _number(s["hold_ms"]), "", ""),
     ]
     lines = ["| " + " | ".join(row) + " |" for row in rows]
     lines += ["", *_independent(result["independent"])]
@@ -141,9 +200,39 @@ def table(result: dict[str, Any]) -> str:
     lines += [
         "",
         f"{s['bodies']} bodies, {s['images']} images, mesh {mesh}; in brackets how many. What was "
-        f"said of presses up to 0.3 N: {kinds}.",
+        f"said at the end of presses to 0.3 N: {kinds}.",
     ]
     return "\n".join(lines)
+
+
+def _both(found: list[float]) -> str:
+    median, most, count = found
+    return f"{100 * median:.0f} % / {100 * most:.0f} % ({count})" if count else "-"
+
+
+def _part(found: list[float]) -> str:
+    part, count = found
+    return f"{100 * part:.0f} % ({count})" if count else "-"
+
+
+def _newtons(found: list[float]) -> str:
+    mean, worst, count = found
+    return f"{mean:.4f} / {worst:.3f} ({count})" if count else "-"
+
+
+def _number(found: list[float]) -> str:
+    value, count = found
+    return f"{value:.2f} ({count})" if count else "-"
+
+
+def _mean_and_worst(rows: list[Row], name: str) -> list[float]:
+    off = [abs(row[name] - row["force_true_N"]) for row in rows]
+    return [float(np.mean(off)), float(max(off)), len(off)] if off else [np.nan, np.nan, 0]
+
+
+def _mean(given: Iterable[float]) -> float:
+    values = list(given)
+    return float(np.mean(values)) if values else float("nan")
 
 
 def _independent(balls: list[Row]) -> list[str]:

@@ -27,9 +27,10 @@ on the membrane, frame S: a press has a negative z), "wrench_estimated" (force N
 about the middle of the frame), "force_estimated_sd_N", "drive_force_N" (what a load cell on
 the drive reads), "contact_area_mm2", "contact_area_true_mm2", "penetration_mm" (how far the
 simulated bodies overlap: its error), "pressure_kPa", "volume_mL", "converged", "status"}],
-"shape": {what the images say of the body: "kind" (smooth, face, edge, tip, unknown),
+"shape": {what the images say of the body: "kind" (smooth, face, edge, tip, several, unknown),
 "probabilities", "curvatures_per_m", "radius_mm", "direction_deg", "area_mm2",
-"area_interval_mm2" (68 %), "force_normal_N", "pose", "outline_mm", "misfit", "status"},
+"area_interval_mm2" (68 %), "force_normal_N", "pose", "outline_mm", "misfit", "status",
+"parts" (of several bodies at once, each)},
 "flags": {kind of doubt: reason}}
 """
 

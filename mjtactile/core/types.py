@@ -348,10 +348,41 @@ class Contact:
         _keep_status(self)
 
 
-SHAPES: tuple[str, ...] = ("smooth", "face", "edge", "tip")
+SHAPES: tuple[str, ...] = ("smooth", "face", "edge", "tip", "several")
 """Kinds of bodies by touch: smooth (two curvatures: plane, ball, lying cylinder), a flat face with
 a rim (round, or straight sides), an edge and a tip (sharper than 4 mm of radius, along a line or
-at a point)."""
+at a point); several bodies at once (`FeltShape.parts`)."""
+
+
+@dataclass(frozen=True, eq=False)
+class BodyMotion:
+    """How a body moves against the rubber that it touches, over the last images; frame S. What is
+    not known, or has no meaning for the body, is NaN.
+
+    Attributes:
+        velocity: (2,) m/s of the body's place over the rubber's material: it rolls or slides.
+        velocity_cov: (2, 2).
+        rolling: (2,) rad/s about x and y: of a flat face as its tilt tells; of a round body what
+            `velocity` comes to where it does not slip.
+        rolling_cov: (2, 2).
+        sliding: (2,) m/s, what of `velocity` is no rolling.
+        spinning: rad/s about z over the rubber; NaN for what looks the same all around.
+        spinning_sd: rad/s.
+    """
+
+    velocity: Array
+    velocity_cov: Array
+    rolling: Array
+    rolling_cov: Array
+    sliding: Array
+    spinning: float
+    spinning_sd: float
+
+    def __post_init__(self) -> None:
+        for name in ("velocity", "rolling", "sliding"):
+            _freeze(self, name, getattr(self, name), (2,))
+        for name in ("velocity_cov", "rolling_cov"):
+            _freeze(self, name, getattr(self, name), (2, 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -375,9 +406,13 @@ class FeltShape:
         pose_cov: (6, 6) of p_SO, m, and of small turns about the axes of S, rad.
         outline: (P, 2) m, border of the contact.
         force_normal: N that the body takes to be so deep in the sheet.
-        family: The narrower kind: "ball" and "cylinder" are "smooth", "disc" and "block" a "face".
+        family: The narrower kind: "ball" and "cylinder" are "smooth", "disc" and "block" a "face";
+            of several bodies the families, with "+" between.
         misfit: Mean square of the markers' heights over their sd: near 1.
         status: "ok", or why it is unknown.
+        parts: Where several bodies touch, each of them, the strongest first; pose and outline are
+            then the first one's, area and force of all.
+        motion: Against the rubber; None: too few images of it were felt one after the other.
     """
 
     kind: str
@@ -398,6 +433,8 @@ class FeltShape:
     family: str = "unknown"
     misfit: float = np.nan
     status: Status = OK
+    parts: tuple[FeltShape, ...] = ()
+    motion: BodyMotion | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in (*SHAPES, "unknown"):

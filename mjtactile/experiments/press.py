@@ -156,6 +156,7 @@ def shape_report(shape: FeltShape) -> dict[str, Any]:
         "outline_mm": (1e3 * shape.outline).round(3).tolist(),
         "misfit": known(shape.misfit),
         "status": str(shape.status),
+        "parts": [shape_report(part) for part in shape.parts],
     }
 
 

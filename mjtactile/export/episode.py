@@ -194,7 +194,14 @@ class Episode:
         elif calibration is not None:
             gauge = calibration.pressure(gauge)
         perception.take_rest(list(rest.images(number)), gauge)
+        perception.shapes = self._asked_for_shapes
         return perception
+
+    @property
+    def _asked_for_shapes(self) -> bool:
+        """Whether the run's controller did: forces are the body's then."""
+        said = self.recording.columns.get("shape_kind", ())
+        return any(kind != "none" for row in said for kind in row)
 
     def _readings(self, cycle: int) -> list[PressureReading | None]:
         """What the chambers' gauges said in that cycle, of every finger."""

@@ -37,6 +37,10 @@ string slip_state           # none, sticking, incipient, slipping, unknown
 float64[2] slip_velocity    # m/s
 float64 slip_distance       # m
 float64 stick_ratio
+string shape_kind           # smooth, face, edge, tip, several, unknown; none where nobody asked
+float64 shape_area          # m^2
+float64 shape_radius        # m
+float64 shape_direction     # rad from x
 float64 marker_count
 bool valve_open             # false where the finger has none
 float64 pressure_gauge      # Pa
@@ -50,7 +54,7 @@ float64 lift_height         # m
 string phase
 """,
 }
-_TEXT = ("status", "status_code", "slip_state")
+_TEXT = ("status", "status_code", "slip_state", "shape_kind")
 _RENAMED = {"age": "touch_age"}
 _PACKAGE_XML = f"""\
 <?xml version="1.0"?>

@@ -167,7 +167,7 @@ class Film:
             )
         x, force, found = start.x.copy(), start.force.copy(), np.empty(FOUND)
         trend = np.zeros((4, *self.grid)) if start.trend is None else start.trend.copy()
-        settings = np.array([self._gas, self.sealed, TOLERANCE, _MOST_STEPS])
+        settings = np.array([self._gas, self.sealed, TOLERANCE, _MOST_STEPS, 1.0])
         self._run(settings, rows, pool, (x, force, trend, found))
         return _judged(FilmState(x, force, found, trend))
 
@@ -177,6 +177,7 @@ class Film:
         batch: FilmBatch | None = None,
         *,
         threads: int = 1,
+        again: bool = True,
     ) -> FilmBatch:
         """Where the films of several environments rest.
 
@@ -184,6 +185,8 @@ class Film:
             obstacles: the bodies of each environment, as many in each.
             batch: where to start; None: untouched. What did not converge starts untouched.
             threads: among which environments are shared out; results are the same bits with any.
+            again: whether what finds no rest from where it starts is tried from rest, which costs
+                many times as much.
 
         Returns:
             The states, one after the other. What cannot be has a status, and raises nothing.
@@ -211,7 +214,7 @@ class Film:
             if batch.trend is not None:
                 trend[~lost] = batch.trend[~lost]
         found = np.empty((count, FOUND))
-        settings = np.tile([self._gas, self.sealed, TOLERANCE, _MOST_STEPS], (count, 1))
+        settings = np.tile([self._gas, self.sealed, TOLERANCE, _MOST_STEPS, again], (count, 1))
         cuts = np.linspace(0, count, max(1, min(threads, count)) + 1).astype(int).tolist()
         self._rooms += [np.empty_like(self._room) for _ in range(len(self._rooms), len(cuts) - 1)]
 
@@ -255,7 +258,7 @@ class Film:
         count = len(by)
         by_x, by_force = np.empty((count, 3, *self.grid)), np.empty((count, *self.grid))
         by_found = np.empty((count, FOUND))
-        settings = np.array([self._gas, self.sealed, TOLERANCE, 1.0])
+        settings = np.array([self._gas, self.sealed, TOLERANCE, 1.0, 0.0])
         fixed = (self._numbers, self._law, *self.grid, room.size, room, settings)
         pooled = 0 if pool is None else pool.size
         given = (len(listed[0]), count, rows, pooled, pool, by, state.x, state.force)
@@ -362,7 +365,8 @@ class Film:
                 self._keep(x)
             except np.linalg.LinAlgError:
                 break
-            settings = np.array([share * self.pressure_gauge, 0.0, _INFLATED, 4 * _MOST_STEPS])
+            gauge = share * self.pressure_gauge
+            settings = np.array([gauge, 0.0, _INFLATED, 4 * _MOST_STEPS, 1.0])
             trend = np.zeros((4, *self.grid))
             self._run(settings, np.zeros((0, bodies.NUMBERS)), None, (x, force, trend, found))
             if not FilmState(x, force, found).converged:

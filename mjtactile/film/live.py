@@ -44,7 +44,7 @@ class LiveFilm:
         self.trend = np.zeros((4, *film.grid))
         self.rows = rows
         self.found = np.zeros(FOUND)
-        self.settings = np.array([0.0, 0.0, _TOLERANCE, float(_MOST_STEPS)])
+        self.settings = np.array([0.0, 0.0, _TOLERANCE, float(_MOST_STEPS), 1.0])
         self.numbers = film._numbers.copy()
         room = np.empty_like(film._room)
         kept = (film._kept.size, film._kept)

@@ -420,7 +420,7 @@ int64_t film_solve(const double *numbers, const double *law, int64_t columns, in
         film_pad(&f, 3, own_x, w.x), film_pad(&f, 1, own_force, w.force);
         int status = come_to_rest(&f, set, &own_bodies, 0, own_trend, own, &w);
         if (status == CONVERGED) status = can_be(&f, &own_bodies, &w);
-        if (set->most_steps > 1 && (status == GOES_THROUGH || status == NOT_CONVERGED || status == INSIDE_OUT || status == BROKEN_DOWN))
+        if (set->again && (status == GOES_THROUGH || status == NOT_CONVERGED || status == INSIDE_OUT || status == BROKEN_DOWN))
             status = come_from_rest(&f, set, &own_bodies, rest, own, &w);
         if (status == CONVERGED) status = can_be(&f, &own_bodies, &w);
         own[STATUS] = status;

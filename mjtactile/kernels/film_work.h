@@ -10,7 +10,8 @@ enum { CONVERGED, NOT_CONVERGED, AT_THE_RIM, ON_THE_GLASS, INSIDE_OUT, BROKEN_DO
 enum { FORCE_X, FORCE_Y, FORCE_Z, TORQUE_X, TORQUE_Y, TORQUE_Z, PRESSURE, VOLUME, AREA, STATUS, STEPS, STRETCHED_AREA, TENSION,
        LAST_STEP, FOUND };
 
-typedef struct { double gas, sealed, tolerance, most_steps; } Settings; /* gas: p V^gamma if sealed, else the pressure held */
+typedef struct { double gas, sealed, tolerance, most_steps, again; } Settings; /* gas: p V^gamma if sealed, else the pressure held;
+    again: from rest, in small steps, where a start from elsewhere ends nowhere */
 
 typedef struct { long count; const double *body, *pool; } Bodies;
 

@@ -43,6 +43,7 @@ _LISTS = {
     "status": TEXT,
     "status_code": TEXT,
     "slip_state": TEXT,
+    "shape_kind": TEXT,
     "touching": FLAG,
     "valve_open": FLAG,
     "images": TEXT,
@@ -67,6 +68,10 @@ _FINGERS = (
     "contact_depth",
     "patches",
     "slip_state",
+    "shape_kind",
+    "shape_area",
+    "shape_radius",
+    "shape_direction",
     "marker_count",
 )
 _HEADER = {

@@ -143,6 +143,27 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
         "share of the contact that still sticks",
         _of_part("slip", "stick_ratio", np.nan),
     ),
+    "shape_kind": (
+        "",
+        "of the body that touches: smooth, face, edge, tip, several or unknown; none where nobody "
+        "asked",
+        _of_part("shape", "kind", "none"),
+    ),
+    "shape_area": (
+        "m^2",
+        "of the membrane that lies on that body",
+        _of_part("shape", "area", np.nan),
+    ),
+    "shape_radius": (
+        "m",
+        "of a ball, a lying cylinder, a disc",
+        _of_part("shape", "radius", np.nan),
+    ),
+    "shape_direction": (
+        "rad",
+        "from x, of an edge or of the smaller curvature",
+        _of_part("shape", "direction", np.nan),
+    ),
     "marker_count": (
         "",
         "markers found",

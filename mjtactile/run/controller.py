@@ -9,6 +9,7 @@ import queue
 import sys
 import threading
 import traceback
+import types
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -33,12 +34,18 @@ class Stepper(Protocol):
     def step(self, observation: Observation) -> Command: ...
 
 
+READABLE = ("shape",)
+"""What of a touch is found only for controllers that say so, in `READS`: it costs time."""
+
+
 @dataclass(frozen=True)
 class Controller:
-    """A controller file and its `step` function; calling it checks what comes back."""
+    """A controller file and its `step` function; calling it checks what comes back. `reads` are
+    those of READABLE that it wants."""
 
     path: Path
     function: Callable[[Observation], Any]
+    reads: tuple[str, ...] = ()
 
     def step(self, observation: Observation) -> Command:
         """Run the user's `step`.
@@ -189,4 +196,18 @@ def load_controller(name_or_path: str | Path) -> Controller:
         raise ControllerError(
             "has no function step(observation) -> command", source=path, field="step"
         )
-    return Controller(path, function)
+    return Controller(path, function, _reads(module, path))
+
+
+def _reads(module: types.ModuleType, path: Path) -> tuple[str, ...]:
+    """What a controller's file says in READS. Raises ControllerError for what is not readable."""
+    reads = getattr(module, "READS", ())
+    listed = (reads,) if isinstance(reads, str) else tuple(reads)
+    unknown = [name for name in listed if name not in READABLE]
+    if unknown:
+        raise ControllerError(
+            f"{unknown[0]!r} is nothing that a controller asks for; choices: {', '.join(READABLE)}",
+            source=path,
+            field="READS",
+        )
+    return listed

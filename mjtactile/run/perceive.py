@@ -24,6 +24,8 @@ PATIENCE = 10.0
 class Perceiver(Protocol):
     """One sensor's perception; see `mjtactile.sensing.chain.Perception`."""
 
+    shapes: bool
+
     def take_flat(self, images: Sequence[Image]) -> Any: ...
     def take_rest(
         self, images: Sequence[Image], pressure_gauge: float, *, sealed: bool = True

@@ -147,7 +147,8 @@ class Session:
         """Run the controller until it says "done" or "abort"; see `mjtactile.run.loop.run_loop`.
 
         Args:
-            controller: Is asked for a command in every cycle.
+            controller: Is asked for a command in every cycle; where its file says `READS =
+                ("shape",)`, every touch has its shape.
             time_limit: s on the rig's clock.
             on_cycle: Is given every cycle after its command was sent.
             observer: The same, and is also told when a cycle's images were taken.
@@ -166,6 +167,9 @@ class Session:
         watching: list[Observer] = [] if observer is None else [observer]
         if on_cycle is not None:
             watching.append(CycleCallback(on_cycle))
+        asks = "shape" in getattr(controller, "reads", ())
+        for perception in self.perceptions:
+            perception.shapes = asks
         notes = FlagNotes(self.rig.flags, Observers(watching))
         with signals.deferred() as stop, notes:
             return run_loop(

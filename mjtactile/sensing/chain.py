@@ -38,6 +38,8 @@ from mjtactile.core.types import (
     Traction,
 )
 from mjtactile.sensing.body.finder import ShapeFinder, told_nothing
+from mjtactile.sensing.body.fuse import Borne, with_load
+from mjtactile.sensing.body.motion import rubber_step
 from mjtactile.sensing.estimate import Estimate, ShapeEstimator
 from mjtactile.sensing.force import bulge, zero
 from mjtactile.sensing.force.inverse import InverseMembrane, InverseRest
@@ -55,6 +57,7 @@ from mjtactile.sensing.touch import slip
 from mjtactile.sensing.touch.patches import find_patches, together
 
 _OVERLOADS_SURE = 2  # images in a row: a torn picture is no overload
+_GAUGE_STEP = 1.02  # of the gas at rest, after which shapes want another film
 
 
 class Chain:
@@ -218,7 +221,7 @@ class Chain:
         self._check_rest(state, markers, rest, pressure_gauge)
         return replace(
             state,
-            reference=Reference(rest, self.fitter.fit(markers), markers.fiducials),
+            reference=Reference(rest, self.fitter.fit(markers), rest, markers.fiducials),
             expected=self.inverse.positions(rest.c),
             gas=None,
             knocked=0,
@@ -264,22 +267,74 @@ class Chain:
     # --------------------------------------------------------------------------------
 
     def shape_finder(self, state: ChainState) -> ShapeFinder:
-        """Make what finds shapes with this rest; a twentieth of a second, once for a rest.
+        """Make what finds shapes with this rest; a tenth of a second, once for a rest.
 
         Args:
             state: With the rest reference.
 
         Returns:
-            The finder.
+            The finder: of the rest as it was first measured, and of about the gas that is there
+            now.
 
         Raises:
             DeviceError: The rest reference is missing.
         """
+        reference = self._require_reference(state, "a shape")
+        return ShapeFinder(self.design, reference.first, finder_gauge(reference), self.settings)
+
+    def find_shape(
+        self, state: ChainState, touches: Sequence[Touch], finder: ShapeFinder
+    ) -> FeltShape:
+        """Say what body touches in the newest of some touches.
+
+        Args:
+            state: With the rest reference.
+            touches: Of one press, oldest first.
+            finder: Of this rest.
+
+        Returns:
+            The shape; "unknown", with a status, where it cannot be said.
+
+        Raises:
+            DeviceError: The rest reference is missing.
+        """
+        return finder.find(touches, self._rest_markers(state))
+
+    def follow_shape(
+        self, before: ChainState, after: ChainState, touch: Touch, finder: ShapeFinder
+    ) -> tuple[Touch, ChainState]:
+        """Find what body touches, from what the images before have told of it.
+
+        Args:
+            before: The state before the image.
+            after: The state after it.
+            touch: What it was felt to be.
+            finder: Of this rest.
+
+        Returns:
+            The touch with its shape, area and force by it, and the state that remembers the press.
+
+        Raises:
+            DeviceError: The rest reference is missing.
+        """
+        rubber = None
+        if before.slip is not None and after.slip is not None:
+            rubber = rubber_step(
+                (before.slip.weight, after.slip.weight), (before.slip.position, after.slip.position)
+            )
+        found = finder.follow(touch, before.press, self._rest_markers(after), rubber)
+        felt = with_shape(touch, found.shape, found.load)
+        return felt, replace(after, press=found.press)
+
+    def _require_reference(self, state: ChainState, what: str) -> Reference:
         if state.reference is None:
-            raise DeviceError(f"sensor {self.design.name}: a shape before the rest reference")
-        rest = state.reference.rest
-        p_rest = self.inverse.positions(rest.c) + rest.offset
-        return ShapeFinder(self.design, rest, p_rest, self.settings)
+            raise DeviceError(f"sensor {self.design.name}: {what} before the rest reference")
+        return state.reference
+
+    def _rest_markers(self, state: ChainState) -> Array:
+        """Where they stand at rest, (N, 3) m in S."""
+        rest = self._require_reference(state, "a shape").rest
+        return self.inverse.positions(rest.c) + rest.offset
 
     # -- an image
     # --------------------------------------------------------------------------------
@@ -568,7 +623,7 @@ class Perception:
         self.chain = chain
         self.state = chain.begin() if state is None else state
         self.shapes = shapes
-        self._finder: tuple[Reference, ShapeFinder] | None = None
+        self._finder: tuple[tuple[InverseRest, float], ShapeFinder] | None = None
 
     @classmethod
     def of(
@@ -630,8 +685,15 @@ class Perception:
         Returns:
             The touch.
         """
-        touch, self.state = self.chain.step(self.state, image, now, reading)
-        return with_shape(touch, self.shape(touch)) if self.shapes else touch
+        before = self.state
+        touch, self.state = self.chain.step(before, image, now, reading)
+        if not self.shapes:
+            return touch
+        lacking = told_nothing(touch, self.chain.settings.body)
+        if lacking is not None and before.press is None:
+            return with_shape(touch, lacking)
+        touch, self.state = self.chain.follow_shape(before, self.state, touch, self._finder_now())
+        return touch
 
     def shape(self, touches: Touch | Sequence[Touch]) -> FeltShape:
         """Say what body touches.
@@ -650,31 +712,67 @@ class Perception:
         lacking = told_nothing(history[-1], self.chain.settings.body)
         if lacking is not None:
             return lacking
+        return self.chain.find_shape(self.state, history, self._finder_now())
+
+    def _finder_now(self) -> ShapeFinder:
+        """Made when it is first asked for, and again for another rest or another amount of gas."""
         reference = self.state.reference
-        if self._finder is None or self._finder[0] is not reference:
+        key = None if reference is None else (reference.first, finder_gauge(reference))
+        if self._finder is None or key is None or self._finder[0] != key:
             finder = self.chain.shape_finder(self.state)
-            assert reference is not None
-            self._finder = (reference, finder)
-        return self._finder[1].find(history)
+            assert key is not None
+            self._finder = (key, finder)
+        return self._finder[1]
 
 
-def with_shape(touch: Touch, shape: FeltShape) -> Touch:
+def finder_gauge(reference: Reference) -> float:
+    """Pa of the gas at rest that a finder is made for.
+
+    Args:
+        reference: The rest.
+
+    Returns:
+        As first measured; in steps of 2 % of it where gas was lost or grew warm since.
+    """
+    first = reference.first.gas.gauge
+    now = reference.rest.gas.gauge
+    return first * _GAUGE_STEP ** round(math.log(max(now, 1.0) / first) / math.log(_GAUGE_STEP))
+
+
+def with_shape(touch: Touch, shape: FeltShape, load: Borne | None = None) -> Touch:
     """A touch that knows what body it is of.
 
     Args:
         touch: As the nodal estimate has it.
         shape: What was found of it.
+        load: What that body bears; None: the force stays the nodal estimate's.
 
     Returns:
-        The touch with `shape`; the area and outline of all that touches are the body's where one is
-        known and `contact.area_from` says so.
+        The touch with `shape`; where one is known, area and outline are the body's and
+        `contact.area_from` says so, and the wrench takes up what the body bears.
     """
     contact = touch.contact
     if contact is None or shape.kind == "unknown":
         return replace(touch, shape=shape)
+    felt = touch if load is None else with_load(touch, load)
     by_body = replace(contact, area=shape.area, outline=shape.outline, area_from=shape.family)
-    patches = (by_body,) if len(touch.patches) == 1 else touch.patches
-    return replace(touch, shape=shape, contact=by_body, patches=patches)
+    patches = (by_body,) if len(touch.patches) == 1 else _patches_of(touch.patches, shape.parts)
+    return replace(felt, shape=shape, contact=by_body, patches=patches)
+
+
+def _patches_of(patches: tuple[Contact, ...], bodies: tuple[FeltShape, ...]) -> tuple[Contact, ...]:
+    """Each with the area of the body that is nearest, if there are as many."""
+    if len(bodies) != len(patches):
+        return patches
+    left = list(bodies)
+    found = []
+    for patch in patches:
+        nearest = min(left, key=lambda body: math.dist(body.p_SO[:2], patch.centroid))
+        left.remove(nearest)
+        found.append(
+            replace(patch, area=nearest.area, outline=nearest.outline, area_from=nearest.family)
+        )
+    return tuple(found)
 
 
 def _moved(expected: Array, markers: Markers) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from mjtactile.core.types import Array, FiducialsSeen, Surface
+from mjtactile.sensing.body.press import Press
 from mjtactile.sensing.force import zero
 from mjtactile.sensing.force.camera import CameraSeen
 from mjtactile.sensing.force.gauge import GasState
@@ -18,11 +19,13 @@ KNOCKS_SURE = 3  # images in a row: a torn picture is no knock
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What the chain knows of its own sensor at rest: its statics, its `surface`, and where its
+    """What the chain knows of its own sensor at rest: its statics, its `surface`, the statics as
+    they were `first` measured, before they followed temperature and leaks, and where its
     `fiducials` were seen (None: it has none)."""
 
     rest: InverseRest
     surface: Surface
+    first: InverseRest
     fiducials: FiducialsSeen | None = None
 
 
@@ -36,7 +39,8 @@ class ChainState:
     where fiducials show it, gas seemed lost: from `KNOCKS_SURE` on it was; since nothing explains
     the markers, for how many images, `unexplained`, and the force (3,) N in the last one before
     that they did explain, `lost_at`; the last image's `fiducials`, and the `camera` that they
-    showed."""
+    showed; and what its images have told of the body of this `press`, where somebody asks for
+    shapes."""
 
     flat: FlatReference
     expected: Array
@@ -53,6 +57,7 @@ class ChainState:
     lost_at: Array | None = None
     fiducials: FiducialsSeen | None = None
     camera: CameraSeen | None = None
+    press: Press | None = None
 
     def without_history(self) -> ChainState:
         """The same references, as if no image had been seen since; what is known of the gas
@@ -67,4 +72,5 @@ class ChainState:
             set_aside=(),
             unexplained=0,
             lost_at=None,
+            press=None,
         )

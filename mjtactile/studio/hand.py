@@ -71,6 +71,7 @@ class ByHand:
 
     def __init__(self, controller: Stepper):
         self._controller = controller
+        self.reads = getattr(controller, "reads", ())
         self.wish: Wish | None = None
 
     @property

@@ -7,8 +7,8 @@ curvatures in 1/m, angles in rad. Frame S; a body comes from +z.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import ndtr
@@ -26,12 +26,13 @@ _RIM_SLOPE = 2.0  # of the flank beyond a rim
 _RIM_OUT = 1.4  # roundings by which a round rim's own lies outside of what it stands for
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Hint:
     """Where a fit starts: `place` (2,) m in S of the touch, `height` m of the sheet's outer face
     there, `area` m^2 and `angle` rad of the patch as the nodal estimate has it, and half sides
     `frame` (2,) m of where a body may be; places x, y (nx, ny) m of the film's `nodes`, and the
-    `rounding` m of what is sharp."""
+    `rounding` m of what is sharp; the normal `force` N that it was felt with, and, where it is
+    touched at several places, the hint of each of the `parts`, the strongest first."""
 
     place: Array
     height: float
@@ -40,9 +41,16 @@ class Hint:
     frame: Array
     nodes: tuple[Array, Array]
     rounding: float
+    force: float
+    parts: tuple[Hint, ...] = ()
+
+    def on(self, nodes: tuple[Array, Array], rounding: float) -> Hint:
+        """The same over another film's nodes."""
+        parts = tuple(part.on(nodes, rounding) for part in self.parts)
+        return replace(self, nodes=nodes, rounding=rounding, parts=parts)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Family:
     """A family of bodies, of which one may be a simpler case of another.
 
@@ -53,11 +61,13 @@ class Family:
         sd: How surely; also the scale of a step.
         steps: Over which derivatives are taken: above the film's own tolerance, and for what turns
             or shifts an edge over a good part of the way between nodes.
-        loose: By how much they may change from one image of a press to the next, as sd.
+        loose: By how much they may change from one look at a press to the next, as sd.
+        share: The same as a share of what they are.
         low: Lower bounds.
         high: Upper bounds.
         build: From numbers and hint to what the film rests on.
         starts: From a hint to numbers to start from.
+        parts: Of several bodies at once, the family of each; else none.
     """
 
     name: str
@@ -66,10 +76,36 @@ class Family:
     sd: Array
     steps: Array
     loose: Array
+    share: Array
     low: Array
     high: Array
     build: Callable[[Array, Hint], tuple[Obstacle, ...]]
     starts: Callable[[Hint], tuple[Array, ...]]
+    parts: tuple[Family, ...] = ()
+
+    def __reduce__(self):  # its functions do not pickle
+        if self.parts:
+            return several, (tuple(part.name for part in self.parts),)
+        return _named, (self.name,)
+
+    @property
+    def heights(self) -> list[int]:
+        """Which numbers are heights."""
+        return [number for number, name in enumerate(self.names) if name == "z"]
+
+    def split(self, numbers: Array) -> list[Array]:
+        """`numbers` (k, ...) of each of the parts."""
+        return np.split(numbers, np.cumsum([len(part.names) for part in self.parts])[:-1])
+
+    def rebased(self, theta: Array, old: Hint, new: Hint) -> Array:
+        """Numbers that counted from `old`, from `new`."""
+        if self.parts:
+            given = zip(self.parts, self.split(theta), old.parts, new.parts, strict=True)
+            return np.concatenate([part.rebased(own, a, b) for part, own, a, b in given])
+        moved = theta.copy()
+        moved[:2] += 1e3 * (old.place - new.place)
+        moved[2] += 1e3 * (old.height - new.height)
+        return moved
 
 
 def about(axis: int, angle: float) -> Array:
@@ -97,6 +133,8 @@ def principal(theta: Array) -> tuple[float, float, float]:
 
 def kinds_of(family: Family, theta: Array, cov: Array) -> dict[str, float]:
     """What a user calls a body with numbers `theta` and covariance `cov`, with probabilities."""
+    if family.parts:
+        return {"several": 1.0}
     if family.name in ("disc", "block"):
         return {"face": 1.0}
     if family.name == "smooth":
@@ -161,14 +199,18 @@ def _off_middle(theta: Array, hint: Hint) -> tuple[Array, Array, Array]:
     return x, y, place[2] + theta[3] * y - theta[4] * x
 
 
-def lies_on(family: Family, theta: Array, hint: Hint) -> float:
-    """What a face's own area is of the round one's that stands for it."""
-    out = 1e3 * _RIM_OUT * hint.rounding
+def face_of(family: Family, theta: Array, hint: Hint, moved: Array) -> tuple[Array, float]:
+    """Of a body with a flat face: how far, (nx, ny) m, each node that has `moved` (2, nx, ny) m is
+    beyond the face's rim, negative within; and the face's area, m^2."""
+    x, y, _ = _off_middle(theta, hint)
+    x, y = x + moved[0], y + moved[1]
     if family.name == "disc":
-        return float((theta[5] / (theta[5] + out)) ** 2)
-    if family.name == "block":
-        return float(np.prod(theta[6:8] / (theta[6:8] + out)))
-    return 1.0
+        radius = 1e-3 * theta[5]
+        return np.hypot(x, y) - radius, math.pi * radius**2
+    c, s = math.cos(theta[5]), math.sin(theta[5])
+    halves = 1e-3 * theta[6:8]
+    off = np.maximum(np.abs(c * x + s * y) - halves[0], np.abs(c * y - s * x) - halves[1])
+    return off, 4 * float(np.prod(halves))
 
 
 def _disc(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
@@ -239,10 +281,46 @@ _STEPS = {
     "opening": 0.02,
     "roll": 0.01,
 }
-# mm and rad from one image of a press to the next: the body is pressed on; what is not named stays,
-# but for a share of its sd.
-_LOOSE = {"x": 0.1, "y": 0.1, "z": 1.0, "tilt_x": 0.01, "tilt_y": 0.01, "lean": 0.01, "roll": 0.01}
-_STIFF = 0.02
+# mm and rad from one look at a press to the next: the body is pressed on, and goes and turns with
+# what holds it; what is not named stays, but for a share of its sd.
+_LOOSE = {
+    "x": 1.0, "y": 1.0, "z": 1.0, "tilt_x": 0.03, "tilt_y": 0.03, "lean": 0.03,
+    "direction": 0.05, "angle": 0.05,
+}  # fmt: skip
+_STIFF = 0.01
+# of a curvature or a size: what the film has wrong in another way at another force
+_SHARE = {"k": 0.06, "radius": 0.05, "half": 0.05}
+
+
+def several(names: Sequence[str]) -> Family:
+    """Bodies that touch at the same time, each of a family of its own; their hint has as many
+    parts."""
+    parts = tuple(FAMILIES[name] for name in names)
+
+    def build(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
+        given = zip(parts, family.split(theta), hint.parts, strict=True)
+        return tuple(body for part, numbers, own in given for body in part.build(numbers, own))
+
+    def starts(hint: Hint) -> tuple[Array, ...]:
+        own = [part.starts(of) for part, of in zip(parts, hint.parts, strict=True)]
+        many = max(len(one) for one in own)
+        return tuple(np.concatenate([one[k % len(one)] for one in own]) for k in range(many))
+
+    numbers = tuple(name for part in parts for name in part.names)
+    mean, sd, steps, loose, share, low, high = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS
+    )
+    family = Family(
+        "+".join(names), numbers, mean, sd, steps, loose, share, low, high, build, starts, parts
+    )
+    return family
+
+
+_COLUMNS = ("mean", "sd", "steps", "loose", "share", "low", "high")
+
+
+def _named(name: str) -> Family:
+    return FAMILIES[name]
 
 
 def _family(
@@ -258,7 +336,8 @@ def _family(
     loose = np.array(
         [_LOOSE.get(number, _STIFF * spread) for number, spread in zip(names, sd, strict=True)]
     )
-    return Family(name, names, mean, sd, steps, loose, low, high, build, starts)
+    share = np.array([_SHARE.get(number.split("_")[0], 0.0) for number in names])
+    return Family(name, names, mean, sd, steps, loose, share, low, high, build, starts)
 
 
 _AT = (("x", 0, 3, -8, 8), ("y", 0, 3, -8, 8), ("z", 0, 1, -4, 3))  # mm
@@ -297,8 +376,8 @@ FAMILIES: dict[str, Family] = {
             "disc",
             (
                 *_AT,
-                ("tilt_x", 0, 0.1, -0.5, 0.5),
-                ("tilt_y", 0, 0.1, -0.5, 0.5),
+                ("tilt_x", 0, 0.07, -0.5, 0.5),
+                ("tilt_y", 0, 0.07, -0.5, 0.5),
                 ("radius", 5, 2, 1.5, 14),
             ),
             _disc,
@@ -308,8 +387,8 @@ FAMILIES: dict[str, Family] = {
             "block",
             (
                 *_AT,
-                ("tilt_x", 0, 0.1, -0.5, 0.5),
-                ("tilt_y", 0, 0.1, -0.5, 0.5),
+                ("tilt_x", 0, 0.07, -0.5, 0.5),
+                ("tilt_y", 0, 0.07, -0.5, 0.5),
                 ("angle", 0, 1.0, -9, 9),
                 ("half_x", 4.5, 2, 1.5, 14),
                 ("half_y", 4.5, 2, 1.5, 14),

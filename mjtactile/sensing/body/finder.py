@@ -5,36 +5,38 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtr
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.status import OK, Status, StatusCode
-from mjtactile.core.types import SHAPES, Array, FeltShape, Touch
-from mjtactile.sensing.body.families import FAMILIES, Family, Hint, kinds_of
-from mjtactile.sensing.body.fit import Data, Fit, Prior, fit
+from mjtactile.core.types import SHAPES, Array, Contact, FeltShape, Touch
+from mjtactile.sensing.body.area import area_sd, areas, interval
+from mjtactile.sensing.body.families import Hint
+from mjtactile.sensing.body.fit import Data
 from mjtactile.sensing.body.forward import Forward
+from mjtactile.sensing.body.fuse import Borne, borne
+from mjtactile.sensing.body.motion import Rubber, motion, tracked
+from mjtactile.sensing.body.press import Press, follow
+from mjtactile.sensing.body.search import Films
 from mjtactile.sensing.body.words import words
 from mjtactile.sensing.force.inverse import InverseRest
 from mjtactile.sensing.settings import DEFAULTS, BodySettings, Settings
 
 _EDGE = 1.5e-3  # m from the frame, where bodies that go on are cut off
-_LOST = 1e3  # of the log of evidence: a family of which no body can be there
 _ROUNDING = 0.5  # spacings of the film
-_INTERVAL = (0.16, 0.84)
+_MOST_PARTS = 3  # bodies at once
 
 
 @dataclass(frozen=True, eq=False)
-class Weighed:
-    """A family's body in the newest image (None: no film rests on it), its probability, and those
-    of the kinds that it may be."""
+class Found:
+    """What one image says of what touches: its `shape`, the `load` that it bears (None: the shape
+    is unknown), and what is left for the next image."""
 
-    family: Family
-    fit: Fit | None
-    probability: float
-    kinds: dict[str, float]
+    shape: FeltShape
+    load: Borne | None
+    press: Press | None
 
 
 class ShapeFinder:
@@ -43,93 +45,112 @@ class ShapeFinder:
     Args:
         design: The sensor.
         rest: What it measured of itself with nothing touching.
-        p_rest: (N, 3) m, its markers at rest in S.
+        gauge: Pa, about, of the gas at rest; None: as `rest` has it.
         settings: Chosen numbers.
     """
 
     def __init__(
-        self, design: SensorDesign, rest: InverseRest, p_rest: Array, settings: Settings = DEFAULTS
+        self,
+        design: SensorDesign,
+        rest: InverseRest,
+        gauge: float | None = None,
+        settings: Settings = DEFAULTS,
     ):
         self.settings = settings
         self._frame = np.array([design.frame.length, design.frame.width]) / 2 - _EDGE
-        spacing = settings.body.spacing
-        grid = tuple(
-            max(round(side / spacing) + 1, 9) for side in (design.frame.length, design.frame.width)
-        )
-        self.forward = Forward(design, rest, p_rest, (grid[0], grid[1]))
-        film = self.forward.film
-        x, y = np.meshgrid(film.x, film.y, indexing="ij")
-        self._nodes = (x, y)
+        s = settings.body
+        fine = Forward(design, rest, s.spacing, gauge)
+        self.films = Films(fine, Forward(design, rest, s.spacing_coarse, gauge), fine.by_gas())
 
-    def find(self, touches: Sequence[Touch]) -> FeltShape:
+    def find(self, touches: Sequence[Touch], p_rest: Array) -> FeltShape:
         """Say what touches.
 
         Args:
             touches: Images of one press, oldest first; the newest is what is spoken of.
+            p_rest: (N, 3) m, the markers at rest in S.
 
         Returns:
             The shape; "unknown", with a status, where it cannot be said.
         """
+        found = Found(_unknown(Status(StatusCode.TOO_LITTLE_SEEN, "no image")), None, None)
+        for touch in touches:
+            found = self.follow(touch, found.press, p_rest)
+        return found.shape
+
+    def follow(
+        self, touch: Touch, press: Press | None, p_rest: Array, rubber: Rubber | None = None
+    ) -> Found:
+        """Say what touches in one image more.
+
+        Args:
+            touch: The image's.
+            press: What the images before left; None: nothing.
+            p_rest: (N, 3) m, the markers at rest in S.
+            rubber: How it moved since the image before; None: that is not known.
+
+        Returns:
+            What is found.
+        """
         s = self.settings.body
-        newest = touches[-1]
-        lacking = told_nothing(newest, s)
+        lacking = told_nothing(touch, s)
         if lacking is not None:
-            return lacking
-        chosen = self._chosen(touches)
+            goes_on = touch.touching or touch.status != OK
+            return Found(lacking, None, press if goes_on else None)
         inverse = self.settings.inverse
         drift = (inverse.drift_gas, inverse.drift_camera)
-        data = [Data.of(touch, self.forward.by_gas, s, drift) for touch in chosen]
-        hints = [self._hint(touch) for touch in chosen]
-        weighed = self._follow(hints, data)
-        likely = max(weighed, key=lambda one: one.probability).fit
-        if likely is None:
-            return _unknown(Status(StatusCode.NO_SHAPE, "no body of any family fits"))
-        misfit = likely.misfit
-        probabilities = {
-            kind: sum(one.probability * one.kinds.get(kind, 0.0) for one in weighed)
-            for kind in SHAPES
-        }
+        films = self.films
+        raised = p_rest[:, 2] - films.fine.rest_heights
+        data = Data.of(touch, raised, films.by_gas, s, drift)
+        track = () if press is None else press.track
+        press = follow(films, press, self._hint(touch), data, s)
+        if press is None:
+            text = "no body of any family fits"
+            return Found(_unknown(Status(StatusCode.NO_SHAPE, text)), None, None)
+        scale = max(s.noise_least, press.now.misfit)
+        track = tracked(track, press.now, touch.time, rubber, scale, s)
+        press = replace(press, track=track)
+        shape = self._said(press, scale, slips(touch))
+        if shape.kind == "unknown" or touch.traction is None:
+            return Found(shape, None, press)
+        return Found(shape, borne(press, touch.traction.wrench, scale, s), press)
+
+    def _said(self, press: Press, scale: float, sliding: bool) -> FeltShape:
+        s = self.settings.body
+        probabilities = press.kinds((*SHAPES,))
+        misfit = press.now.misfit
         if misfit > s.misfit_most:
             text = f"no body explains the markers: misfit {misfit:.1f}, at most {s.misfit_most:g}"
             return _unknown(Status(StatusCode.NO_SHAPE, text), probabilities, misfit)
         kind = max(probabilities, key=lambda name: probabilities[name])
-        spoken = max(weighed, key=lambda one: one.probability * one.kinds.get(kind, 0.0)).fit
-        assert spoken is not None
-        scale = max(s.noise_least, misfit)
-        return words(
-            self.forward, spoken, kind, probabilities, scale, self._interval(weighed, scale), s
-        )
-
-    def _chosen(self, touches: Sequence[Touch]) -> list[Touch]:
-        """Images of the press that tell something, spread over its forces, the newest last."""
-        s = self.settings.body
-        newest = touches[-1]
-        usable = [
-            touch
-            for touch in touches[:-1]
-            if touch.touching
-            and touch.status == OK
-            and touch.contact is not None
-            and touch.markers is not None
-            and s.force_least < touch.force_normal
-        ]
-        if len(usable) >= s.images:
-            order = sorted(usable, key=lambda touch: touch.force_normal)
-            places = np.linspace(0, len(order) - 1, s.images + 1).round().astype(int)[1:-1]
-            usable = [order[place] for place in sorted(set(places.tolist()))]
-        return [*usable, newest]
+        weighed = []
+        for probability, found in press.bodies():
+            whole = sum(areas(self.films.fine, found, s))
+            weighed.append((probability, whole, area_sd(found, whole, s.said_noise * scale, s)))
+        shape = words(self.films.fine, press.now, kind, probabilities, scale, interval(weighed), s)
+        return replace(shape, motion=motion(press.track, press.now, slips=sliding))
 
     def _hint(self, touch: Touch) -> Hint:
-        contact, surface = touch.contact, touch.surface
-        assert contact is not None
+        assert touch.contact is not None
+        whole = self._hint_at(touch, touch.contact, touch.force_normal)
+        firm = [
+            patch
+            for patch in touch.patches[:_MOST_PARTS]
+            if -patch.force[2] > self.settings.body.part_share * touch.force_normal
+        ]
+        if len(firm) < 2:
+            return whole
+        parts = tuple(self._hint_at(touch, patch, -float(patch.force[2])) for patch in firm)
+        return replace(whole, parts=parts)
+
+    def _hint_at(self, touch: Touch, contact: Contact, force: float) -> Hint:
+        surface = touch.surface
         height = 0.0
         if surface is not None:
             column = int(np.abs(surface.x - contact.centroid[0]).argmin())
             row = int(np.abs(surface.y - contact.centroid[1]).argmin())
             height = float(surface.z[row, column])
-        sheet = self.forward.film.design.membrane.thickness
-        film = self.forward.film
-        spacing = float(film.x[1] - film.x[0])
+        film = self.films.fine
+        sheet = film.film.design.membrane.thickness
         angle = contact.angle if math.isfinite(contact.angle) else 0.0
         return Hint(
             np.array(contact.centroid),
@@ -137,75 +158,22 @@ class ShapeFinder:
             contact.area,
             angle,
             self._frame,
-            self._nodes,
-            _ROUNDING * spacing,
+            film.nodes,
+            _ROUNDING * film.spacing,
+            force,
         )
 
-    def _follow(self, hints: Sequence[Hint], data: Sequence[Data]) -> list[Weighed]:
-        """Each family's body in the newest image, and its probability.
 
-        Images are taken in their order: what one tells of a body is believed before the next, but
-        for how deep it is pressed. What even the best family leaves of the markers is the film's
-        and the simulator's doing: it is taken for noise, the same for all families.
-        """
-        families = list(FAMILIES.values())
-        logs = np.zeros(len(families))
-        fits: list[Fit | None] = [None] * len(families)
-        noise = 1.0
-        for hint, one in zip(hints, data, strict=True):
-            now: list[Fit | None] = []
-            known = math.inf
-            for family, before in zip(families, fits, strict=True):
-                found = self._best(family, hint, one, before, noise, known)
-                known = known if found is None else min(known, found.chi2)
-                now.append(found)
-            noise = max(
-                self.settings.body.noise_least,
-                min((found.misfit for found in now if found), default=1.0),
-            )
-            logs += [found.log_evidence_with(noise) if found else -_LOST for found in now]
-            fits = now
-        share = np.exp(logs - logs.max())
-        share /= share.sum()
-        return [
-            Weighed(
-                family,
-                found,
-                float(p),
-                kinds_of(family, found.theta, found.cov_with(noise)) if found else {},
-            )
-            for family, found, p in zip(families, fits, share, strict=True)
-        ]
+def slips(touch: Touch) -> bool:
+    """Whether it is said that what touches slips.
 
-    def _best(
-        self, family: Family, hint: Hint, data: Data, before: Fit | None, noise: float, known: float
-    ) -> Fit | None:
-        """The family's body, from its starts or from the image before."""
-        if before is None:
-            prior, starts = Prior.of(family), family.starts(hint)
-        else:
-            prior = before.then(noise, hint, family.loose)
-            starts = (prior.mean * family.sd,)
-        return fit(self.forward, family, hint, starts, data, prior, known)
+    Args:
+        touch: What was felt.
 
-    def _interval(self, weighed: Sequence[Weighed], scale: float) -> tuple[float, float]:
-        """68 % interval, m^2, of the area over all families."""
-        parts = []
-        for one in weighed:
-            found = one.fit
-            if found is not None and one.probability > 1e-3:
-                area = found.area
-                sd = math.hypot(_area_sd(found, scale), self.settings.body.area_sd * area)
-                parts.append((one.probability, area, max(sd, 1e-9)))
-        if not parts:
-            return math.nan, math.nan
-        p, area, sd = np.array(parts).T
-        grid = np.linspace(
-            max(0.0, float((area - 4 * sd).min())), float((area + 4 * sd).max()), 400
-        )
-        share = (p * ndtr((grid[:, None] - area) / sd)).sum(axis=1) / p.sum()
-        low, high = np.interp(_INTERVAL, share, grid)
-        return float(low), float(high)
+    Returns:
+        Whether it is.
+    """
+    return touch.slip is not None and touch.slip.state == "slipping"
 
 
 def told_nothing(touch: Touch, s: BodySettings) -> FeltShape | None:
@@ -223,12 +191,6 @@ def told_nothing(touch: Touch, s: BodySettings) -> FeltShape | None:
     if not touch.touching or touch.force_normal < s.force_least:
         return _unknown(Status(StatusCode.TOO_WEAK, f"less than {s.force_least:g} N"))
     return None
-
-
-def _area_sd(found: Fit, noise: float) -> float:
-    """Of the contact's area, m^2, by the numbers' covariance."""
-    by = found.gradients[:, 1]
-    return math.sqrt(max(float(by @ found.cov_with(noise) @ by), 0.0))
 
 
 def _unknown(

@@ -3,8 +3,7 @@ model, and the family's evidence (docs/equations.md, Eq. F18-F20)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,35 +11,40 @@ from scipy.linalg import solve_triangular
 
 from mjtactile.core.types import Array, Touch
 from mjtactile.film import FilmState
-from mjtactile.film.state import AREA, PRESSURE
-from mjtactile.sensing.body.families import Family, Hint, lies_on
-from mjtactile.sensing.body.forward import Forward
+from mjtactile.sensing.body.families import Family, Hint
+from mjtactile.sensing.body.forward import SUMS, Forward, converged
 from mjtactile.sensing.settings import BodySettings
 
-_TRIED, _HOPELESS = 3, 2.0  # rounds, after which a cost so many times the best is given up
-_MOST_ROUNDS = 10
+_TRIED, _HOPELESS = 4, 3.0  # rounds, after which a cost so many times the best is given up
 _SETTLED = 0.5  # of the cost: less does not tell one body from another
 _DAMPING = (1e-2, 1e-8, 1e3)  # first, least, most
-_APPROACH = (1.2, 0.7, 0.3, 0.0)  # mm above the start: the film is pressed in steps
-_FORCE_STEPS = 3
+_AGAIN = 0.5  # of what an image tells, that the next has no part in: the film's error comes again
+_WORN = 8.0  # steps of a derivative that a number may go before it is taken anew
 
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """What one image shows: the `heights` (n,) m of markers `ids` (n,), the whitening `root` (n, n)
-    of their noise, and the normal `force` N that was felt."""
+    """What one image shows: the `heights` (n,) m of markers `ids` (n,) as a film would have them,
+    the whitening `root` (n, n) of their noise, and the normal `force` N that was felt."""
 
     ids: NDArray[np.int64]
     heights: Array
     root: Array
     force: float
 
+    def raised(self, by: Array) -> Data:
+        """As another film has them, whose markers at rest stand `by` (N,) m higher."""
+        return replace(self, heights=self.heights + by[self.ids])
+
     @classmethod
-    def of(cls, touch: Touch, by_gas: Array, s: BodySettings, drift: tuple[float, float]) -> Data:
+    def of(
+        cls, touch: Touch, raised: Array, by_gas: Array, s: BodySettings, drift: tuple[float, float]
+    ) -> Data:
         """Of a touch with markers.
 
         Args:
             touch: What was felt.
+            raised: (N,) m by which the markers at rest stand over the film's.
             by_gas: (N,) m, the markers' heights by a share of gas.
             s: Settings.
             drift: What may have changed since the rest was measured, as sd: share of gas, and m
@@ -51,11 +55,12 @@ class Data:
         gas = drift[0] * by_gas[markers.ids]
         cov = np.diag(markers.cov_p[:, 2, 2] + s.film_sd**2) + drift[1] ** 2 + np.outer(gas, gas)
         root = solve_triangular(np.linalg.cholesky(cov), np.eye(len(cov)), lower=True)
-        return cls(markers.ids, markers.p_SM[:, 2], root, touch.force_normal)
+        heights = markers.p_SM[:, 2] - raised[markers.ids]
+        return cls(markers.ids, heights, root, touch.force_normal)
 
-    def residual(self, seen: Array) -> Array:
-        """Whitened residuals (k, n) of markers predicted at `seen` (k, N, 3)."""
-        return (seen[:, self.ids, 2] - self.heights) @ self.root.T
+    def residual(self, heights: Array) -> Array:
+        """Whitened residual (n,) of markers predicted at `heights` (N,)."""
+        return self.root @ (heights[self.ids] - self.heights)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,14 +72,52 @@ class Prior:
     precision: Array
 
     @classmethod
-    def of(cls, family: Family) -> Prior:
-        """Before any image."""
-        return cls(family.mean / family.sd, np.eye(len(family.sd)))
+    def of(cls, family: Family, start: Array) -> Prior:
+        """Before any image, where a fit begins at `start` (k,): no direction is likelier than
+        another."""
+        turns = [name in ("direction", "angle") for name in family.names]
+        return cls(np.where(turns, start, family.mean) / family.sd, np.eye(len(family.sd)))
 
     def cost(self, t: Array) -> float:
         """Of numbers `t` (k,) over their sd."""
         off = t - self.mean
         return float(off @ self.precision @ off)
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """By each number over its sd: `heights` (N, k) m of the markers and `sums` (8, k) of the film
+    (`forward.SUMS`); found where the numbers were `theta` (k,)."""
+
+    heights: Array
+    sums: Array
+    theta: Array
+
+    def learnt(self, moved: Array, heights: Array, sums: Array) -> Slopes:
+        """Broyden's: those nearest these that explain that numbers `moved` (k,) over their sd
+        changed heights and sums so."""
+        along = moved / max(float(moved @ moved), 1e-12)
+        return replace(
+            self,
+            heights=self.heights + np.outer(heights - self.heights @ moved, along),
+            sums=self.sums + np.outer(sums - self.sums @ moved, along),
+        )
+
+    def worn(self, family: Family, theta: Array) -> bool:
+        """Whether the numbers have gone so far that they are to be found anew."""
+        return bool((np.abs(theta - self.theta) > _WORN * family.steps).any())
+
+
+@dataclass(frozen=True, eq=False)
+class At:
+    """Where a fit stands: the numbers `theta`, the film on them, its markers' `heights` (N,) m, the
+    whitened `residual`, and the `cost`."""
+
+    theta: Array
+    state: FilmState
+    heights: Array
+    residual: Array
+    cost: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,34 +127,39 @@ class Fit:
     Attributes:
         family: Its family.
         hint: What its numbers count from.
-        theta: Its numbers.
+        at: Its numbers, and the film on it.
         prior: What was believed of them.
-        chi2: Sum of squares of the whitened markers.
-        curvature: (k, k) of half of it by the numbers over their sd.
-        heights_off: (n,) whitened heights that it leaves.
-        state: The film on it.
-        gradients: (k, 3) of normal force, N, area, m^2, and pressure, Pa, by its numbers.
+        curvature: (k, k) of half the sum of squares of the whitened markers, by the numbers over
+            their sd.
+        slopes: Of heights and sums.
     """
 
     family: Family
     hint: Hint
-    theta: Array
+    at: At
     prior: Prior
-    chi2: float
     curvature: Array
-    heights_off: Array
-    state: FilmState
-    gradients: Array
+    slopes: Slopes
+
+    @property
+    def theta(self) -> Array:
+        """Its numbers."""
+        return self.at.theta
+
+    @property
+    def state(self) -> FilmState:
+        """The film on it."""
+        return self.at.state
+
+    @property
+    def chi2(self) -> float:
+        """Sum of squares of the whitened markers."""
+        return float(self.at.residual @ self.at.residual)
 
     @property
     def misfit(self) -> float:
         """Mean square of the whitened heights."""
-        return self.chi2 / len(self.heights_off)
-
-    @property
-    def area(self) -> float:
-        """Of the sheet that lies on it, m^2."""
-        return lies_on(self.family, self.theta, self.hint) * self.state.area
+        return self.chi2 / len(self.at.residual)
 
     def precision_with(self, noise: float) -> Array:
         """(k, k) of the numbers over their sd, where variances are `noise` times what is
@@ -120,7 +168,13 @@ class Fit:
 
     def cov_with(self, noise: float) -> Array:
         """Covariance (k, k) of the numbers."""
-        return np.linalg.inv(self.precision_with(noise)) * np.outer(self.family.sd, self.family.sd)
+        sd = self.family.sd
+        return np.linalg.inv(self.precision_with(noise)) * np.outer(sd, sd)
+
+    def sums_cov_with(self, noise: float) -> Array:
+        """Covariance (8, 8) of the film's sums, by the numbers' alone."""
+        cov = np.linalg.inv(self.precision_with(noise))
+        return self.slopes.sums @ cov @ self.slopes.sums.T
 
     def log_evidence_with(self, noise: float) -> float:
         """Log of the family's evidence (Laplace) of this image where the markers' variances are
@@ -130,168 +184,132 @@ class Fit:
         known = np.linalg.slogdet(self.prior.precision)[1]
         return -0.5 * (cost + float(spread - known))
 
-    def then(self, noise: float, hint: Hint, loose: Array) -> Prior:
-        """What is believed of the next image's numbers, which count from `hint` and may have
-        changed by `loose` (k,) sd."""
-        theta = self.theta.copy()
-        theta[:2] += 1e3 * (self.hint.place - hint.place)
-        theta[2] += 1e3 * (self.hint.height - hint.height)
-        sd = self.family.sd
-        cov = np.linalg.inv(self.precision_with(noise)) + np.diag((loose / sd) ** 2)
-        return Prior(theta / sd, np.linalg.inv(cov))
+    def then(self, noise: float, hint: Hint) -> Prior:
+        """What is believed of the numbers at another time, where they count from `hint` and may
+        have changed as the family's are loose."""
+        family = self.family
+        theta = family.rebased(self.theta, self.hint, hint)
+        loose = np.hypot(family.loose, family.share * theta) / family.sd
+        known = np.linalg.inv(self.precision_with(noise)) / _AGAIN + np.diag(loose**2)
+        return Prior(theta / family.sd, np.linalg.inv(known))
 
 
-def fit(
+def begin(
     forward: Forward,
     family: Family,
     hint: Hint,
-    starts: Sequence[Array],
+    theta: Array,
     data: Data,
     prior: Prior,
-    known: float = np.inf,
-) -> Fit | None:
-    """The body of `family` that explains the markers best; None where no film can rest on it.
+    state: FilmState | None,
+) -> At | None:
+    """The film on a body of numbers `theta`, from `state`; None: it finds no rest.
 
     Args:
         forward: The film.
         family: The family.
         hint: What its numbers count from.
-        starts: Its numbers to start from; the one that explains most after the body is pressed in
-            as far as it feels the force is gone on with.
+        theta: Its numbers.
         data: The image.
         prior: What is believed.
-        known: The cost that another family reached: what stays far above it is given up.
+        state: The film before.
 
     Returns:
-        The body.
+        Where a fit may begin.
     """
-    sd = family.sd
-    reached = [_approach(forward, family, hint, start, data) for start in starts]
-    begun = [
-        (*_cost(forward, one[0] / sd, one[1].x[None], data, prior), *one)
-        for one in reached
-        if one is not None
-    ]
-    if not begun:
+    theta = np.clip(theta, family.low, family.high)
+    batch = forward.solve([family.build(theta, hint)], state)
+    if not converged(batch):
         return None
-    residual, cost, theta, state = min(begun, key=lambda one: one[1])
-    slopes = _slopes(forward, family, hint, theta, state, data)
-    damping = _DAMPING[0]
-    for count in range(_MOST_ROUNDS):
-        if slopes is None:
-            return None
-        if count >= _TRIED and cost > _HOPELESS * (known + len(residual)):
-            break
-        step = _Step(theta, state, residual, cost, slopes[0])
-        better, damping = _improve(forward, family, hint, step, data, prior, damping)
-        if better is None:
-            break
-        gained = cost - better[3]
-        theta, state, residual, cost = better
-        slopes = _slopes(forward, family, hint, theta, state, data)
-        if gained < _SETTLED:
-            break
-    if slopes is None:
-        return None
-    J, gradients = slopes
-    chi2 = float(residual @ residual)
-    return Fit(family, hint, theta, prior, chi2, J.T @ J, residual, state, gradients / sd[:, None])
+    heights = forward.heights(batch.x)[0]
+    residual = data.residual(heights)
+    cost = float(residual @ residual) + prior.cost(theta / family.sd)
+    return At(theta, batch[0], heights, residual, cost)
 
 
-@dataclass(frozen=True, eq=False)
-class _Step:
-    """Where a fit stands: numbers, film, whitened heights, cost, and their derivatives."""
-
-    theta: Array
-    state: FilmState
-    residual: Array
-    cost: float
-    slopes: Array
-
-
-def _improve(
+def refine(
     forward: Forward,
     family: Family,
     hint: Hint,
-    at: _Step,
+    at: At,
     data: Data,
     prior: Prior,
-    damping: float,
-) -> tuple[tuple[Array, FilmState, Array, float] | None, float]:
-    """Numbers with less cost, with their film, residual and cost (None: there are none), and the
-    damping from there."""
-    sd, J = family.sd, at.slopes
-    gradient = J.T @ at.residual + prior.precision @ (at.theta / sd - prior.mean)
-    normal = J.T @ J
-    while damping < _DAMPING[2]:
+    *,
+    slopes: Slopes | None = None,
+    rounds: int = 10,
+    known: float = np.inf,
+) -> Fit | None:
+    """The body of `family` that explains the markers best, from `at`.
+
+    Args:
+        forward: The film.
+        family: The family.
+        hint: What its numbers count from.
+        at: Where to begin.
+        data: The image.
+        prior: What is believed.
+        slopes: Found nearby, for an image before (None: they are found here); where they are of no
+            use any more, or have gone too far, they are found anew.
+        rounds: At most so many.
+        known: The sum of squares that another family reached: what stays far above is given up.
+
+    Returns:
+        The body; None where no film rests nearby.
+    """
+    sd = family.sd
+    damping = _DAMPING[0] if slopes is None else _DAMPING[1]
+    fresh = False
+    if slopes is None or slopes.worn(family, at.theta):
+        slopes = find_slopes(forward, family, hint, at)
+        fresh = True
+    for count in range(rounds):
+        if count >= _TRIED and at.cost > _HOPELESS * (known + len(at.residual)):
+            break
+        J = data.root @ slopes.heights[data.ids]
+        gradient = J.T @ at.residual + prior.precision @ (at.theta / sd - prior.mean)
+        normal = J.T @ J
         H = normal + prior.precision + damping * np.diag(np.diag(normal) + 1e-3)
-        new = np.clip(at.theta - np.linalg.solve(H, gradient) * sd, family.low, family.high)
-        batch = forward.solve([family.build(new, hint)], at.state)
-        if batch.converged[0]:
-            residual, cost = _cost(forward, new / sd, batch.x, data, prior)
-            if cost < at.cost:
-                return (new, batch[0], residual, cost), max(damping / 10, _DAMPING[1])
-        damping = max(10 * damping, 1e-2)
-    return None, damping
-
-
-def _cost(forward: Forward, t: Array, x: Array, data: Data, prior: Prior) -> tuple[Array, float]:
-    residual = data.residual(forward.markers(x))[0]
-    return residual, float(residual @ residual) + prior.cost(t)
-
-
-def _slopes(
-    forward: Forward, family: Family, hint: Hint, theta: Array, state: FilmState, data: Data
-) -> tuple[Array, Array] | None:
-    """By each number over its sd: whitened markers (m, k), and (k, 3) force, area, pressure."""
-    steps = family.steps / family.sd
-    steps = np.where(theta + family.steps > family.high, -steps, steps)
-    thetas = theta + np.diag(steps * family.sd)
-    batch = forward.solve([family.build(one, hint) for one in (theta, *thetas)], state)
-    good = batch.converged
-    if not good[0]:
-        return None
-    residual = data.residual(forward.markers(batch.x))
-    J = (residual[1:] - residual[0]) / steps[:, None]
-    sums = np.column_stack([-batch.found[:, 2], batch.found[:, AREA], batch.found[:, PRESSURE]])
-    gradients = (sums[1:] - sums[0]) / steps[:, None]
-    J[~good[1:]] = 0.0
-    gradients[~good[1:]] = 0.0
-    return J.T, gradients
-
-
-def _approach(
-    forward: Forward, family: Family, hint: Hint, start: Array, data: Data
-) -> tuple[Array, FilmState] | None:
-    """Press the body in until it feels the force that was felt."""
-    theta = np.clip(start, family.low, family.high)
-    state = None
-    force = 0.0
-    for above in _APPROACH:
-        trial = theta.copy()
-        trial[2] += above
-        batch = forward.solve([family.build(trial, hint)], state)
-        if not batch.converged[0]:
+        step = -np.linalg.solve(H, gradient)
+        if -(gradient @ step) < _SETTLED:
             break
-        state, reached = batch[0], trial
-        before, force = force, batch[0].force_normal
-        if force > data.force:
+        new = begin(forward, family, hint, at.theta + step * sd, data, prior, at.state)
+        if new is None or new.cost > at.cost:
+            if damping > _DAMPING[2]:
+                break
+            if not fresh:
+                slopes, fresh = find_slopes(forward, family, hint, at), True
+            else:
+                damping = max(10 * damping, 1e-2)
+            continue
+        gained = at.cost - new.cost
+        moved = (new.theta - at.theta) / sd
+        sums = new.state.found[SUMS] - at.state.found[SUMS]
+        if slopes.worn(family, new.theta):
+            slopes, fresh = find_slopes(forward, family, hint, new), True
+        else:
+            slopes, fresh = slopes.learnt(moved, new.heights - at.heights, sums), False
+        at, damping = new, max(damping / 10, _DAMPING[1])
+        if gained < _SETTLED:
             break
-    if state is None:
-        return None
-    theta = reached  # pyright: ignore[reportPossiblyUnboundVariable]
-    stiffness = 0.12  # N/mm, of a first touch
-    for _ in range(_FORCE_STEPS):
-        if abs(force - data.force) < 0.1 * data.force:
-            break
-        down = np.clip((data.force - force) / max(stiffness, 0.05), -0.5, 0.5)
-        trial = theta.copy()
-        trial[2] = np.clip(trial[2] - down, family.low[2], family.high[2])
-        batch = forward.solve([family.build(trial, hint)], state)
-        if not batch.converged[0]:
-            break
-        before, force = force, batch[0].force_normal
-        if abs(down) > 1e-6:
-            stiffness = float(np.clip((force - before) / down, 0.05, 2.0))
-        theta, state = trial, batch[0]
-    return theta, state
+    J = data.root @ slopes.heights[data.ids]
+    return Fit(family, hint, at, prior, J.T @ J, slopes)
+
+
+def find_slopes(forward: Forward, family: Family, hint: Hint, at: At) -> Slopes:
+    """Slopes at a body, by differences of films that start from the one on it.
+
+    Args:
+        forward: The film.
+        family: The family.
+        hint: What its numbers count from.
+        at: Where.
+
+    Returns:
+        The slopes; nothing of a number by which no film rests.
+    """
+    steps = np.where(at.theta + family.steps > family.high, -family.steps, family.steps)
+    batch = forward.solve([family.build(one, hint) for one in at.theta + np.diag(steps)], at.state)
+    over = (batch.converged / (steps / family.sd))[:, None]
+    heights = (forward.heights(batch.x) - at.heights) * over
+    sums = (batch.found[:, SUMS] - at.state.found[SUMS]) * over
+    return Slopes(heights.T, np.where(over == 0, 0.0, sums).T, at.theta)

@@ -1,4 +1,4 @@
-"""From a body to where the markers stand, by the film (docs/equations.md, Eq. X1-X5)."""
+"""From a body to how high the markers stand, by the film (docs/equations.md, Eq. X1-X5)."""
 
 from __future__ import annotations
 
@@ -11,76 +11,85 @@ from scipy.interpolate import make_interp_spline
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
 from mjtactile.film import Film, FilmState, Obstacle
-from mjtactile.film.state import FilmBatch
+from mjtactile.film.state import AREA, FOUND, PRESSURE, STATUS, FilmBatch
 from mjtactile.sensing.force.inverse import InverseRest
 
 _MORE = 0.02  # of the pressure, for its derivative
+SUMS = np.array([*range(6), PRESSURE, AREA])
+"""Of what the film adds up, that is followed: wrench (N, N m), pressure (Pa), area (m^2)."""
+SUM_AREA = 7
 
 
 class Forward:
-    """The film of one sensor at rest, and where its markers stand on it.
+    """The film of one sensor at rest, and how high its markers stand on it.
 
     Args:
         design: The sensor.
         rest: What it measured of itself.
-        p_rest: (N, 3) m, its markers at rest in S, as measured.
-        grid: The film's nodes.
+        spacing: m, about, between the film's nodes.
+        gauge: Pa of the gas at rest; None: as `rest` has it.
     """
 
     def __init__(
-        self, design: SensorDesign, rest: InverseRest, p_rest: Array, grid: tuple[int, int]
+        self, design: SensorDesign, rest: InverseRest, spacing: float, gauge: float | None = None
     ):
         sheet = replace(design.membrane, young=rest.stiffness_scale * design.membrane.young)
+        sides = (design.frame.length, design.frame.width)
+        columns, rows = (max(round(side / spacing) + 1, 9) for side in sides)
         self.film = Film(
             replace(design, membrane=sheet),
-            grid,
-            rest.gas.gauge,
+            (columns, rows),
+            rest.gas.gauge if gauge is None else gauge,
             sealed=rest.gas.constant is not None,
         )
+        self.spacing = float(self.film.x[1] - self.film.x[0])
+        x, y = np.meshgrid(self.film.x, self.film.y, indexing="ij")
+        self.nodes: tuple[Array, Array] = (x, y)
         material = design.markers.p_SM
-        self._along = [
+        self._across, self._along = (
             make_interp_spline(nodes, np.eye(len(nodes)))(np.clip(at, nodes[0], nodes[-1]))
             for nodes, at in zip((self.film.x, self.film.y), material[:, :2].T, strict=True)
-        ]
-        self._offset = p_rest - self.displaced(self.film.rest.x[None])[0]
-        self.by_gas = self._by_gas()
+        )
+        self.rest_heights = self.heights(self.film.rest.x[None])[0]
 
-    def _by_gas(self) -> Array:
+    def by_gas(self) -> Array:
         """Heights (N,) m of the markers by the share of gas that is there more than was
         measured."""
         film = self.film
         if not film.sealed:
-            return np.zeros(len(self._offset))
+            return np.zeros(len(self.rest_heights))
         more = Film(film.design, film.grid, (1 + _MORE) * film.pressure_gauge)
         rise = _MORE * film.pressure_gauge
         chamber = film.design.chamber
         absolute = film.pressure_gauge + chamber.ambient
         volume = film.design.chamber_volume_flat + film.rest.volume
         yields = absolute / volume * (more.rest.volume - film.rest.volume) / rise
-        by_pressure = self.displaced(np.stack([film.rest.x, more.rest.x]))[:, :, 2]
-        return (by_pressure[1] - by_pressure[0]) / rise * absolute / (1 + yields)
+        higher = self.heights(more.rest.x[None])[0] - self.rest_heights
+        return higher / rise * absolute / (1 + yields)
 
-    def displaced(self, x: Array) -> Array:
-        """Displacements (n, N, 3) m of the markers, of films with nodes displaced by `x`
-        (n, 3, nx, ny)."""
-        rows = np.einsum("mi,ncij->ncmj", self._along[0], x)
-        return np.einsum("mj,ncmj->nmc", self._along[1], rows)
-
-    def markers(self, x: Array) -> Array:
-        """Where markers are seen, (n, N, 3) m in S."""
-        return self.displaced(x) + self._offset
+    def heights(self, x: Array) -> Array:
+        """Heights (n, N) m of the markers, of films with nodes displaced by `x` (n, 3, nx, ny)."""
+        rows = self._across @ x[:, 2]
+        return (rows * self._along).sum(axis=2)
 
     def solve(
         self, bodies: Sequence[Sequence[Obstacle]], start: FilmState | None = None
     ) -> FilmBatch:
-        """Films on each set of bodies, from `start`."""
+        """Films on each set of bodies, from `start`; what does not come to rest from there is given
+        up."""
+        if start is None:
+            return self.film.solve_batch(bodies)
         count = len(bodies)
-        batch = None
-        if start is not None:
-            batch = FilmBatch(
-                *(
-                    np.repeat(one[None], count, axis=0)
-                    for one in (start.x, start.force, start.found)
-                )
-            )
-        return self.film.solve_batch(bodies, batch)
+        found = np.empty((count, FOUND))
+        found[:] = start.found
+        batch = FilmBatch(
+            np.repeat(start.x[None], count, axis=0),
+            np.repeat(start.force[None], count, axis=0),
+            found,
+        )
+        return self.film.solve_batch(bodies, batch, again=False)
+
+
+def converged(batch: FilmBatch) -> bool:
+    """Whether the first of some films did."""
+    return bool(batch.found[0, STATUS] == 0)

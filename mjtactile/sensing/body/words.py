@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import cv2
 import numpy as np
-from scipy.ndimage import map_coordinates
 
-from mjtactile.core.types import Array, FeltShape
-from mjtactile.sensing.body.families import about, place_of, principal
+from mjtactile.core.types import SHAPES, Array, FeltShape
+from mjtactile.sensing.body.area import areas, nearest_part, shares
+from mjtactile.sensing.body.families import Family, Hint, about, kinds_of, place_of, principal
 from mjtactile.sensing.body.fit import Fit
 from mjtactile.sensing.body.forward import Forward
 from mjtactile.sensing.settings import BodySettings
@@ -42,23 +44,117 @@ def words(
     Returns:
         The shape.
     """
-    cov = found.cov_with(scale)
-    family = found.family.name
-    measures = _MEASURES[family](found.theta, cov, s)
-    R, turn = _axes(found, measures.get("direction", 0.0))
+    cov = _said_cov(found, scale, s)
+    if found.family.parts:
+        return _several(forward, found, cov, probabilities, interval, s)
+    force = s.friction * found.state.force_normal
+    whole = _Whole(areas(forward, found, s)[0], force, interval, found.misfit)
+    outline = _outline(forward, found, found.state.contact_forces)
+    return _body(found.family, found.theta, found.hint, cov, kind, probabilities, whole, outline, s)
+
+
+def _said_cov(found: Fit, scale: float, s: BodySettings) -> Array:
+    """Covariance of a body's numbers, with what the film has wrong."""
+    shares = {"k": s.curvature_share, "radius": s.size_share, "half": s.size_share}
+    share = np.array([shares.get(name.split("_")[0], 0.0) for name in found.family.names])
+    return found.cov_with(s.said_noise * scale) + np.diag((share * found.theta) ** 2)
+
+
+@dataclass(frozen=True)
+class _Whole:
+    """What is said of a body beside its numbers: `area` m^2 and its `interval`, `force` N, the
+    `misfit`."""
+
+    area: float
+    force: float
+    interval: tuple[float, float]
+    misfit: float
+
+
+def _body(
+    family: Family,
+    theta: Array,
+    hint: Hint,
+    cov: Array,
+    kind: str,
+    probabilities: dict[str, float],
+    whole: _Whole,
+    outline: Array,
+    s: BodySettings,
+) -> FeltShape:
+    measures = _MEASURES[family.name](theta, cov, s)
+    R, turn = _axes(family, theta, measures.get("direction", 0.0))
     return FeltShape(
         kind,
         probabilities,
-        area=found.area,
-        area_interval=interval,
-        p_SO=place_of(found.theta, found.hint),
+        area=whole.area,
+        area_interval=whole.interval,
+        p_SO=place_of(theta, hint),
         R_SO=R,
         pose_cov=_pose_cov(cov, turn),
-        outline=_outline(forward, found),
-        force_normal=s.friction * found.state.force_normal,
-        family=family,
-        misfit=found.misfit,
+        outline=outline,
+        force_normal=whole.force,
+        family=family.name,
+        misfit=whole.misfit,
         **measures,
+    )
+
+
+def _several(
+    forward: Forward,
+    found: Fit,
+    cov: Array,
+    probabilities: dict[str, float],
+    interval: tuple[float, float],
+    s: BodySettings,
+) -> FeltShape:
+    """Several bodies at once, each with the contact that is nearest to it: its share of the area is
+    that of the force, since gas presses the sheet on each."""
+    family = found.family
+    force = found.state.contact_forces
+    thetas = family.split(found.theta)
+    nearest = nearest_part(forward, found)
+    sizes = areas(forward, found, s)
+    carry = shares(forward, found)
+    most = max(sum(sizes), 1e-12)
+    ends = np.cumsum([0, *(len(part.names) for part in family.parts)])
+    bodies = []
+    for place, part in enumerate(family.parts):
+        own = slice(ends[place], ends[place + 1])
+        carried = np.where(nearest == place, force, 0.0)
+        kinds = kinds_of(part, thetas[place], cov[own, own])
+        whole = _Whole(
+            sizes[place],
+            s.friction * carry[place] * found.state.force_normal,
+            (sizes[place] / most * interval[0], sizes[place] / most * interval[1]),
+            found.misfit,
+        )
+        body = _body(
+            part,
+            thetas[place],
+            found.hint.parts[place],
+            cov[own, own],
+            max(kinds, key=lambda name: kinds[name]),
+            dict.fromkeys(SHAPES, 0.0) | kinds,
+            whole,
+            _outline(forward, found, carried),
+            s,
+        )
+        bodies.append(body)
+    bodies.sort(key=lambda body: -body.force_normal)
+    return FeltShape(
+        "several",
+        probabilities,
+        area=sum(body.area for body in bodies),
+        area_interval=interval,
+        p_SO=bodies[0].p_SO,
+        R_SO=bodies[0].R_SO,
+        pose_cov=bodies[0].pose_cov,
+        outline=bodies[0].outline,
+        force_normal=s.friction * found.state.force_normal,
+        family=family.name,
+        misfit=found.misfit,
+        parts=tuple(bodies),
     )
 
 
@@ -129,13 +225,15 @@ _TURNS: dict[str, tuple[int | None, int | None, int | None]] = {
 }
 
 
-def _axes(found: Fit, direction: float) -> tuple[Array, tuple[int | None, int | None, int | None]]:
+def _axes(
+    family: Family, theta: Array, direction: float
+) -> tuple[Array, tuple[int | None, int | None, int | None]]:
     """The body's axes in S, and which numbers turn it about x, y, z."""
-    turns = _TURNS[found.family.name]
-    x, y, _ = (0.0 if number is None else float(found.theta[number]) for number in turns)
+    turns = _TURNS[family.name]
+    x, y, _ = (0.0 if number is None else float(theta[number]) for number in turns)
     angle = direction
     if turns[2] is not None:
-        angle = float(found.theta[turns[2]])
+        angle = float(theta[turns[2]])
     return about(2, angle) @ about(1, y) @ about(0, x), turns
 
 
@@ -153,28 +251,26 @@ def _pose_cov(cov: Array, turns: tuple[int | None, int | None, int | None]) -> A
     return pose
 
 
-def _outline(forward: Forward, found: Fit) -> Array:
-    """Border (P, 2) m of where the film presses, between its nodes by its forces."""
-    force = found.state.contact_forces
-    nx, ny = force.shape
+def _outline(forward: Forward, found: Fit, force: Array) -> Array:
+    """Border (P, 2) m of where the film presses with `force` (nx, ny) N, between its nodes."""
     if not (force > 0).any():
         return np.zeros((0, 2))
-    columns, rows = np.meshgrid(
-        np.linspace(0, nx - 1, _FINER * (nx - 1) + 1),
-        np.linspace(0, ny - 1, _FINER * (ny - 1) + 1),
-        indexing="ij",
-    )
-    places = np.stack([columns, rows])
-    fine = map_coordinates(force, places, order=1)
+    across, along = (_between(count) for count in force.shape)
+    fine = across @ force @ along.T
     inside = (fine > 0.5 * float(np.median(force[force > 0]))).astype(np.uint8)
     contours, _ = cv2.findContours(inside, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not contours:
         return np.zeros((0, 2))
     b, a = max(contours, key=cv2.contourArea)[:, 0].T
-    film, moved = forward.film, found.state.displacements
-    at = np.stack([columns[a, b], rows[a, b]])
-    border = []
-    for nodes, shift, where in zip((film.x, film.y), moved[:2], at, strict=True):
-        step = nodes[1] - nodes[0]
-        border.append(nodes[0] + step * where + map_coordinates(shift, at, order=1))
-    return np.column_stack(border)
+    x, y = (
+        nodes + moved
+        for nodes, moved in zip(forward.nodes, found.state.displacements, strict=False)
+    )
+    return np.column_stack([((across[a] @ field) * along[b]).sum(axis=1) for field in (x, y)])
+
+
+@cache
+def _between(count: int) -> Array:
+    """(m, count) from values at nodes to those at places between them, linear."""
+    places = np.linspace(0, count - 1, _FINER * (count - 1) + 1)
+    return np.maximum(0.0, 1 - np.abs(places[:, None] - np.arange(count)))

@@ -44,6 +44,7 @@ class BodySettings:
     """What the body is that touches (sensing/body)."""
 
     spacing: float = number(1.3e-3, "m, between the film's nodes", _PRESSED_SHAPES)
+    spacing_coarse: float = number(1.8e-3, "m, of the film that looks first", _PRESSED_SHAPES)
     film_sd: float = number(
         16e-6, "m, of a marker's height that the film does not know of", "bench film"
     )
@@ -53,15 +54,98 @@ class BodySettings:
         _PRESSED_SHAPES,
         low=1.0,
     )
-    area_sd: float = number(0.06, "of the area, that the film does not know of", _PRESSED_SHAPES)
+    area_sd: float = number(
+        0.045, "of the area of what is round, that the film does not know of", _PRESSED_SHAPES
+    )
+    area_face_sd: float = number(0.1, "the same of a face", _PRESSED_SHAPES)
+    face_light: float = number(
+        0.2,
+        "of a face's area, that it is found too large by where the force is `face_load`",
+        _PRESSED_SHAPES,
+    )
+    face_load: float = number(2.7, "times the gas's force on that area", _PRESSED_SHAPES)
+    face_fades: float = number(
+        0.3, "how that goes with the logarithm of the force over the gas's", _PRESSED_SHAPES
+    )
+    face_bounds: tuple[float, float] = number(
+        (0.93, 1.25), "least and most of what the area is divided by for it", _PRESSED_SHAPES
+    )
+    said_noise: float = number(
+        1.5,
+        "times the variance of a body's numbers that a fit says: images of a press err alike",
+        _PRESSED_SHAPES,
+        low=1.0,
+    )
+    curvature_share: float = number(
+        0.03, "of a curvature, that the film has wrong, as sd", _PRESSED_SHAPES
+    )
+    size_share: float = number(0.07, "the same of a face's radius or half side", _PRESSED_SHAPES)
+    area_light: float = number(
+        0.985,
+        "area of a sheet of one tension over that of the film's, in a light touch",
+        _PRESSED_SHAPES,
+    )
+    area_stretched: float = number(
+        1.4, "by how much that grows with the share by which the tension has", _PRESSED_SHAPES
+    )
+    stretched_most: float = number(0.1, "of that share: more does not count", _PRESSED_SHAPES)
     friction: float = number(
         1.03, "force of a sheet that sticks over that of the film, which slides", _PRESSED_SHAPES
+    )
+    force_sd: float = number(
+        2e-3, "N, of the normal force, that film and friction leave", _PRESSED_SHAPES
+    )
+    force_share: float = number(
+        0.012, "the same, of the force, times the misfit where that is above one", _PRESSED_SHAPES
+    )
+    place_sd: float = number(
+        4e-4, "m, of where it acts, times the root of that misfit", _PRESSED_SHAPES
+    )
+    place_sd_sharp: float = number(
+        1e-4, "m, the same of edges and of several bodies", _PRESSED_SHAPES
+    )
+    torque_sd: float = number(1.5e-5, "N m, of its torque", _PRESSED_SHAPES)
+    tip_curvature: float = number(
+        190.0,
+        "1/m; what is more curved both ways may be a corner that catches the sheet",
+        _PRESSED_SHAPES,
+    )
+    tip_shear: float = number(
+        0.25,
+        "of the force of such a one: shear that the nodal estimate does not see, as sd",
+        _PRESSED_SHAPES,
+    )
+    tip_share: float = number(0.07, "of its force, that film and friction leave", _PRESSED_SHAPES)
+    motion_time: float = number(0.25, "s, over which its motion is told", "seven images at 30 Hz")
+    motion_sd: float = number(
+        1e-5, "m, of a body's place over the rubber, beside its fit's", _PRESSED_SHAPES
     )
     misfit_most: float = number(
         6.0, "mean square of the heights over their sd, above which no body explains", "trial"
     )
     force_least: float = number(0.03, "N; less says nothing of a shape", _PRESSED_SHAPES)
-    images: int = number(4, "of a press that are looked at", "trial")
+    look_force: float = number(
+        1.4,
+        "times the force of the last look, up or down, from which on there is more to be told",
+        _PRESSED_SHAPES,
+        low=1.0,
+    )
+    look_images: int = number(15, "after which all families are looked at in any case", "trial")
+    misfit_asks: float = number(
+        1.5, "mean square of what is left, above which all families are looked for again", "trial"
+    )
+    misfit_one: float = number(
+        0.7, "the same: what is below it, at two places, is one body nevertheless", _PRESSED_SHAPES
+    )
+    log_body: float = number(3.0, "of the log of evidence, that one body more must gain", "trial")
+    part_share: float = number(
+        0.12, "of the force: a place of contact that bears less is no body", "trial"
+    )
+    log_lost: float = number(
+        12.0,
+        "of the log of evidence, by which a family is behind that is not looked at any more",
+        "trial",
+    )
     ball_ratio: float = number(
         1.5, "of two curvatures, below which a smooth body has a radius", "trial"
     )

@@ -1,0 +1,119 @@
+"""Force where the shape is known: what the film bears on the body that was found, with the nodal
+estimate (docs/equations.md, Eq. F21)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import ndtr
+
+from mjtactile.core.types import SHAPES, Array, Touch
+from mjtactile.sensing.body.families import principal
+from mjtactile.sensing.body.fit import Fit
+from mjtactile.sensing.body.press import Press
+from mjtactile.sensing.settings import BodySettings
+
+_NORMAL = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Borne:
+    """What a body that was found takes to be so deep in the sheet: normal force, N, and torques
+    about x and y of where it presses, N m, `load` (3,) with covariance `cov`; they are the numbers
+    `rows` (3, 6) of a wrench. `unseen` (6, 6) is the
+    covariance of shear there that the nodal estimate misses."""
+
+    load: Array
+    cov: Array
+    rows: Array
+    unseen: Array
+
+
+def borne(press: Press, wrench: Array, noise: float, s: BodySettings) -> Borne:
+    """What the likeliest body bears.
+
+    Args:
+        press: What is known of what touches.
+        wrench: (6,) as the nodal estimate has it.
+        noise: Factor on the markers' variances.
+        s: Settings.
+
+    Returns:
+        Force and torques, and how surely: by the body's numbers, by what film and friction leave,
+        and, as far as it may be another body, by the nodal estimate's distance.
+    """
+    found = press.now
+    state = found.state
+    forces = state.contact_forces
+    height = float((forces * state.heights).sum() / max(float(forces.sum()), 1e-9))
+    rows = np.zeros((3, 6))
+    rows[0, 2] = rows[1, 3] = rows[2, 4] = 1.0
+    rows[1, 1], rows[2, 0] = height, -height  # what shear does at that height is no part of it
+    load = s.friction * rows @ state.wrench
+    pointed = _pointed(found, noise, s)
+    sharp = press.kinds(SHAPES)
+    blunt = sharp["smooth"] + sharp["face"]
+    untold = max(blunt, pointed)
+    place = s.place_sd_sharp + untold * (s.place_sd - s.place_sd_sharp)
+    model = _model(load, max(found.misfit, 1.0), pointed, place, s)
+    by_numbers = s.friction**2 * rows @ found.sums_cov_with(noise)[:6, :6] @ rows.T
+    off = load - rows @ wrench
+    doubt = 1 - float(press.probabilities[0])
+    x, y = load[2] / -load[0], load[1] / load[0]  # of where it presses: t_x = y f_z, t_y = -x f_z
+    shear = np.array([[1, 0, 0, 0, height, -y], [0, 1, 0, -height, 0, x]])
+    unseen = (s.tip_shear * pointed * load[0]) ** 2 * shear.T @ shear
+    return Borne(load, model + by_numbers + doubt * np.outer(off, off), rows, unseen)
+
+
+def _pointed(found: Fit, noise: float, s: BodySettings) -> float:
+    """How probably the sheet meets a point: more curved than a limit both ways."""
+    cov = found.cov_with(noise)
+    if found.family.name == "ball":
+        least, variance = float(found.theta[3]), cov[3, 3]
+    elif found.family.name == "smooth":
+        least, variance = principal(found.theta)[1], max(cov[3, 3], cov[5, 5])
+    else:
+        return 0.0
+    return float(ndtr((least - s.tip_curvature) / math.sqrt(max(variance, 1.0))))
+
+
+def _model(load: Array, misfit: float, pointed: float, place: float, s: BodySettings) -> Array:
+    """Covariance (3, 3) of what film and friction leave: of the force, and of where it acts."""
+    force = abs(float(load[0]))
+    share = math.hypot(s.force_share * misfit, s.tip_share * pointed)
+    variance = s.force_sd**2 + (share * force) ** 2
+    places = load[1:] / max(force, 1e-9)  # of the middle of pressure
+    turn = np.concatenate([[-1.0], places])
+    cov = variance * np.outer(turn, turn)
+    aside = misfit * (place * force) ** 2 + s.torque_sd**2
+    cov[1:, 1:] += aside * np.eye(2)
+    return cov
+
+
+def with_load(touch: Touch, known: Borne) -> Touch:
+    """A touch whose wrench takes up what a body bears.
+
+    Args:
+        touch: As the nodal estimate has it.
+        known: Of the body.
+
+    Returns:
+        The touch with one wrench and one covariance of both.
+    """
+    traction = touch.traction
+    if traction is None:
+        return touch
+    P, H = traction.wrench_cov, known.rows
+    gain = np.linalg.solve(H @ P @ H.T + known.cov, H @ P).T
+    wrench = traction.wrench + gain @ (known.load - H @ traction.wrench)
+    left = np.eye(6) - gain @ H
+    cov = left @ P @ left.T + gain @ known.cov @ gain.T + known.unseen
+    shift = wrench[_NORMAL] - traction.wrench[_NORMAL]
+    return replace(
+        touch,
+        traction=replace(traction, wrench=wrench, wrench_cov=cov),
+        force_normal=touch.force_normal - float(shift),
+        force_normal_sd=float(np.sqrt(cov[_NORMAL, _NORMAL])),
+    )
