@@ -231,7 +231,7 @@ int64_t film_solve(const double *numbers /* 17 */, const double *law /* 11 */, i
    a spring), what sticks and slides. `touched`: nodes in the grip, and at the last solution; `before`: x and y then, and room. */
 int64_t film_follow(const double *numbers /* 17 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
                     const float *kept /* keeping */, const double *rest /* 3, columns, rows */, int64_t roomy,
-                    double *room /* roomy */, const double *settings /* 4 */, int64_t geoms, double *body /* geoms, 20 */,
+                    double *room /* roomy */, const double *settings /* 5 */, int64_t geoms, double *body /* geoms, 20 */,
                     int64_t pooled, const double *pool /* pooled or NULL */, double *x /* 3, columns, rows */,
                     double *force /* columns, rows */, double *trend /* 4, columns, rows */, double *found /* 14 */,
                     const double *given /* 7 */, const double *compliance /* 2 * (columns - 2) * (rows - 2), 2 * (columns - 2) * (rows - 2) */,

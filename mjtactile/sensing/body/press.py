@@ -108,8 +108,7 @@ def follow(
     if looked is None:
         return _first(films, hint, data, s)
     misfit = looked.now.misfit
-    more = len(hint.parts) > press.parts and not looked.now.family.parts
-    worse = misfit > _WORSE * press.doubted and (misfit > s.misfit_asks or more)
+    worse = misfit > max(_WORSE * press.doubted, s.misfit_asks)
     if worse or (looked.images == 0 and misfit > _BAD * s.misfit_most):
         other = _first(films, hint, data, s)
         if other is not None and other.now.misfit < _BETTER * misfit:
@@ -243,14 +242,16 @@ def _next(
     family = looked.family
     hint = _matched(newest.hint, hint)
     prior = looked.then(noise, hint)
-    theta = family.rebased(newest.theta, newest.hint, hint)
+    stays = family.rebased(newest.theta, newest.hint, hint)
+    theta = stays.copy()
     heights = family.heights
     by = -newest.slopes.sums[2, heights].sum() / family.sd[heights[0]]  # N/mm, all of them
     if by < 0:
         theta[heights] += np.clip((data.force - newest.state.force_normal) / by, -1.0, 1.0)
     at = begin(films.fine, family, hint, theta, data, prior, newest.state)
-    if at is None:  # flat faces now and then have a film go to and fro from one start
-        at = begin(films.fine, family, hint, theta, data, prior, None)
+    # on flat faces a film now and then goes to and fro from one start, and not from another
+    at = at or begin(films.fine, family, hint, stays, data, prior, newest.state)
+    at = at or begin(films.fine, family, hint, theta, data, prior, None)
     if at is None:
         return None
     return refine(films.fine, family, hint, at, data, prior, slopes=newest.slopes, rounds=rounds)
