@@ -15,7 +15,7 @@
 #define LEVER 0.01      /* m, by which a turn counts as a way */
 #define CHANGED 0.1     /* share of the nodes that may come and go before the grip is found anew */
 #define TILT 0.25       /* of stiffness times radius^2: a disc on an even bed */
-#define SHARE 0.5       /* of stiffness times step that damps a free body; the least with which every step is stable */
+#define SHARE 0.75      /* of stiffness times step that damps a free body; every step is stable from 0.5 on, where a heavy one swings on */
 enum { JOINT_FREE, JOINT_BALL, JOINT_SLIDE, JOINT_HINGE };
 
 /* What is remembered, all of it doubles; film_sensor.py knows the places. */
