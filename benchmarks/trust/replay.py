@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
-
 from benchmarks.trust.kinds import ALWAYS, REFERENCES, Kind
 from mjtactile.core.calibration import pressure_reading
 from mjtactile.core.design import SensorDesign, load_sensor
@@ -58,8 +56,9 @@ class Felt:
     refused: str = ""
 
 
-def feel(grasp: Grasp, kind: Kind, *, gauge: bool = True) -> Felt:
-    """The grasp as it is felt with that trouble, by the gauge or without."""
+def feel(grasp: Grasp, kind: Kind, *, gauges: Sequence[bool] = (True, False)) -> list[Felt]:
+    """The grasp as it is felt with that trouble, by the gauge or without, in one pass over the
+    pictures."""
     camera = TroubledPicture(kind.troubles, kind.seed)
     before = kind.when in (ALWAYS, REFERENCES)
     after = kind.when != REFERENCES
@@ -72,38 +71,13 @@ def feel(grasp: Grasp, kind: Kind, *, gauge: bool = True) -> Felt:
         perception.take_flat(shown(grasp.references["flat"], before))
         perception.take_rest(shown(grasp.references["rest"], before), grasp.pressure)
     except DeviceError as error:
-        return Felt(refused=" ".join(str(error).split()))
-    touches = []
+        refused = Felt(refused=" ".join(str(error).split()))
+        return [refused for _ in gauges]
+    chains = [Perception(perception.chain, perception.state) for _ in gauges]
+    touches: list[list[Touch]] = [[] for _ in gauges]
     for image, reading in zip(grasp.images, grasp.readings, strict=True):
         seen = camera(image) if after else image
-        touch = perception.perceive(seen, image.time, reading if gauge else None)
-        touches.append(replace(touch, traction=None, surface=None))  # they are large
-    return Felt(tuple(touches))
-
-
-def numbers(grasp: Grasp, felt: Felt) -> dict[str, Any]:
-    """Felt less true force where the status is ok, and how often it is far from it."""
-    touches = felt.touches
-    known = np.array([touch.status == "ok" for touch in touches], bool)
-    off = np.array([touch.force_normal for touch in touches]) - grasp.true[: len(touches)]
-    sd = np.array([touch.force_normal_sd for touch in touches])
-    off = off[known]
-    sd = sd[known]
-    far = (np.abs(off) > FAR_SD * sd) & (np.abs(off) > FAR_N)
-    said = [str(touch.status.code) for touch in touches]
-    count = [0 if touch.markers is None else len(touch.markers) for touch in touches]
-    return {
-        "images": len(grasp.images),
-        "ok": int(known.sum()),
-        "far": int(far.sum()),
-        "rms_N": float(np.sqrt((off**2).mean())) if len(off) else None,
-        "worst_N": float(np.abs(off).max()) if len(off) else None,
-        "sd_N": float(np.median(sd)) if len(sd) else None,
-        "status": {code: said.count(code) for code in sorted(set(said))},
-        "markers": float(np.median(count)) if count else None,
-        "refused": felt.refused,
-    }
-
-
-FAR_SD = 5.0
-FAR_N = 0.05
+        for chain, found, gauge in zip(chains, touches, gauges, strict=True):
+            touch = chain.perceive(seen, image.time, reading if gauge else None)
+            found.append(replace(touch, traction=None, surface=None))  # they are large
+    return [Felt(tuple(found)) for found in touches]

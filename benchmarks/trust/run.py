@@ -1,50 +1,77 @@
 """`mjtactile bench trust`: one egg grasp felt again with its images changed, as cameras do.
 
 Each trouble at a strength of its own seed, from the references on ("always"), after them alone
-("run"), or in them alone; felt against true normal force of one finger.
+("run"), or in them alone; felt against true normal force of one finger, with the chamber's pressure
+gauge and without. And a sensor in a user's scene whose gas is not what it was.
+
+Each row is kept in a file of its own; `--resume` goes on from there.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from benchmarks.accuracy.run import stamp
-from benchmarks.trust.kinds import kinds
+from benchmarks.trust import air
+from benchmarks.trust.kinds import Kind, kinds
+from benchmarks.trust.numbers import FAR_N, FAR_SD, numbers
 from benchmarks.trust.pictures import draw
-from benchmarks.trust.replay import FAR_N, FAR_SD, feel, numbers, record
+from benchmarks.trust.replay import Grasp, feel, record
+from mjtactile.recording.files import write_json
 from mjtactile.run.progress import Progress
 
 SENSORS = ("dense",)
 GRASP_SEED = 4
 
+Say = Callable[[str], None]
+Row = Mapping[str, Any]
+
 
 def run(
-    out: Path, *, quick: bool = False, say: Callable[[str], None] | None = None
+    out: Path, *, quick: bool = False, resume: bool = False, say: Say | None = None
 ) -> dict[str, Any]:
     """All kinds on each sensor, or every second one; draws the pictures into `out`."""
     say = say or Progress().message
+    folder = out / "trust"
+    folder.mkdir(parents=True, exist_ok=True)
     rows = []
     for sensor in SENSORS:
         grasp = record(sensor, GRASP_SEED)
         if not rows:
             draw(grasp, out / "camera_troubles.png")
-        for kind in islice(kinds(), 0, None, 2 if quick else 1):
-            row = {
-                "sensor": sensor,
-                "name": kind.name,
-                "when": kind.when,
-                "strength": dict(kind.table),
-                **numbers(grasp, feel(grasp, kind)),
-            }
-            rows.append(row)
-            say(_line(row))
-    return {"stamp": stamp(), "grasp_seed": GRASP_SEED, "rows": rows, "sums": _sums(rows)}
+        for number, kind in islice(enumerate(kinds()), 0, None, 2 if quick else 1):
+            file = folder / f"{sensor}-{number:03}.json"
+            if not (resume and file.is_file()):
+                write_json(file, _felt(sensor, grasp, kind))
+            rows.append(json.loads(file.read_text(encoding="utf-8")))
+            say(_line(rows[-1]))
+    return {
+        "stamp": stamp(),
+        "grasp_seed": GRASP_SEED,
+        "rows": rows,
+        "sums": _sums(rows),
+        "air": air.rows(quick),
+    }
 
 
-def _line(row: Mapping[str, Any]) -> str:
+def _felt(sensor: str, grasp: Grasp, kind: Kind) -> dict[str, Any]:
+    """A row: with the gauge, and under "without" the same without."""
+    felt, without = (numbers(grasp, found) for found in feel(grasp, kind))
+    return {
+        "sensor": sensor,
+        "name": kind.name,
+        "when": kind.when,
+        "strength": dict(kind.table),
+        **felt,
+        "without": without,
+    }
+
+
+def _line(row: Row) -> str:
     head = f"{row['sensor']}, {row['name']}, {row['when']}"
     if row["refused"]:
         return f"{head}: refused"
@@ -52,20 +79,21 @@ def _line(row: Mapping[str, Any]) -> str:
     return f"{head}: {row['ok']} of {row['images']} ok, {row['far']} far, worst {worst}"
 
 
-def _sums(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Of each sensor: images, how many are ok, and of these how many far off."""
-    return {
-        sensor: {
-            key: sum(row[key] for row in rows if row["sensor"] == sensor)
-            for key in ("images", "ok", "far")
-        }
-        for sensor in SENSORS
-    }
+def _sums(rows: Sequence[Row]) -> dict[str, Any]:
+    """Of each sensor: images, how many are ok, and of these how many far off; and the last two
+    without a gauge."""
+    sums = {}
+    for sensor in SENSORS:
+        mine = [row for row in rows if row["sensor"] == sensor]
+        sums[sensor] = {key: sum(row[key] for row in mine) for key in ("images", "ok", "far")}
+        for key in ("ok", "far"):
+            sums[sensor][f"{key}_without"] = sum(row["without"][key] for row in mine)
+    return sums
 
 
 def table(result: Mapping[str, Any]) -> str:
     """Markdown."""
-    lines = []
+    lines = [*air.table(result["air"]), ""]
     for sensor in SENSORS:
         rows = [row for row in result["rows"] if row["sensor"] == sensor]
         if not rows:
@@ -75,25 +103,33 @@ def table(result: Mapping[str, Any]) -> str:
             f"`{sensor}`, an egg of {rows[0]['images']} images: of {total['images']} images "
             f"{total['ok']} are `ok`, and of these {total['far']} "
             f"({100 * total['far'] / max(total['ok'], 1):.2f} %) are beyond {FAR_SD:g} sd and "
-            f"{FAR_N:g} N.",
+            f"{FAR_N:g} N; without the gauge {total['far_without']} of {total['ok_without']}.",
             "",
-            "| trouble | when | felt less true, N: rms / worst | sd, N | ok | far | else |",
-            "|---|---|---|---|---|---|---|",
+            "| trouble | when | felt less true, N: rms / worst | sd, N | ok | far | else | "
+            "without gauge: rms / worst | far |",
+            "|---|---|---|---|---|---|---|---|---|",
             *(_row(row) for row in rows),
             "",
         ]
     return "\n".join(lines)
 
 
-def _row(row: Mapping[str, Any]) -> str:
+def _row(row: Row) -> str:
     strength = ", ".join(f"{key} {_short(value)}" for key, value in row["strength"].items())
     name = f"{row['name']} (`{strength}`)" if strength else row["name"]
     if row["refused"]:
-        return f"| {name} | {row['when']} | | | 0 | 0 | references refused |"
-    off = "" if row["rms_N"] is None else f"{row['rms_N']:.3f} / {row['worst_N']:.2f}"
+        return f"| {name} | {row['when']} | | | 0 | 0 | references refused | | |"
     sd = "" if row["sd_N"] is None else f"{row['sd_N']:.3f}"
     other = ", ".join(f"{n} {code}" for code, n in row["status"].items() if code != "ok")
-    return f"| {name} | {row['when']} | {off} | {sd} | {row['ok']} | {row['far']} | {other} |"
+    without = row["without"]
+    return (
+        f"| {name} | {row['when']} | {_off(row)} | {sd} | {row['ok']} | {row['far']} | {other} | "
+        f"{_off(without)} | {without['far']} |"
+    )
+
+
+def _off(found: Row) -> str:
+    return "" if found["rms_N"] is None else f"{found['rms_N']:.3f} / {found['worst_N']:.2f}"
 
 
 def _short(value: Any) -> str:

@@ -35,7 +35,7 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   fit         sensors that differ from their file, recorded and fitted: each number's error
   truth       the simulation and what is felt, against references from outside of the project
   studio      what watching costs: an egg grasp in Studio, a page looking on, against it alone
-  trust       one grasp felt again with its images changed, as some fifty camera troubles do
+  trust       air that is not as it was, and a grasp felt again under fifty camera troubles
   fiducials   the same with circles that do not move: knocks, zoom, focus, levels; their price
   attacks     everything bad that the tests do, counted by what must come of it
   settings    what half and twice of each number of the sensing chain do to what is felt
@@ -86,7 +86,7 @@ BENCHMARKS = {
 draws into `out`, and `table(result) -> str` in Markdown."""
 
 OPTIONS = {
-    "resume": ("stability", "rig", "bars", "tasks", "attacks", "explore"),
+    "resume": ("stability", "rig", "bars", "tasks", "attacks", "explore", "trust"),
     "parts": ("rig",),
     "soak": ("rig",),
     "cases": ("truth",),
@@ -117,7 +117,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--resume",
         action="store_true",
-        help="stability, rig, bars, tasks, attacks, explore: keep what an interrupted run finished",
+        help="stability, rig, bars, tasks, attacks, explore, trust: keep what an interrupted run "
+        "finished",
     )
     parser.add_argument(
         "--parts",

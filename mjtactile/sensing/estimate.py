@@ -71,6 +71,8 @@ class ShapeEstimator:
         is_seen = state.camera is not None
         if state.shape is None and not is_seen:
             found = self._if_steady(state, reference, found, time, reading)
+        elif state.shape is not None:
+            found = self._if_overlooked(state, state.shape, reference, found, time, reading)
         # a camera that is seen is not knocked; gas that no gauge measures may be lost
         sure = state.knocked >= KNOCKS_SURE or (is_seen and found.state.gas is not None)
         if not sure:
@@ -116,6 +118,32 @@ class ShapeEstimator:
             return found
         again = self._with_gas(state, reference, found.markers, time, reading, inverse=self._steady)
         return replace(again, other=found.shape) if self.is_explained(again.shape) else found
+
+    def _if_overlooked(
+        self,
+        state: ChainState,
+        before: Shape,
+        reference: Reference,
+        found: Estimate,
+        time: float,
+        reading: PressureReading | None,
+    ) -> Estimate:
+        """What is found, or what is found without a history where the markers fit that much better:
+        where nothing was felt before, a touch may not be believed, nor the markers that show it."""
+        s = self._settings.inverse
+        misfit = found.shape.misfit
+        excess = float(found.shape.excess[0].mean())
+        as_before = misfit < max(s.overlooked_misfit, s.overlooked_rise * before.misfit)
+        distrusted = excess > s.overlooked_excess
+        load = float(np.linalg.norm(self._inverse.force(found.shape)))
+        if (as_before and not distrusted) or load > s.overlooked_load:
+            return found
+        afresh = replace(state, shape=None)
+        again = self._with_gas(afresh, reference, found.markers, time, reading)
+        fits = again.shape.misfit < misfit / s.overlooked_rise
+        if distrusted:
+            fits = float(again.shape.excess[0].mean()) < excess / s.overlooked_rise
+        return replace(again, state=replace(again.state, shape=before)) if fits else found
 
     def _if_knocked(
         self,

@@ -107,6 +107,23 @@ class InverseSettings:
         "N found without a history, from which on the camera is taken to be as at the references",
         "bench bars: bodies held from before; a camera that changed then costs accuracy",
     )
+    overlooked_load: float = number(
+        0.05, "N found, up to which a light touch may have been overlooked", "bench bars"
+    )
+    overlooked_misfit: float = number(
+        0.5,
+        "mean square of the markers' misfit over their sd, from which on one is looked for",
+        "bench bars: 0.44 in 99 % of images while nothing touches, 0.6 and more in such touches",
+    )
+    overlooked_rise: float = number(
+        1.7,
+        "times that of the image before, and of what is then found",
+        "bench bars: 2 to 5 in such touches",
+        low=1.0,
+    )
+    overlooked_excess: float = number(
+        10.0, "mean `excess` of all markers, from which on too", "next to nothing, all should fit"
+    )
     remembered_images: int = number(
         15, "images that nothing explains after which what was before is forgotten", "half a second"
     )
@@ -185,7 +202,7 @@ class DoubtSettings:
     )
     sharp_most: float = number(20.0, "that excess at most", _BARS)
     outside: tuple[float, float, float, float] = number(
-        (0.15, 0.1, 0.4, 0.4),
+        (0.15, 0.15, 0.8, 0.4),
         "of the load beyond the outermost markers, and of half of that beside them",
         _BARS,
         low=0.0,

@@ -5,8 +5,9 @@ from types import SimpleNamespace
 import pytest
 
 from benchmarks.trust.kinds import ALWAYS, REFERENCES, RUN, TABLES, kinds
-from benchmarks.trust.replay import Felt, numbers
-from benchmarks.trust.run import table
+from benchmarks.trust.numbers import numbers
+from benchmarks.trust.replay import Felt
+from benchmarks.trust.run import _sums, table
 from mjtactile.core.status import OK, Status, StatusCode
 from mjtactile.core.types import Touch
 
@@ -24,8 +25,9 @@ def test_far_is_beyond_five_sd_and_a_twentieth_of_a_newton():
     assert found["worst_N"] == pytest.approx(0.3)
     assert found["status"] == {"no shape": 1, "ok": 4}
     row = {"sensor": "dense", "name": "x", "when": RUN, "strength": {"gamma": 1.3}, **found}
-    sums = {"dense": {key: found[key] for key in ("images", "ok", "far")}}
-    assert "(25.00 %)" in table({"rows": [row], "sums": sums})
+    row["without"] = found
+    shown = table({"rows": [row], "sums": _sums([row]), "air": []})
+    assert "(25.00 %)" in shown and "without the gauge 1 of 4" in shown
 
 
 def test_strengths_are_near_their_names_and_the_same_again():

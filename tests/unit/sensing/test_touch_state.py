@@ -13,6 +13,7 @@ from mjtactile.sensing.chain import Chain
 from mjtactile.sensing.force import zero
 from mjtactile.sensing.force.inverse import InverseMembrane
 from mjtactile.sensing.force.sheet import Gas
+from mjtactile.sensing.settings import DEFAULTS
 
 SUPPLY = 1000.0
 FRAME = 1 / 30
@@ -30,13 +31,13 @@ def sensor():
     return estimator, estimator.rest_state(markers, SUPPLY)
 
 
-def seen(estimator, c, rng=None):
+def seen(estimator, c, rng=None, noise=NOISE):
     p = estimator.positions(c)
     n = len(p)
     if rng is not None:
-        p = p + NOISE * rng.standard_normal(p.shape)
+        p = p + noise * rng.standard_normal(p.shape)
     # normals: not known
-    return Markers(np.arange(n), p, np.full((n, 3), np.nan), np.tile(np.diag(NOISE**2), (n, 1, 1)))
+    return Markers(np.arange(n), p, np.full((n, 3), np.nan), np.tile(np.diag(noise**2), (n, 1, 1)))
 
 
 def pressed(estimator, rest, force, place=(0.0, 0.0), radius=5e-3):
@@ -227,6 +228,36 @@ def test_a_first_image_may_be_the_middle_of_a_blow(loaded):
     second, _ = chain.feel(state, strong, surface, 0.3 + FRAME)
     assert 0.25 * 1.5 < first.force_normal_sd < 0.5 * 1.5
     assert second.force_normal_sd < 0.06 * 1.5
+
+
+def felt_light(sensor, **settings):
+    """Force of ten images of 0.05 N between four markers, after ten of nothing, and its sd, through
+    a coarse camera."""
+    estimator, _ = sensor
+    coarse = 5 * NOISE
+    chain = Chain(load_sensor("paper16"), settings=DEFAULTS.override(settings))
+    nothing = estimator.sheet.equilibrium(Gas(SUPPLY))
+    state = chain.set_rest(chain.begin(), seen(estimator, nothing, noise=coarse), SUPPLY)
+    assert state.reference is not None
+    rest = state.reference.rest
+    light = pressed(estimator, rest, np.array([0, 0, -0.05]), (1e-3, 1e-3), 2.5e-3)[0]
+    surface = chain.fitter.fit(seen(estimator, nothing))
+    rng = np.random.default_rng(3)
+    found = []
+    for k in range(20):
+        shown = seen(estimator, nothing if k < 10 else light, rng, coarse)
+        touch, state = chain.feel(state, shown, surface, k * FRAME)
+        found.append((touch.force_normal, touch.force_normal_sd))
+    return np.array(found).T
+
+
+def test_a_light_touch_is_not_overlooked_since_nothing_was_felt_before(sensor):
+    """Without a second look a quarter of it is believed."""
+    force, sd = felt_light(sensor)
+    assert np.all(np.abs(force[:10]) < 5 * sd[:10])
+    assert np.all(np.abs(force[10:] - 0.05) < 3 * sd[10:])
+    overlooked, _ = felt_light(sensor, **{"inverse.overlooked_load": 0.0005})
+    assert np.all(overlooked[10:] < 0.02)
 
 
 def parabola(estimator, force, place, radius=5e-3):

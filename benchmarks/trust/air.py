@@ -1,0 +1,106 @@
+"""What is felt while the gas is not what it was, in a scene of a user's: against the force that the
+simulated contact carries."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import mujoco
+import numpy as np
+
+import mjtactile
+from benchmarks.trust.numbers import FAR_N, FAR_SD
+from mjtactile import SimFinger
+
+RADIUS = 12e-3
+# kg of a ball on a sensor that looks up: 0.6 N
+MASS = 0.061
+# s before and after
+BEFORE = 0.8
+AFTER = 2.0
+TROUBLES: dict[str, Callable[[SimFinger], None]] = {
+    "valve to 0.5 kPa": lambda finger: finger.sensor.open_valve(500.0),
+    "valve to 2 kPa": lambda finger: finger.sensor.open_valve(2000.0),
+    "valve to the air": lambda finger: finger.sensor.open_valve(0.0),
+    "puncture": lambda finger: finger.sensor.puncture(1e-9),
+    "leak of 0.03 mL/(s kPa)": lambda finger: finger.sensor.puncture(0.03e-9),
+    "warmth of 3 K": lambda finger: finger.sensor.warm(1.5),
+}
+
+
+def rows(quick: bool = False) -> list[dict[str, Any]]:
+    """Each trouble with nothing on the sensor, and with a ball; the worst and where it was."""
+    names = list(TROUBLES)[:: 3 if quick else 1]
+    return [
+        {"trouble": name, "held": held, **feel(TROUBLES[name], held)}
+        for name in names
+        for held in (False, True)
+    ]
+
+
+def feel(trouble: Callable[[SimFinger], None], held: bool) -> dict[str, Any]:
+    """Felt less true force after it, of images whose status is ok."""
+    model, data, finger = _scene(held)
+    _watch(model, data, finger, BEFORE)
+    trouble(finger)
+    off, sd = _watch(model, data, finger, AFTER).T
+    known = np.isfinite(off)
+    far = (np.abs(off) > FAR_SD * sd) & (np.abs(off) > FAR_N) & known
+    return {
+        "images": len(off),
+        "ok": int(known.sum()),
+        "far": int(far.sum()),
+        "rms_N": float(np.sqrt(np.nanmean(off**2))),
+        "worst_N": float(np.nanmax(np.abs(off))),
+        "worst_later_N": float(np.nanmax(np.abs(off[len(off) // 4 :]))),
+    }
+
+
+def _scene(held: bool) -> tuple[mujoco.MjModel, mujoco.MjData, SimFinger]:
+    spec = mujoco.MjSpec()
+    mjtactile.recommend_options(spec)
+    tip = mjtactile.attach(spec, "dense", site=spec.worldbody.add_site(name="tip"), prefix="f/")
+    if held:
+        ball = spec.worldbody.add_body(name="ball", pos=[0, 0, RADIUS + 0.006])
+        ball.add_joint(name="z", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1], damping=2.0)
+        ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[RADIUS, 0, 0], mass=MASS)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    return model, data, tip.bind(model, data)
+
+
+def _watch(
+    model: mujoco.MjModel, data: mujoco.MjData, finger: SimFinger, seconds: float
+) -> np.ndarray:
+    """Felt less true force, N, and its sd, of each image (n, 2); NaN where it is not known."""
+    ball = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, "z")
+    found = []
+    end = data.time + seconds
+    seen = finger.touch.time
+    while data.time < end:
+        mjtactile.step(model, data, [finger])
+        touch = finger.touch
+        if touch.time <= seen:
+            continue
+        seen = touch.time
+        true = 0.0 if ball < 0 else float(data.qfrc_constraint[model.jnt_dofadr[ball]])
+        off = touch.force_normal - true if touch.status == "ok" else np.nan
+        found.append((off, touch.force_normal_sd))
+    return np.array(found)
+
+
+def table(found: list[Mapping[str, Any]]) -> list[str]:
+    """Lines of Markdown."""
+    lines = [
+        "| the air | on the sensor | felt less true, N: rms / worst | worst from 0.5 s on, N | "
+        "ok | far |",
+        "|---|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| {row['trouble']} | {'a ball, 0.6 N' if row['held'] else 'nothing'} | "
+        f"{row['rms_N']:.3f} / {row['worst_N']:.3f} | {row['worst_later_N']:.3f} | "
+        f"{row['ok']} of {row['images']} | {row['far']} |"
+        for row in found
+    ]
+    return lines
