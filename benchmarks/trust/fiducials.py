@@ -16,7 +16,8 @@ import numpy as np
 
 from benchmarks.accuracy.run import stamp
 from benchmarks.trust.kinds import ALWAYS, RUN, Kind, kinds
-from benchmarks.trust.replay import Grasp, feel, numbers, record
+from benchmarks.trust.numbers import numbers
+from benchmarks.trust.replay import Grasp, feel, record
 from mjtactile.run.progress import Progress
 
 SENSORS = ("dense", "dense_fiducials")
@@ -65,7 +66,7 @@ def run(
 
 
 def _row(sensor: str, grasp: Grasp, kind: Kind, *, gauge: bool) -> dict[str, Any]:
-    felt = feel(grasp, kind, gauge=gauge)
+    (felt,) = feel(grasp, kind, gauges=(gauge,))
     found = numbers(grasp, felt)
     first = felt.touches[0].force_normal - grasp.true[0]
     return {
@@ -85,7 +86,7 @@ def _prices(grasps: Mapping[str, Grasp], turns: int) -> dict[str, float]:
     for _ in range(turns):
         for sensor, grasp in grasps.items():
             start = time.process_time()
-            feel(grasp, clean)
+            feel(grasp, clean, gauges=(True,))
             spent[sensor].append((time.process_time() - start) / len(grasp.images))
     return {sensor: 1e3 * float(np.min(each)) for sensor, each in spent.items()}
 

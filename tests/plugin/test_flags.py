@@ -45,6 +45,25 @@ def test_a_weight_on_the_frame_is_flagged_with_its_newtons():
     assert said == pytest.approx(on_frame, rel=0.3)
 
 
+@pytest.mark.parametrize(
+    ("turned", "above", "steps"),
+    [(0, 0.006, 150), pytest.param(45, 0.0085, 300, marks=pytest.mark.slow)],
+    ids=["a face", "on an edge"],
+)
+def test_a_box_is_weighed_and_its_edges_are_flagged(turned, above, steps):
+    """The mesh carries 50 g whatever its edges do; what is felt of that is within its own bar."""
+    size = "0.006 0.006 0.006"
+    geom = f'<geom type="box" size="{size}" euler="0 {turned} 0" mass="0.05"/>'
+    model, data, finger = scene(geom, z=0.1045 + above)
+    mjtactile.step(model, data, [finger], nstep=steps)
+    assert "mm from the middle of its face" in finger.flags["edge"]
+    touch = finger.touch
+    assert touch.status == "ok"
+    # N: by then it has come to rest within 10 mN
+    assert finger.true_wrench()[2] == pytest.approx(-0.05 * G, abs=0.01)
+    assert touch.force_normal == pytest.approx(0.05 * G, abs=min(3 * touch.force_normal_sd, 0.06))
+
+
 def test_what_diverged_stops_though_mujoco_would_reset_it():
     model, data, finger = scene(BALL)
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)

@@ -81,7 +81,7 @@ def _outside(layout: MarkerLayout, nodes: Array) -> Array:
     far within, where markers see all around."""
     most = np.abs(layout.p_SM[:, :2]).max(axis=0)
     beyond = (np.abs(nodes) - most) / [layout.pitch_x, layout.pitch_y]
-    return np.clip(beyond + 0.5, 0.0, 1.0).max(axis=1)
+    return np.square(np.clip(beyond + 0.5, 0.0, 1.0).max(axis=1))
 
 
 def _burst(change: float, size: float) -> float:

@@ -202,8 +202,8 @@ class DoubtSettings:
     )
     sharp_most: float = number(20.0, "that excess at most", _BARS)
     outside: tuple[float, float, float, float] = number(
-        (0.15, 0.15, 0.8, 0.4),
-        "of the load beyond the outermost markers, and of half of that beside them",
+        (0.18, 0.15, 0.8, 0.5),
+        "of the load beyond the outermost markers, and of a quarter of that beside them",
         _BARS,
         low=0.0,
     )

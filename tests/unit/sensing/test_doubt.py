@@ -51,14 +51,14 @@ def test_only_what_lies_beyond_the_markers_is_outside():
     assert sd(loaded([0.0, 0.0, 0.0], [0.0, 0.0, -1.0]), **shares)[2] == pytest.approx(0.5)
 
 
-def test_beside_the_outermost_markers_half_counts_and_half_a_pitch_within_nothing():
+def test_beside_the_outermost_markers_a_quarter_counts_and_half_a_pitch_within_nothing():
     """Those of `dense` are at 16 mm, 4 mm apart."""
     pressed = loaded([0.0, 0.0, -1.0])
     found = [
         sd(pressed, nodes=np.array([[x, 0.0]]), outside=(0.0, 0.5, 0.0, 0.0))[2]
         for x in (0.0, 14e-3, 15e-3, -16e-3, 18e-3, 19.9e-3)
     ]
-    assert found == pytest.approx([0.0, 0.0, 0.125, 0.25, 0.5, 0.5])
+    assert found == pytest.approx([0.0, 0.0, 0.5 / 16, 0.5 / 4, 0.5, 0.5])
 
 
 def test_a_force_that_comes_at_once_may_press_anywhere():
