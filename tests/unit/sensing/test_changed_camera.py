@@ -24,6 +24,8 @@ AFTER = (
     {"knock_px": [1.5, -1.2]},
     {"knock_px": [4.0, 3.0], "turn_deg": 0.3},
 )
+# both at once, five pixels and half a degree, are 0.032 N off: more than the others may be
+FAR_OFF = {"knock_px": [4.0, 3.0], "turn_deg": 0.5}
 BEFORE = ({"black_DN": 50}, {"gamma": 1.3})
 
 
@@ -51,16 +53,18 @@ def clean():
     return [touch.force_normal for touch in touches()]
 
 
-@pytest.mark.parametrize("table", AFTER, ids=str)
-def test_a_change_after_the_references_is_no_force(clean, table):
-    """Within 0.03 N of what is felt without it, but for the first image, which has to find it out
+@pytest.mark.parametrize(
+    ("table", "limit"), [*((table, 0.03) for table in AFTER), (FAR_OFF, 0.035)], ids=str
+)
+def test_a_change_after_the_references_is_no_force(clean, table, limit):
+    """Within `limit` N of what is felt without it, but for the first image, which has to find it out
     and is within its bar: nothing touching, 0.1, 0.4, 0.8 N, and let go."""
     first, *others = zip(touches(run=table), clean, strict=True)
     assert first[0].status == "ok"
     assert abs(first[0].force_normal - first[1]) < 5 * first[0].force_normal_sd
     for touch, wanted in others:
         assert touch.status == "ok"
-        assert abs(touch.force_normal - wanted) < 0.03
+        assert abs(touch.force_normal - wanted) < limit
 
 
 @pytest.mark.parametrize("table", BEFORE, ids=str)
