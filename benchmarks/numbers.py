@@ -164,6 +164,20 @@ NUMBERS = (
         column="measured",
         command="bench slip",
     ),
+    *(
+        Number(
+            what=f"held and whole while {happens}, adaptive",
+            page="what_touch_buys",
+            row=task,
+            column="adaptive",
+            command="bench tasks",
+        )
+        for task, happens in (
+            ("pour", "filled or emptied"),
+            ("shake", "shaken and turned"),
+            ("bump", "bumped"),
+        )
+    ),
     Number(
         what="materials named right",
         page="benchmarks",

@@ -21,6 +21,7 @@ _RISEN = 0.01  # m of the hand, from where on it can be told whether the object 
 _HELD_SHARE = 0.5
 # s between two looks at a soft object's strain, which changes no faster than the fingers
 _STRAIN_EVERY = 0.02
+_FALL = 0.025  # m that it falls when it is let go of: further than any place is lower than told
 _HELD_SLACK = 1e-3  # m, less this: on a rig that does not lift, what it does not drop is held
 
 
@@ -48,6 +49,9 @@ class GraspScore:
     """The scene as it was when the images were taken."""
     lost: bool = False
     """The hand has risen, and the object has not come along."""
+    fell: bool = False
+    """It was let go of in the air, and nobody had it."""
+    _let_go_height: float = math.nan
     _carried: float = 0.0
     _grip_start: Array | None = None
     _slip: float = 0.0
@@ -104,6 +108,8 @@ class GraspScore:
             self.crushed_at = self.world.time
         if self.judge is not None:
             self.judge.after_step(forces, self.phase)
+        if self.phase == "release":
+            self._watch_fall()
         if self.phase not in ("lift", "hold"):
             return
         p_WO = self._object_position()
@@ -119,6 +125,13 @@ class GraspScore:
         if self.phase == "hold":
             self._hold_forces.append(sum(forces) / len(forces))
             self._held.append(risen)
+
+    def _watch_fall(self) -> None:
+        """From where it was let go of."""
+        height = float(self._object_position()[2])
+        if math.isnan(self._let_go_height):
+            self._let_go_height = height
+        self.fell |= self._let_go_height - height > _FALL
 
     def _is_torn(self) -> bool:
         """Whether a soft object is strained beyond what its material stands."""
@@ -148,7 +161,10 @@ class GraspScore:
         self._slip = max(self._slip, float(np.linalg.norm(relative - self._grip_start)))
 
     def reason(self) -> str:
-        """Why a lifted object was dropped, if it was too heavy for the grip; "" otherwise."""
+        """Why a lifted object was dropped, if it was too heavy for the grip, or let go of in the
+        air; "" otherwise."""
+        if self.outcome() == "dropped" and self._is_held and self.fell:
+            return "it was let go of in the air, and fell"
         if self.outcome() == "dropped" and self._is_held and self.judge is not None:
             return self.judge.failure()
         model = self.world.model
@@ -166,7 +182,7 @@ class GraspScore:
         if self.crushed_at is not None:
             return "crushed"
         fails = self.judge is not None and self.judge.failure()
-        return "held" if self._is_held and not fails else "dropped"
+        return "held" if self._is_held and not fails and not self.fell else "dropped"
 
     @property
     def _is_held(self) -> bool:

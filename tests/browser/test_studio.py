@@ -54,6 +54,7 @@ class Studio:
             "-m",
             "tests.browser.host",
             "--no-browser",
+            "--no-wait",
             "--fast",
             "--port",
             str(self.port),

@@ -1,0 +1,84 @@
+"""What touch buys: its table says what its lines say; the test for slip goes by what follows."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from benchmarks.slip import tested
+from benchmarks.tasks.picture import draw
+from benchmarks.tasks.run import TASKS, table, weighed
+from mjtactile.core.types import Slip, Touch, Traction
+from mjtactile.evaluate.statistics import summarise
+
+GRID = np.linspace(-0.01, 0.01, 3)
+
+
+def lines(controller, outcomes, **more):
+    return [
+        {
+            "controller": controller,
+            "episode": k,
+            "object": "egg",
+            "outcome": outcome,
+            "margin_true": 1.5,
+            "break_force_N": 2.0,
+            "varied": {},
+            "flags": {},
+            **more,
+        }
+        for k, outcome in enumerate(outcomes)
+    ]
+
+
+def test_the_table_says_what_the_lines_say(tmp_path):
+    own = lines("adaptive", ["held"] * 8) + lines("touchless", ["held"] * 4 + ["crushed"] * 4)
+    result = {
+        "episodes": 8,
+        "tasks": dict.fromkeys(TASKS, summarise(own)),
+        "weighed": {"things": 0},
+    }
+    text = table(result)
+    # Wilson's interval of 8 of 8 is 67.6 to 100 %
+    assert "| pour | 8 of 8 (68-100 %) |  |  | 4 of 8 (22-78 %) |  | +50 (" in text
+    assert "| pour | 0 / 0 |  |  | 4 / 0 |  |" in text
+    draw(result, tmp_path / "picture.png")
+    assert (tmp_path / "picture.png").stat().st_size > 10_000
+
+
+def test_weights_are_compared_with_what_was_asked():
+    known = [
+        line | {"weighed_g": said, "mass_g_true": true}
+        for line, (said, true) in zip(
+            lines("adaptive", ["held"] * 4), [(104, 100), (46, 50), (7, 5), (52, 50)], strict=True
+        )
+    ]
+    found = weighed([*known, *lines("gentle", ["held"])])
+    assert found["things"] == 3  # 5 g are too little to count
+    assert found["mean_g"] == pytest.approx((4 - 4 + 2) / 3)
+    # 4 % of 100 g and 1 g are 5 g, of 50 g 3 g
+    asked = [4 / 5, 4 / 3, 2 / 3]
+    assert found["over_asked"] == pytest.approx(np.sqrt(np.mean(np.square(asked))))
+    assert weighed([])["things"] == 0
+
+
+@pytest.mark.parametrize(("follows", "counts"), [(1.0, True), (0.0, False)])
+def test_a_sign_of_slip_counts_unless_the_shear_stays(follows, counts):
+    """A grip of 0.8 N that is changed by 5 % at 4 Hz, "slipping" all the while: of force, and of a
+    torque alone."""
+    for torque in (False, True):
+        looks = []
+        for time in np.arange(20) / 30:
+            wobble = 0.05 * np.sin(2 * np.pi * 4 * time)
+            drag = 0.4 * (1 + follows * wobble)
+            wrench = np.zeros(6)
+            wrench[5 if torque else 1] = 3e-3 * drag if torque else drag
+            force = 0.8 * (1 + wobble)
+            wrench[2] = -force
+            traction = Traction(GRID, GRID, np.zeros((3, 3, 3)), wrench, np.eye(6), 1e3, "made up")
+            slip = Slip("slipping", np.zeros(2), 0.0, 0.0)
+            touch = Touch(0.0, 0.01, force, 0.003, True, traction=traction, slip=slip)
+            looks.append(SimpleNamespace(time=time, touch=touch))
+        states = tested.states(looks)
+        assert states[5] == "slipping"  # nothing is known of the test yet: the sign alone
+        assert (states[-1] == "slipping") == counts

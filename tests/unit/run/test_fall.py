@@ -1,0 +1,27 @@
+"""What is let go of in the air and falls was not held, whatever was held before."""
+
+import numpy as np
+import pytest
+
+from mjtactile.run.scoring import GraspScore
+
+
+@pytest.mark.parametrize(
+    ("falls", "outcome"), [(0.002, "held"), (0.018, "held"), (0.04, "dropped")]
+)
+def test_what_falls_from_an_open_hand_was_dropped(monkeypatch, falls, outcome):
+    """2 mm are what stood nearly, 18 mm a place that is lower than told, 40 mm a lifted hand."""
+    heights = iter(0.07 - falls * np.linspace(0, 1, 5) ** 2)
+    score = GraspScore.__new__(GraspScore)
+    score.crushed_at = score.judge = None
+    score.fell = False
+    score._let_go_height = float("nan")
+    score._held = [True] * 5
+    monkeypatch.setattr(
+        GraspScore, "_object_position", lambda _: np.array([0.0, 0.0, next(heights)])
+    )
+    for _ in range(5):
+        score._watch_fall()
+    assert score.outcome() == outcome
+    if outcome == "dropped":
+        assert score.reason() == "it was let go of in the air, and fell"
