@@ -185,7 +185,7 @@ def _difference(summary: Mapping[str, Any]) -> str:
     for pair in summary["paired"]:
         if (pair["first"], pair["second"]) == (CONTROLLERS[0], CONTROLLERS[-1]):
             low, high = pair["difference_interval"]
-            return f"{-100 * pair['difference']:+.0f} ({-100 * high:+.0f} to {-100 * low:+.0f})"
+            return f"{0 - 100 * pair['difference']:+.0f} ({-100 * high:+.0f} to {-100 * low:+.0f})"
     return ""
 
 
