@@ -21,7 +21,10 @@ _RISEN = 0.01  # m of the hand, from where on it can be told whether the object 
 _HELD_SHARE = 0.5
 # s between two looks at a soft object's strain, which changes no faster than the fingers
 _STRAIN_EVERY = 0.02
-_FALL = 0.025  # m that it falls when it is let go of: further than any place is lower than told
+# m that it falls when it is let go of: more than a tilted thing settles by; and where a task has
+# its own word on how it is set down
+_FALL = 0.015
+_FALL_OF_TASK = 0.025
 _HELD_SLACK = 1e-3  # m, less this: on a rig that does not lift, what it does not drop is held
 
 
@@ -131,7 +134,9 @@ class GraspScore:
         height = float(self._object_position()[2])
         if math.isnan(self._let_go_height):
             self._let_go_height = height
-        self.fell |= self._let_go_height - height > _FALL
+        counts = self.judge is not None and math.isfinite(self.judge.task.counts.upright)
+        most = _FALL_OF_TASK if counts else _FALL
+        self.fell |= self._let_go_height - height > most
 
     def _is_torn(self) -> bool:
         """Whether a soft object is strained beyond what its material stands."""
