@@ -96,6 +96,7 @@ def press(
         converged = world.press(depth)
         if plan.shear:
             converged = world.press(depth, plan.shear)
+        view.touch()  # what has just come is doubted; it is at rest, as a second image shows
         touches.append(view.touch())
         steps.append(_step(world, touches[-1], converged))
         if plan.shear:
