@@ -35,7 +35,7 @@ _DOORS = {
         "run.controller",
     ),
     "What a controller sees and says": ("core.types",),
-    "Sensing": ("sensing.chain", "sensing.pose.locate", "core.optics"),
+    "Sensing": ("sensing.chain", "sensing.perception", "sensing.pose.locate", "core.optics"),
     "Sensors and their calibration": ("core.design", "core.calibration"),
     "The film": ("film.film", "film.bodies", "film.derivatives", "film.state"),
     "Recordings": ("recording.reader", "recording.writer", "recording.observer"),

@@ -24,7 +24,7 @@ from benchmarks.worlds import rigid
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.recording.files import write_json
 from mjtactile.run.progress import Progress
-from mjtactile.sensing.chain import Perception
+from mjtactile.sensing.perception import Perception
 from mjtactile.sim import truth
 from mjtactile.sim.effects.catalog import EFFECTS
 from mjtactile.sim.picture.renderer import Renderer

@@ -61,7 +61,7 @@ if TYPE_CHECKING:
     from mjtactile.run.session import Session as Session
     from mjtactile.run.session import open_session as open_session
     from mjtactile.sensing.chain import Chain as Chain
-    from mjtactile.sensing.chain import Perception as Perception
+    from mjtactile.sensing.perception import Perception as Perception
     from mjtactile.sensing.pose.locate import find_circles as find_circles
     from mjtactile.sensing.pose.locate import marker_records as marker_records
     from mjtactile.sim.attach import recommend_options as recommend_options
@@ -105,7 +105,8 @@ _HOMES = {
     "rig.scenario": ("complete_scenario", "load_scenario"),
     "run.controller": ("load_controller",),
     "run.session": ("Session", "open_session"),
-    "sensing.chain": ("Chain", "Perception"),
+    "sensing.chain": ("Chain",),
+    "sensing.perception": ("Perception",),
     "sensing.pose.locate": ("find_circles", "marker_records"),
     "sim.attach": ("recommend_options",),
 }

@@ -16,7 +16,7 @@ import numpy as np
 from benchmarks.settings import SENSOR, attempt
 from mjtactile.core.design import CameraDesign, MarkerLayout, SensorDesign, load_sensor
 from mjtactile.core.types import Array
-from mjtactile.sensing.chain import Perception
+from mjtactile.sensing.perception import Perception
 from mjtactile.sim import truth
 from mjtactile.sim.picture.renderer import Effects, Renderer
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld

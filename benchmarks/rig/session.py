@@ -21,7 +21,8 @@ from mjtactile.run.cycle import Cycle
 from mjtactile.run.references import inflate
 from mjtactile.run.session import Session
 from mjtactile.run.supervisor import Supervisor
-from mjtactile.sensing.chain import Chain, Perception
+from mjtactile.sensing.chain import Chain
+from mjtactile.sensing.perception import Perception
 from mjtactile.sensing.state import ChainState
 
 SENSOR = "paper16"

@@ -29,7 +29,7 @@ def main(rate: float, kind: str) -> dict[str, Any]:
     from mjtactile.core.design import load_sensor
     from mjtactile.run.controller import load_controller
     from mjtactile.run.session import open_session
-    from mjtactile.sensing.chain import Perception
+    from mjtactile.sensing.perception import Perception
     from mjtactile.sim import rig
     from mjtactile.sim.camera import SimCamera
     from mjtactile.sim.scenes.world import World

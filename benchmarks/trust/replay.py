@@ -14,7 +14,7 @@ from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Image, PressureReading, Touch
 from mjtactile.recording.observer import Observer
 from mjtactile.run.grasp import run_grasp
-from mjtactile.sensing.chain import Perception
+from mjtactile.sensing.perception import Perception
 from mjtactile.sim.picture.troubles import TroubledPicture
 
 

@@ -15,7 +15,7 @@ from mjtactile.core.calibration import Calibration, ForceScale, Stamp
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, Image
-from mjtactile.sensing.chain import Perception
+from mjtactile.sensing.perception import Perception
 
 LOADS_MIN = 4
 FORCE_MIN = 0.2  # N; the largest load, below it noise is what would be calibrated

@@ -13,7 +13,7 @@ from mjtactile.core.calibration import Calibration, FrameCalibration, RestMarker
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Image
-from mjtactile.sensing.chain import Perception
+from mjtactile.sensing.perception import Perception
 
 # centres of markers in focus are found to 0.05 px; a bent frame or a wrong lens shows as more
 RESIDUAL_MAX_PX = 1.0

@@ -10,7 +10,7 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Image, Touch
-from mjtactile.sensing.chain import Perception
+from mjtactile.sensing.perception import Perception
 from mjtactile.sensing.touch.squeeze import contact_face
 from mjtactile.sim import truth
 from mjtactile.sim.picture.renderer import Renderer

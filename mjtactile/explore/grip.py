@@ -22,7 +22,7 @@ from mjtactile.rig.registry import build_rig
 from mjtactile.run.cycle import Cycle
 from mjtactile.run.perceive import Perceiver
 from mjtactile.run.session import Session
-from mjtactile.sensing.chain import Perception
+from mjtactile.sensing.perception import Perception
 
 LOOSE = 1e-3
 """m, sd: so far a grip may have pushed the object aside, both of its patches alike."""

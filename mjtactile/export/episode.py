@@ -25,7 +25,7 @@ from mjtactile.core.types import Array, Image, PressureReading, Touch
 from mjtactile.recording.columns import SENSED, TRUE
 from mjtactile.recording.files import LOG, RECORDINGS, to_json
 from mjtactile.recording.reader import Recording, load_recording
-from mjtactile.sensing.chain import Perception
+from mjtactile.sensing.perception import Perception
 
 NOT_OF_A_FINGER = ("object_position_true", "object_quaternion_true")
 """Columns of several numbers that are not one set a finger."""

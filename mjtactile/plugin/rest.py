@@ -18,7 +18,8 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
 from mjtactile.rig.finger import Finger
 from mjtactile.run.references import take_references
-from mjtactile.sensing.chain import Chain, Perception
+from mjtactile.sensing.chain import Chain
+from mjtactile.sensing.perception import Perception
 from mjtactile.sensing.state import ChainState
 from mjtactile.sim.attach import attach_membrane, recommend_options
 from mjtactile.sim.camera import SimCamera

@@ -15,7 +15,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, FeltShape, Image, Surface, Touch
 from mjtactile.plugin.rest import at_rest
 from mjtactile.rig.finger import Finger
-from mjtactile.sensing.chain import Perception
+from mjtactile.sensing.perception import Perception
 from mjtactile.sim.attach import Attachment
 from mjtactile.sim.camera import SimCamera
 from mjtactile.sim.rig import SimValve

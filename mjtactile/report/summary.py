@@ -19,7 +19,7 @@ from mjtactile.report.page import write_page
 from mjtactile.report.summary_figure import write_figure
 from mjtactile.rig.registry import build_rig
 from mjtactile.run.session import Session
-from mjtactile.sensing.chain import Perception
+from mjtactile.sensing.perception import Perception
 
 PICTURES = ("summary.png", "summary.html")
 

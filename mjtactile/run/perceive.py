@@ -22,7 +22,7 @@ PATIENCE = 10.0
 
 
 class Perceiver(Protocol):
-    """One sensor's perception; see `mjtactile.sensing.chain.Perception`."""
+    """One sensor's perception; see `mjtactile.sensing.perception.Perception`."""
 
     shapes: bool
 

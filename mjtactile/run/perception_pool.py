@@ -27,7 +27,7 @@ from mjtactile.run.perceive import (
     with_readings,
 )
 from mjtactile.run.worker import Channel, WorkerProcess
-from mjtactile.sensing.chain import Perception
+from mjtactile.sensing.perception import Perception
 
 _START = 120.0  # s; a busy computer takes 10 to import what a chain needs
 

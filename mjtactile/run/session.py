@@ -25,7 +25,7 @@ from mjtactile.run.perceive import Perceiver
 from mjtactile.run.perception_pool import PerceptionPool, default_count
 from mjtactile.run.references import Reference, take_references
 from mjtactile.run.supervisor import Supervisor
-from mjtactile.sensing.chain import Perception
+from mjtactile.sensing.perception import Perception
 from mjtactile.sensing.settings import DEFAULTS, Settings
 
 Say = Callable[[str], None]

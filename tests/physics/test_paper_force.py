@@ -9,7 +9,7 @@ from benchmarks.touch.area import calibrate_area
 from mjtactile.calibrate.area import AreaCalibration
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
-from mjtactile.sensing.chain import Perception
+from mjtactile.sensing.perception import Perception
 from mjtactile.sim.picture.renderer import Renderer
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 

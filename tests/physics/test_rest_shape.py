@@ -11,7 +11,7 @@ from mjtactile.core.errors import DeviceError
 from mjtactile.rig.registry import build_rig
 from mjtactile.rig.specimen import SpecimenConfig, camera_pose, true_design
 from mjtactile.run.session import Session
-from mjtactile.sensing.chain import Perception
+from mjtactile.sensing.perception import Perception
 from mjtactile.sim.picture.renderer import Renderer
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 

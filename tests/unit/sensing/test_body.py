@@ -16,7 +16,7 @@ from mjtactile import Chain, Film, load_sensor
 from mjtactile.core.types import Markers, Touch
 from mjtactile.sensing.body.forward import Forward
 from mjtactile.sensing.body.motion import Rubber, rubber_step
-from mjtactile.sensing.chain import with_shape
+from mjtactile.sensing.shaped import with_shape
 
 NOISE = np.array([3.4e-6, 3.4e-6, 19e-6])  # m: `dense`, one image
 

@@ -7,8 +7,8 @@ from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.fields import from_table
 from mjtactile.rig.troubles import CameraTroubles
-from mjtactile.sensing.chain import Perception
 from mjtactile.sensing.force.drift import MODES, camera_modes
+from mjtactile.sensing.perception import Perception
 from mjtactile.sensing.settings import DEFAULTS
 from mjtactile.sim.picture.troubles import TroubledPicture
 from tests import sheet_images

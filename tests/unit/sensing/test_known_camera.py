@@ -11,11 +11,11 @@ from mjtactile.core.fields import from_table
 from mjtactile.core.toml import Section
 from mjtactile.core.types import FiducialsSeen, Image
 from mjtactile.rig.troubles import CameraTroubles
-from mjtactile.sensing.chain import Perception
 from mjtactile.sensing.force.camera import KNOWN_MODES, CameraFinder, _solve
 from mjtactile.sensing.force.inverse import InverseMembrane
 from mjtactile.sensing.force.sheet import Gas
 from mjtactile.sensing.force.tone import tone_of
+from mjtactile.sensing.perception import Perception
 from mjtactile.sensing.settings import DEFAULTS
 from mjtactile.sim.picture.renderer import Renderer
 from mjtactile.sim.picture.troubles import TroubledPicture

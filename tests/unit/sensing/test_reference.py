@@ -10,7 +10,7 @@ from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.optics import Camera, project
 from mjtactile.core.types import Image
-from mjtactile.sensing.chain import Perception
+from mjtactile.sensing.perception import Perception
 from mjtactile.sensing.pose.reference import fit_camera_pose
 from mjtactile.sim.picture.renderer import Renderer
 

@@ -1,0 +1,62 @@
+"""What a touch becomes where it is known what body touches: area and force are the body's."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from mjtactile.core.types import Contact, FeltShape, Touch
+from mjtactile.sensing.body.fuse import Borne, with_load
+from mjtactile.sensing.state import Reference
+
+_GAUGE_STEP = 1.02  # of the gas at rest, after which shapes want another film
+
+
+def finder_gauge(reference: Reference) -> float:
+    """Pa of the gas at rest that a finder is made for.
+
+    Args:
+        reference: The rest.
+
+    Returns:
+        As first measured; in steps of 2 % of it where gas was lost or grew warm since.
+    """
+    first = reference.first.gas.gauge
+    now = reference.rest.gas.gauge
+    return first * _GAUGE_STEP ** round(math.log(max(now, 1.0) / first) / math.log(_GAUGE_STEP))
+
+
+def with_shape(touch: Touch, shape: FeltShape, load: Borne | None = None) -> Touch:
+    """A touch that knows what body it is of.
+
+    Args:
+        touch: As the nodal estimate has it.
+        shape: What was found of it.
+        load: What that body bears; None: the force stays the nodal estimate's.
+
+    Returns:
+        The touch with `shape`; where one is known, area and outline are the body's and
+        `contact.area_from` says so, and the wrench takes up what the body bears.
+    """
+    contact = touch.contact
+    if contact is None or shape.kind == "unknown":
+        return replace(touch, shape=shape)
+    felt = touch if load is None else with_load(touch, load)
+    by_body = replace(contact, area=shape.area, outline=shape.outline, area_from=shape.family)
+    patches = (by_body,) if len(touch.patches) == 1 else _patches_of(touch.patches, shape.parts)
+    return replace(felt, shape=shape, contact=by_body, patches=patches)
+
+
+def _patches_of(patches: tuple[Contact, ...], bodies: tuple[FeltShape, ...]) -> tuple[Contact, ...]:
+    """Each with the area of the body that is nearest, if there are as many."""
+    if len(bodies) != len(patches):
+        return patches
+    left = list(bodies)
+    found = []
+    for patch in patches:
+        nearest = min(left, key=lambda body: math.dist(body.p_SO[:2], patch.centroid))
+        left.remove(nearest)
+        found.append(
+            replace(patch, area=nearest.area, outline=nearest.outline, area_from=nearest.family)
+        )
+    return tuple(found)
