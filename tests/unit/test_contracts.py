@@ -11,9 +11,10 @@ import pytest
 CHECKOUT = Path(__file__).resolve().parents[2]
 
 VIOLATIONS = {
-    "Layers": ("mjtactile/core/types.py", "import mjtactile.rig.file"),
+    "Layers": ("mjtactile/core/types/felt.py", "import mjtactile.rig.file"),
     "Layers (a new module without a place)": ("mjtactile/stray.py", ""),
-    "Core, from the ground up": ("mjtactile/core/types.py", "import mjtactile.core.design"),
+    "Core, from the ground up": ("mjtactile/core/types/felt.py", "import mjtactile.core.design"),
+    "Values, from the image": ("mjtactile/core/types/seen.py", "import mjtactile.core.types.felt"),
     "Sensing, from the image up": (
         "mjtactile/sensing/image/edges.py",
         "import mjtactile.sensing.force.sheet",

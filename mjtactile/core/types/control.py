@@ -1,0 +1,129 @@
+"""What a controller sees, and what it asks for."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from numbers import Real
+from types import MappingProxyType
+from typing import Any, Literal, get_args
+
+from mjtactile.core.errors import InputError
+from mjtactile.core.types.devices import GripperState, ValveState
+from mjtactile.core.types.felt import Touch
+
+Phase = Literal[
+    "approach", "close", "regulate", "lift", "hold", "lower", "release", "done", "abort"
+]
+PHASES: tuple[str, ...] = get_args(Phase)
+
+
+def _finite(value: Any, name: str) -> float:
+    """A number of a Command. Raises InputError."""
+    with contextlib.suppress(ArithmeticError, TypeError, ValueError):
+        if isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value):
+            return float(value)
+    raise InputError(f"{value!r} is not a finite number", source="Command", field=name)
+
+
+@dataclass(frozen=True)
+class Command:
+    """What a controller asks for. The rig limits it and returns what was really sent.
+
+    Attributes:
+        opening: m, the gripper's goal.
+        force_limit: N, the most that the servo may push.
+        lift_height: m, the hand's goal.
+        phase: One of PHASES; "done" and "abort" end the run.
+        memory: The controller's own notebook: the loop hands it back in the next
+            `Observation.command`, so that `step` can be a pure function.
+        reason: Why the controller gives up, or sets down early; for the result and the log.
+        pressure_gauge: Pa above ambient in each finger's chamber, in their order, which the valves
+            then keep. None: leave the air alone, sealed in.
+    """
+
+    opening: float
+    force_limit: float
+    lift_height: float = 0.0
+    phase: str = "approach"
+    memory: Mapping[str, float] = field(default_factory=dict)
+    reason: str = ""
+    pressure_gauge: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("opening", "force_limit", "lift_height"):
+            object.__setattr__(self, name, _finite(getattr(self, name), name))
+        if not isinstance(self.phase, str) or self.phase not in PHASES:
+            raise InputError(
+                f"{self.phase!r} is not a phase", source="Command", field="phase", choices=PHASES
+            )
+        if not isinstance(self.reason, str):
+            raise InputError(f"{self.reason!r} is no text", source="Command", field="reason")
+        if self.pressure_gauge is not None:
+            pressures = tuple(_finite(one, "pressure_gauge") for one in self.pressure_gauge)
+            object.__setattr__(self, "pressure_gauge", pressures)
+        object.__setattr__(self, "memory", MappingProxyType(dict(self.memory)))
+
+    def checked(self) -> Command:
+        """Check every value again, also of a subclass, or what was changed past the checks.
+
+        Returns:
+            A plain Command of the same values.
+
+        Raises:
+            InputError: A value is not what it must be.
+        """
+        return Command(**{one.name: getattr(self, one.name) for one in fields(Command)})
+
+    def __reduce__(self):  # a mappingproxy does not pickle
+        values = {one.name: getattr(self, one.name) for one in fields(self)}
+        return Command, tuple((values | {"memory": dict(self.memory)}).values())
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a task asks of the robot.
+
+    Attributes:
+        lift_height: m, how high it shall lift.
+        hold_time: s, how long it shall hold there.
+        place_height: m of the hand over where it gripped, where the thing shall be set down; the
+            place may be higher or lower than that.
+        hand_over: Whether somebody will take the thing out of the hand.
+        push: N, as hard as somebody may push it, from any side.
+    """
+
+    lift_height: float = 0.040
+    hold_time: float = 2.0
+    place_height: float = 0.0
+    hand_over: bool = False
+    push: float = 0.0
+
+
+TOLD = Told()
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What a controller sees once a control cycle: only what the sensors say.
+
+    Attributes:
+        time: s on the rig's clock.
+        period: s from one cycle to the next.
+        touch: One value a finger, in the order of the rig (left, right).
+        gripper: The gripper's newest state.
+        valves: The valves' states, in the order of the fingers that have one.
+        command: The last command really sent, with the `phase` and `memory` that the controller put
+            into it.
+        told: What the task asks for.
+    """
+
+    time: float
+    period: float
+    touch: tuple[Touch, ...]
+    gripper: GripperState
+    valves: tuple[ValveState, ...]
+    command: Command
+    told: Told = TOLD

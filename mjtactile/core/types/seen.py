@@ -1,0 +1,200 @@
+"""What a camera gives, and what is found in its image: ellipses, circles, markers, fiducials."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.core.types.arrays import Array, freeze
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """An image of one camera.
+
+    Attributes:
+        pixels: (H, W) uint8 grey levels, indexed [v, u]; pixel (0, 0) is the centre of the top-left
+            pixel.
+        time: Of capture, s.
+    """
+
+    pixels: NDArray[np.uint8]
+    time: float = 0.0
+
+    def __post_init__(self) -> None:
+        freeze(self, "pixels", self.pixels, (None, None), np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class Ellipses:
+    """N ellipses in distorted pixel coordinates: centre (N, 2), semi-axes a >= b (N, 2), angle of a
+    (N,) rad.
+
+    `cov` (N, 5, 5) is the covariance of (u, v, a, b, angle); `status` (N,) strings; `darkness` (N,)
+    the logarithm of the level inside over that `outside` (N,), and `blur_px` (N,) the edge's sd
+    (None: unknown).
+    """
+
+    center_px: Array
+    semi_axes_px: Array
+    angle: Array
+    cov: Array
+    status: NDArray[np.str_]
+    darkness: Array | None = None
+    outside: Array | None = None
+    blur_px: Array | None = None
+
+    def __post_init__(self) -> None:
+        n = len(np.asarray(self.center_px))
+        freeze(self, "center_px", self.center_px, (n, 2))
+        freeze(self, "semi_axes_px", self.semi_axes_px, (n, 2))
+        freeze(self, "angle", self.angle, (n,))
+        freeze(self, "cov", self.cov, (n, 5, 5))
+        freeze(self, "status", self.status, (n,), np.str_)
+        for name in ("darkness", "outside", "blur_px"):
+            value = getattr(self, name)
+            if value is not None:
+                freeze(self, name, value, (n,))
+
+    def __len__(self) -> int:
+        return len(self.angle)
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting(Image):
+    """In place of an image: the `ellipses` that would be found in it. It has no pixels."""
+
+    ellipses: Ellipses | None = None
+
+    @classmethod
+    def of(cls, ellipses: Ellipses, time: float) -> Sighting:
+        return cls(np.zeros((0, 0), np.uint8), time, ellipses)
+
+
+@dataclass(frozen=True, eq=False)
+class CirclePoses:
+    """N circles in the camera frame: centre `p_CM` (N, 3) m, the two candidate unit normals `n_C`,
+    `n_C_alt` (N, 3).
+
+    Normals point towards the camera. `p_CM_alt` is the centre that goes with `n_C_alt`. `uv_px` (N,
+    2) is the projected *centre* (not the ellipse's) in distorted pixels; `cov_p` (N, 3, 3) m^2;
+    `status` (N,) strings.
+    """
+
+    uv_px: Array
+    p_CM: Array
+    n_C: Array
+    p_CM_alt: Array
+    n_C_alt: Array
+    cov_p: Array
+    status: NDArray[np.str_]
+
+    def __post_init__(self) -> None:
+        n = len(np.asarray(self.uv_px))
+        freeze(self, "uv_px", self.uv_px, (n, 2))
+        for name in ("p_CM", "n_C", "p_CM_alt", "n_C_alt"):
+            freeze(self, name, getattr(self, name), (n, 3))
+        freeze(self, "cov_p", self.cov_p, (n, 3, 3))
+        freeze(self, "status", self.status, (n,), np.str_)
+
+    def __len__(self) -> int:
+        return len(self.uv_px)
+
+
+@dataclass(frozen=True, eq=False)
+class FiducialsSeen:
+    """What an image shows of the circles that do not move.
+
+    Attributes:
+        ids: (n,) Of the sensor file's list, in order.
+        center_px: (n, 2) In distorted pixels.
+        radius_px: (n,) Root of the product of the semi-axes.
+        cov: (n, 3, 3) Covariance of (u, v, radius), px^2.
+        inside: (n,) Grey levels of the circles; NaN: unknown.
+        outside: (n,) Of the ground around them.
+        blur_px: (n,) Their edges' sd.
+    """
+
+    ids: NDArray[np.int64]
+    center_px: Array
+    radius_px: Array
+    cov: Array
+    inside: Array
+    outside: Array
+    blur_px: Array
+
+    def __post_init__(self) -> None:
+        n = len(np.asarray(self.ids))
+        freeze(self, "ids", self.ids, (n,), np.int64)
+        freeze(self, "center_px", self.center_px, (n, 2))
+        freeze(self, "cov", self.cov, (n, 3, 3))
+        for name in ("radius_px", "inside", "outside", "blur_px"):
+            freeze(self, name, getattr(self, name), (n,))
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @property
+    def has_levels(self) -> bool:
+        """Whether grey levels and blur are known: those of an image are."""
+        return bool(np.isfinite(self.inside + self.outside + self.blur_px).all())
+
+
+@dataclass(frozen=True, eq=False)
+class CameraChange:
+    """How a camera differs from what it was at the rest reference, by the fiducials of one image.
+
+    What planar circles hardly tell apart (a camera that moved aside or turned; one that came nearer
+    or shows all larger) is shared out as likely; all of it together is well known.
+
+    Attributes:
+        shift: (2,) px by which the picture's middle has moved.
+        turn: About the camera's axis, rad.
+        scale: Share by which all is larger.
+        grown_px: By how much circles' radii are larger beside that: gamma, clipping.
+        light: Level of white over that at the reference.
+        gamma: Exponent 1/gamma with which levels go now; NaN: unknown.
+        black: Level that no light has now; more than at the reference is fog.
+        blur_px: More blur, sd, px; less than 0: sharper.
+        seen: Number of fiducials that this is from.
+        misfit: Mean square of what they do not agree about, over its variance.
+    """
+
+    shift: tuple[float, float]
+    turn: float
+    scale: float
+    grown_px: float
+    light: float
+    gamma: float
+    black: float
+    blur_px: float
+    seen: int
+    misfit: float
+
+
+@dataclass(frozen=True, eq=False)
+class Markers:
+    """Identified markers in the sensor frame: `ids` (N,) indices into the design's layout, `p_SM`,
+    `n_S` (N, 3); `darkness` (N,) of each as in `Ellipses` (None: unknown); what was seen of the
+    `fiducials` with them (None: there are none)."""
+
+    ids: NDArray[np.int64]
+    p_SM: Array
+    n_S: Array
+    cov_p: Array
+    darkness: Array | None = None
+    fiducials: FiducialsSeen | None = None
+
+    def __post_init__(self) -> None:
+        n = len(np.asarray(self.ids))
+        freeze(self, "ids", self.ids, (n,), np.int64)
+        freeze(self, "p_SM", self.p_SM, (n, 3))
+        freeze(self, "n_S", self.n_S, (n, 3))
+        freeze(self, "cov_p", self.cov_p, (n, 3, 3))
+        if self.darkness is not None:
+            freeze(self, "darkness", self.darkness, (n,))
+
+    def __len__(self) -> int:
+        return len(self.ids)
