@@ -31,13 +31,13 @@ if TYPE_CHECKING:
     from mjtactile.core.policy import policy_names as policy_names
     from mjtactile.core.policy import policy_vector as policy_vector
     from mjtactile.core.scenario import Scenario as Scenario
-    from mjtactile.core.types import Command as Command
-    from mjtactile.core.types import FeltShape as FeltShape
-    from mjtactile.core.types import GripperState as GripperState
-    from mjtactile.core.types import Image as Image
-    from mjtactile.core.types import Observation as Observation
-    from mjtactile.core.types import Touch as Touch
-    from mjtactile.core.types import ValveState as ValveState
+    from mjtactile.core.types.control import Command as Command
+    from mjtactile.core.types.control import Observation as Observation
+    from mjtactile.core.types.devices import GripperState as GripperState
+    from mjtactile.core.types.devices import ValveState as ValveState
+    from mjtactile.core.types.felt import Touch as Touch
+    from mjtactile.core.types.seen import Image as Image
+    from mjtactile.core.types.shape import FeltShape as FeltShape
     from mjtactile.film.bodies import Obstacle as Obstacle
     from mjtactile.film.derivatives import FilmDerivatives as FilmDerivatives
     from mjtactile.film.film import Film as Film
@@ -81,15 +81,11 @@ _HOMES = {
     "core.pace": ("monotonic",),
     "core.policy": ("policy_action", "policy_command", "policy_names", "policy_vector"),
     "core.scenario": ("Scenario",),
-    "core.types": (
-        "Command",
-        "FeltShape",
-        "GripperState",
-        "Image",
-        "Observation",
-        "Touch",
-        "ValveState",
-    ),
+    "core.types.control": ("Command", "Observation"),
+    "core.types.devices": ("GripperState", "ValveState"),
+    "core.types.felt": ("Touch",),
+    "core.types.seen": ("Image",),
+    "core.types.shape": ("FeltShape",),
     "film.bodies": ("Obstacle",),
     "film.derivatives": ("FilmDerivatives",),
     "film.film": ("Film",),
