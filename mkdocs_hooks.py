@@ -44,7 +44,7 @@ _DOORS = {
     "Sensing": ("sensing.chain", "sensing.perception", "sensing.pose.locate", "core.optics"),
     "Sensors and their calibration": ("core.design", "core.calibration"),
     "The film": ("film.film", "film.bodies", "film.derivatives", "film.state"),
-    "Recordings": ("recording.reader", "recording.writer", "recording.observer"),
+    "Recordings": ("recording.reader", "recording.writer", "recording.observer", "export.live"),
     "Policies": ("core.policy",),
     "Errors": ("core.errors",),
 }

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from mjtactile.core.types.felt import Touch as Touch
     from mjtactile.core.types.seen import Image as Image
     from mjtactile.core.types.shape import FeltShape as FeltShape
+    from mjtactile.export.live import LiveView as LiveView
     from mjtactile.film.bodies import Obstacle as Obstacle
     from mjtactile.film.derivatives import FilmDerivatives as FilmDerivatives
     from mjtactile.film.film import Film as Film
@@ -86,6 +87,7 @@ _HOMES = {
     "core.types.felt": ("Touch",),
     "core.types.seen": ("Image",),
     "core.types.shape": ("FeltShape",),
+    "export.live": ("LiveView",),
     "film.bodies": ("Obstacle",),
     "film.derivatives": ("FilmDerivatives",),
     "film.film": ("Film",),

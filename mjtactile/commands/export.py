@@ -13,24 +13,32 @@ from mjtactile.run.progress import Progress
 SIMULATES = False
 DESCRIPTION = """\
 Write recordings in a format that others read: LeRobotDataset v3 for learning, MCAP with
-Foxglove's schemas, or a ROS 2 bag. Nothing that a format can hold is left out: images, felt
-wrenches with their standard deviations, states, commands, units, frames, calibrations, and
-why a value is unknown. Where a recording has all of its images, the membrane's surface and
-its markers are worked out again from them."""
+Foxglove's schemas, a ROS 2 bag, or Rerun's own files, which are to be looked at. Of the
+others, nothing that a format can hold is left out: images, felt wrenches with their standard
+deviations, states, commands, units, frames, calibrations, and why a value is unknown. Where a
+recording has all of its images, the membrane's surface and its markers are worked out again
+from them."""
 EPILOG = """\
 examples:
   mjtactile grasp --out runs/egg && mjtactile export runs/egg --format lerobot --out data/egg
   mjtactile export runs/many --format lerobot --images png --out data/many
       each recording below is an episode
   mjtactile export runs/egg --format mcap --out data/egg_mcap                a file an episode
+  mjtactile export runs/egg --format rerun --out data/egg_rrd && rerun data/egg_rrd/*.rrd
   mjtactile export runs/egg --format rosbag2 --out data/egg_bag
       ros2 bag play data/egg_bag/episode_000000
 
-Needs `pip install 'mjtactile[data]'`. What is where: docs/export.md.
+Needs `pip install 'mjtactile[data]'`, for Rerun 'mjtactile[live]'. What is where: docs/export.md.
 exit codes: 0 written, 2 bad input.
 """
-FORMATS = {"lerobot": ("pyarrow", "av"), "mcap": ("foxglove",), "rosbag2": ("rosbags",)}
-"""Format to the modules that it needs."""
+FORMATS = {
+    "lerobot": ("data", "pyarrow", "av"),
+    "mcap": ("data", "foxglove"),
+    "rerun": ("live", "rerun"),
+    "rosbag2": ("data", "rosbags"),
+}
+"""Format to the extra that brings what it needs, and the modules of that."""
+_WRITTEN = ("meta", "data", "episode_000000", "episode_000000.mcap", "episode_000000.rrd")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -74,10 +82,7 @@ def run(options: argparse.Namespace) -> int:
 
     progress = Progress(quiet=options.json)
     episodes = find_episodes(options.source)
-    with (
-        output_folder(options.out, "meta", "data", "episode_000000", "episode_000000.mcap") as out,
-        stdout_to_stderr(),
-    ):
+    with output_folder(options.out, *_WRITTEN) as out, stdout_to_stderr():
         result = _write(options, episodes, out, progress)
     result |= {"format": options.format, "out": str(options.out)}
     if options.json:
@@ -107,6 +112,10 @@ def _write(
         from mjtactile.export import mcap
 
         return mcap.write(episodes, out, say=progress.message)
+    if options.format == "rerun":
+        from mjtactile.export import rrd
+
+        return rrd.write(episodes, out, say=progress.message)
     from mjtactile.export import rosbag2
 
     return rosbag2.write(episodes, out, say=progress.message)
@@ -116,8 +125,10 @@ def _need(name: str) -> None:
     """Raise InputError where what writes a format is not installed."""
     import importlib.util
 
-    missing = [module for module in FORMATS[name] if importlib.util.find_spec(module) is None]
+    extra, *modules = FORMATS[name]
+    missing = [module for module in modules if importlib.util.find_spec(module) is None]
     if missing:
         raise InputError(
-            f"{name!r} needs {', '.join(missing)}: pip install 'mjtactile[data]'", field="--format"
+            f"{name!r} needs {', '.join(missing)}: pip install 'mjtactile[{extra}]'",
+            field="--format",
         )

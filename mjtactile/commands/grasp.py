@@ -6,10 +6,20 @@ import argparse
 import contextlib
 import math
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mjtactile import InputError, Interrupted, MjtactileError, Recorder, Scenario, load_recording
+from mjtactile import (
+    InputError,
+    Interrupted,
+    LiveView,
+    MjtactileError,
+    Observer,
+    Recorder,
+    Scenario,
+    load_recording,
+)
 from mjtactile.commands import ranges, scenario, slow
 from mjtactile.commands.output import (
     new_run_folder,
@@ -43,6 +53,8 @@ examples:
   mjtactile grasp --json > result.json
   mjtactile grasp --video egg.mp4
       scene, cameras and forces, in step with the simulated time
+  mjtactile grasp --live rerun             watch it in Rerun; foxglove: in Foxglove
+  mjtactile grasp --live rerun:egg.rrd     or keep it, to look at later
   mjtactile grasp --workers 0              all in one process: the same numbers
 
 The result (--json, summary.json) says: outcome ("held", "dropped", "crushed", "fault"; on
@@ -92,6 +104,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="film it, too: .mp4, .gif or .webp (pip install 'mjtactile[video]')",
     )
     parser.add_argument(
+        "--live",
+        metavar="VIEWER",
+        help="show it while it happens: rerun (the viewer that is open, or a new one), "
+        "rerun+http://HOST:9876/proxy, foxglove (it connects to ws://localhost:8765), "
+        "foxglove:PORT, or into rerun:FILE.rrd, foxglove:FILE.mcap (pip install 'mjtactile[live]')",
+    )
+    parser.add_argument(
         "--out",
         type=Path,
         metavar="DIR",
@@ -114,12 +133,13 @@ def run(options: argparse.Namespace) -> int:
     wanted = scenario.scenario_of(options)
     slow.apply(options.slow, wanted.rig)
     progress = Progress()  # which looks whether stderr is a terminal
+    live = _live_views(options.live, progress)
     if options.out is None:
         folder = new_run_folder(scenario.stem(wanted))
     else:
         folder = output_folder(options.out, *_RESULTS, "recording")
-    with folder as out, stdout_to_stderr(), drawing_beside() as figure:
-        summary = _run_and_report(wanted, options, out, progress, figure)
+    with live as views, folder as out, stdout_to_stderr(), drawing_beside() as figure:
+        summary = _run_and_report(wanted, options, out, progress, views, figure)
     with contextlib.suppress(BrokenPipeError):  # the exit code says how it went, read or not
         if options.json:
             print_json(summary)
@@ -128,8 +148,25 @@ def run(options: argparse.Namespace) -> int:
     return EXIT_CODES[summary["outcome"]]
 
 
+@contextlib.contextmanager
+def _live_views(target: str | None, progress: Progress) -> Iterator[list[Observer]]:
+    """What shows the run while it happens, if anything does."""
+    if target is None:
+        yield []
+        return
+    with LiveView(target, progress.message) as live:
+        yield [live]
+    if live.left_out:
+        progress.message(f"--live: {live.left_out} cycles were left out: the viewer was behind")
+
+
 def _run_and_report(
-    wanted: Scenario, options: argparse.Namespace, out: Path, progress: Progress, figure: Drawing
+    wanted: Scenario,
+    options: argparse.Namespace,
+    out: Path,
+    progress: Progress,
+    views: list[Observer],
+    figure: Drawing,
 ) -> dict[str, Any]:
     """Run the grasp and write its report, also of a run that failed half-way; the error then
     carries its summary."""
@@ -145,7 +182,7 @@ def _run_and_report(
             recorder.strip = Strip()
         summary = run_grasp(
             wanted,
-            [recorder, progress],
+            [recorder, progress, *views],
             workers=options.workers,
             error_estimate=options.error_estimate,
         ).summary()

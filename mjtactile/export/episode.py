@@ -21,10 +21,11 @@ import numpy as np
 from mjtactile.core.calibration import Calibration, calibration_from_table, pressure_reading
 from mjtactile.core.design import SensorDesign, load_sensor, sensor_from_table
 from mjtactile.core.errors import DeviceError, InputError
-from mjtactile.core.types import Array, Image, PressureReading, Touch
+from mjtactile.core.types import Array, Ellipses, Image, PressureReading, Touch
 from mjtactile.recording.columns import SENSED, TRUE
 from mjtactile.recording.files import LOG, RECORDINGS, to_json
 from mjtactile.recording.reader import Recording, load_recording
+from mjtactile.report.overlay import followed
 from mjtactile.sensing.perception import Perception
 
 NOT_OF_A_FINGER = ("object_position_true", "object_quaternion_true")
@@ -44,13 +45,16 @@ _PARTS |= dict.fromkeys(("wrench_sd", "wrench_true"), _PARTS["wrench"])
 @dataclass(frozen=True, eq=False)
 class Perceived:
     """One cycle: its `row` of the log (null: unknown), the images that were kept, with their
-    `files`, and each finger's touch as the chain sees it again, () where it cannot."""
+    `files`, and each finger's touch as the chain sees it again, () where it cannot, with the
+    `ellipses` that it follows in the image; of a run that goes on, the scene at that time."""
 
     time: float
     row: Mapping[str, Any]
     images: tuple[Image, ...]
     files: tuple[Path, ...]
     touch: tuple[Touch, ...]
+    ellipses: tuple[Ellipses | None, ...] = ()
+    view: Any = None
 
 
 class Episode:
@@ -229,9 +233,12 @@ class Episode:
                 touch = ()
             for again, was in zip(touch, row["force_normal"], strict=False):
                 self.felt_apart = float(np.fmax(self.felt_apart, abs(again.force_normal - was)))
-            yield Perceived(
-                time, row, images, tuple(folder / name for name in columns["images"][k]), touch
+            files = tuple(folder / name for name in columns["images"][k])
+            ellipses = tuple(
+                followed(image, chain.state.tracks)
+                for chain, image in zip(self._perceptions, images, strict=False)
             )
+            yield Perceived(time, row, images, files, touch, ellipses)
 
 
 def find_episodes(path: Path) -> list[Episode]:

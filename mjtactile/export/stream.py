@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
+from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, Touch
 from mjtactile.export.episode import NOT_OF_A_FINGER, Episode, Perceived
+from mjtactile.recording import png
 
 FACING = {
     0: np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]),
@@ -17,6 +19,16 @@ FACING = {
 }
 """R_GS of the two sensors of a pair: z towards the other finger, y up, as the shipped grippers
 carry them."""
+
+
+class Source(Protocol):
+    """Whose cycles are made messages of: an `Episode`, or a run that goes on."""
+
+    @property
+    def fingers(self) -> tuple[str, ...]: ...
+    @property
+    def camera_poses(self) -> dict[str, tuple[Array, Array]]: ...
+    def design_of(self, finger: str) -> SensorDesign: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,71 +64,65 @@ class Item:
 def items(episode: Episode) -> Iterator[Item]:
     """All messages of an episode; kinds: image, camera, wrench, touch, cloud, joints, frames,
     static, cycle."""
-    first = float(episode.recording.columns["time"][0])
-    cameras = [
-        Transform(f"{name}_sensor", f"{name}_camera", R, p)
-        for name, (R, p) in episode.camera_poses.items()
-    ]
-    yield Item("/tf_static", "static", first, "", cameras)
+    yield cameras(episode, float(episode.recording.columns["time"][0]))
     for seen in episode.cycles():
-        yield from _of_cycle(episode, seen)
+        yield from of_cycle(episode, seen)
 
 
-def _of_cycle(episode: Episode, seen: Perceived) -> Iterator[Item]:
+def cameras(source: Source, time: float) -> Item:
+    """Where each finger's camera stands in its sensor."""
+    placed = [
+        Transform(f"{name}_sensor", f"{name}_camera", R, p)
+        for name, (R, p) in source.camera_poses.items()
+    ]
+    return Item("/tf_static", "static", time, "", placed)
+
+
+def of_cycle(source: Source, seen: Perceived) -> Iterator[Item]:
+    """All messages of one cycle."""
+    for k, finger in enumerate(source.fingers):
+        yield from _of_finger(source, seen, k, finger)
     row = seen.row
-    time = seen.time
-    stamps = [float(value) for value in row["image_time"]]
-    for k, finger in enumerate(episode.fingers):
-        stamp = stamps[k] if np.isfinite(stamps[k]) else time
-        if seen.images:
-            yield Item(
-                f"/{finger}/image",
-                "image",
-                stamp,
-                f"{finger}_camera",
-                (seen.images[k], seen.files[k]),
-            )
-            yield Item(
-                f"/{finger}/camera_info",
-                "camera",
-                stamp,
-                f"{finger}_camera",
-                episode.design_of(finger).camera,
-            )
-        mine = {
-            key: value[k]
-            for key, value in row.items()
-            if isinstance(value, (list, np.ndarray))
-            and len(value) == len(episode.fingers)
-            and key not in NOT_OF_A_FINGER
-        }
-        yield Item(
-            f"/{finger}/wrench",
-            "wrench",
-            stamp,
-            f"{finger}_sensor",
-            np.asarray(mine["wrench"], float),
-        )
-        yield Item(f"/{finger}/touch", "touch", stamp, f"{finger}_sensor", mine)
-        if seen.touch:
-            for name, cloud in _clouds(seen.touch[k]):
-                yield Item(f"/{finger}/{name}", "cloud", stamp, f"{finger}_sensor", cloud)
     if "gripper_time" in row and np.isfinite(row["gripper_time"]):
-        state = row["gripper_time"]
+        state = float(row["gripper_time"])
     else:
-        state = time
-    yield Item(
-        "/joint_states",
-        "joints",
-        float(state),
-        "",
-        {
-            "opening": (float(row["opening"]), float(row["speed"]), float(row["effort"])),
-            "lift": (float(row["lift_height"]), float("nan"), float("nan")),
-        },
-    )
-    yield Item("/tf", "frames", float(state), "", list(_frames(episode, row)))
-    yield Item("/cycle", "cycle", time, "", row)
+        state = seen.time
+    joints = {
+        "opening": (float(row["opening"]), float(row["speed"]), float(row["effort"])),
+        "lift": (float(row["lift_height"]), float("nan"), float("nan")),
+    }
+    yield Item("/joint_states", "joints", state, "", joints)
+    yield Item("/tf", "frames", state, "", list(_frames(source, seen)))
+    yield Item("/cycle", "cycle", seen.time, "", row)
+
+
+def stamp_of(seen: Perceived, finger: int) -> float:
+    """s, when that finger's image was captured."""
+    stamp = float(seen.row["image_time"][finger])
+    return stamp if np.isfinite(stamp) else seen.time
+
+
+def _of_finger(source: Source, seen: Perceived, number: int, finger: str) -> Iterator[Item]:
+    stamp = stamp_of(seen, number)
+    camera = f"{finger}_camera"
+    sensor = f"{finger}_sensor"
+    if seen.images:
+        file = seen.files[number] if seen.files else None
+        yield Item(f"/{finger}/image", "image", stamp, camera, (seen.images[number], file))
+        lens = source.design_of(finger).camera
+        yield Item(f"/{finger}/camera_info", "camera", stamp, camera, lens)
+    mine = {
+        key: value[number]
+        for key, value in seen.row.items()
+        if isinstance(value, (list, np.ndarray))
+        and len(value) == len(source.fingers)
+        and key not in NOT_OF_A_FINGER
+    }
+    yield Item(f"/{finger}/wrench", "wrench", stamp, sensor, np.asarray(mine["wrench"], float))
+    yield Item(f"/{finger}/touch", "touch", stamp, sensor, mine)
+    if seen.touch:
+        for name, cloud in _clouds(seen.touch[number]):
+            yield Item(f"/{finger}/{name}", "cloud", stamp, sensor, cloud)
 
 
 def _clouds(touch: Touch) -> Iterator[tuple[str, Cloud]]:
@@ -153,18 +159,22 @@ def _clouds(touch: Touch) -> Iterator[tuple[str, Cloud]]:
         )
 
 
-def _frames(episode: Episode, row: Any) -> Iterator[Transform]:
+def _frames(source: Source, seen: Perceived) -> Iterator[Transform]:
     """Where the gripper is above its start, the two sensors of a pair in it, and, in simulation,
-    the object in the world."""
+    the object in the world; and with the scene at that time, where it has the sensors."""
+    row = seen.row
     height = float(row["lift_height"])
     opening = float(row["opening"])
     if np.isfinite(height):
         yield Transform("gripper_start", "gripper", np.eye(3), np.array([0.0, 0.0, height]))
-    if len(episode.fingers) == 2 and np.isfinite(opening):
+    if seen.view is not None:
+        for finger, R, p in zip(source.fingers, seen.view.R_WS, seen.view.p_WS, strict=True):
+            yield Transform("world", f"{finger}_sensor", R, p)
+    elif len(source.fingers) == 2 and np.isfinite(opening):
         for k, side in enumerate((-1, 1)):
             yield Transform(
                 "gripper",
-                f"{episode.fingers[k]}_sensor",
+                f"{source.fingers[k]}_sensor",
                 FACING[k],
                 np.array([side * opening / 2, 0.0, 0.0]),
             )
@@ -186,6 +196,12 @@ def quaternion(R: Array) -> tuple[float, float, float, float]:
 
     x, y, z, w = Rotation.from_matrix(R).as_quat()
     return (x, y, z, w) if w >= 0 else (-x, -y, -z, -w)
+
+
+def png_of(item: Item) -> bytes:
+    """An image's file, or the image as one."""
+    image, file = item.value
+    return png.encode(image.pixels) if file is None else file.read_bytes()
 
 
 def nanoseconds(time: float) -> int:

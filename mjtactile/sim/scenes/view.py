@@ -24,6 +24,24 @@ _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 
 @dataclass(frozen=True, eq=False)
+class Solid:
+    """A geom: its surface in its own frame, points (n, 3) m and triangles (m, 3), its colour
+    (4,) from 0 to 1, and where it is, `R_WG` (3, 3) and `p_WG` (3,) m."""
+
+    name: str
+    points: Array
+    faces: Array
+    rgba: Array
+    R_WG: Array
+    p_WG: Array
+
+    @property
+    def points_W(self) -> Array:
+        """The points in W."""
+        return self.points @ self.R_WG.T + self.p_WG
+
+
+@dataclass(frozen=True, eq=False)
 class SceneView:
     """Where everything was at one moment; cheap to take, the triangles are made when they are asked
     for.
@@ -74,11 +92,13 @@ class SceneView:
 
     def triangles(self) -> tuple[Array, Array]:
         """Corners (n, 3, 3) m in W and colours (n, 4), red, green, blue, alpha from 0 to 1."""
-        parts = [*self._geoms(), *self._flexes()]
+        geoms = [(solid.points_W, solid.faces, solid.rgba) for solid in self.solids()]
+        parts = [*geoms, *self._flexes()]
         corners = np.concatenate([points[faces] for points, faces, _ in parts])
         return corners, np.concatenate([np.tile(rgba, (len(faces), 1)) for _, faces, rgba in parts])
 
-    def _geoms(self) -> Iterator[tuple[Array, Array, Array]]:
+    def solids(self) -> Iterator[Solid]:
+        """Every geom that is shown."""
         model = self.model
         hidden = {geom for ids in self.hidden for geom in ids.tolist()}
         for geom in range(model.ngeom):
@@ -89,24 +109,39 @@ class SceneView:
             if geom in hidden or model.geom_group[geom] >= _SHOWN or rgba[3] == 0:
                 continue
             points, faces = _shape(model, geom)
-            yield points @ self.geom_R_W[geom].T + self.geom_p_W[geom], faces, rgba
+            if not len(faces):
+                continue
+            name = model.geom(geom).name or f"{model.body(model.geom_bodyid[geom]).name}/{geom}"
+            R_WG = self.geom_R_W[geom]
+            yield Solid(name, points, faces, rgba, R_WG, self.geom_p_W[geom])
+
+    def soft_bodies(self) -> Iterator[tuple[str, Array, Array, Array]]:
+        """Skins of what is soft: name, points (n, 3) m in W, triangles, colour."""
+        for flex in range(self.model.nflex):
+            if self.model.flex_dim[flex] == 3:
+                ((_, faces, rgba),) = self._flex(flex)
+                yield self.model.flex(flex).name, self.vertex_p_W, faces, rgba
 
     def _flexes(self) -> Iterator[tuple[Array, Array, Array]]:
         """Membranes, and the skins of soft bodies."""
-        model = self.model
-        for flex in range(model.nflex):
-            solid = model.flex_dim[flex] == 3
-            if solid:
-                start, count = (model.flex_shelldataadr[flex], model.flex_shellnum[flex])
-            else:
-                start, count = (model.flex_elemdataadr[flex], model.flex_elemnum[flex])
-            index = model.flex_shell if solid else model.flex_elem
-            if model.flex_dim[flex] < 2:
-                continue
-            faces = index[start : start + 3 * count].reshape(-1, 3) + model.flex_vertadr[flex]
-            yield self.vertex_p_W, faces, model.flex_rgba[flex] if solid else _SHEET
+        for flex in range(self.model.nflex):
+            yield from self._flex(flex)
         for points, faces in self.films:
             yield points, faces, _SHEET
+
+    def _flex(self, flex: int) -> Iterator[tuple[Array, Array, Array]]:
+        """A membrane, or the skin of a soft body; nothing for a rope."""
+        model = self.model
+        solid = model.flex_dim[flex] == 3
+        if solid:
+            start, count = (model.flex_shelldataadr[flex], model.flex_shellnum[flex])
+        else:
+            start, count = (model.flex_elemdataadr[flex], model.flex_elemnum[flex])
+        index = model.flex_shell if solid else model.flex_elem
+        if model.flex_dim[flex] < 2:
+            return
+        faces = index[start : start + 3 * count].reshape(-1, 3) + model.flex_vertadr[flex]
+        yield self.vertex_p_W, faces, model.flex_rgba[flex] if solid else _SHEET
 
 
 def _shape(model: mujoco.MjModel, geom: int) -> tuple[Array, Array]:

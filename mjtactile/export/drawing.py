@@ -1,0 +1,166 @@
+"""What a viewer draws of a cycle beside its data: fitted ellipses, membranes as surfaces, forces as
+arrows, and of a simulated run the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.core.types import Array, Ellipses, Surface, Traction
+from mjtactile.export.episode import Episode, Perceived
+from mjtactile.export.stream import Item, Source, Transform, cameras, of_cycle, stamp_of
+from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
+
+FORCE = 0.02  # m of arrow for each N
+TRACTION = 2e-6  # m of arrow for each Pa
+MEMBRANE = (0.62, 0.78, 0.95, 1.0)
+TRUSTED = (0.22, 0.83, 0.33, 1.0)
+FLAGGED = (0.9, 0.24, 0.24, 1.0)
+PRESSED = (0.86, 0.31, 0.17, 1.0)
+_FELT = 0.03  # of the largest traction; less is not drawn
+_AROUND = 24  # points of an ellipse
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """Closed curves (n, k, 2) in an image, px, and whether each is trusted."""
+
+    points: Array
+    trusted: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A surface in its frame: points (n, 3) m, triangles (m, 3), colour from 0 to 1."""
+
+    points: Array
+    triangles: Array
+    rgba: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Arrows:
+    """Arrows in their frame: `tails` (n, 3) m, `vectors` (n, 3) m as long as they are drawn."""
+
+    tails: Array
+    vectors: Array
+    rgba: tuple[float, ...]
+
+
+@dataclass(eq=False)
+class Drawing:
+    """Makes the items of cycles; each body of a scene is drawn once, and moved where it moves."""
+
+    source: Source
+    _placed: dict[str, Array] = field(default_factory=dict)
+
+    def again(self) -> None:
+        """Draw the scene once more: somebody looks who has not seen it."""
+        self._placed.clear()
+
+    def of(self, seen: Perceived) -> Iterator[Item]:
+        """All that is drawn of one cycle."""
+        for k, finger in enumerate(self.source.fingers):
+            stamp = stamp_of(seen, k)
+            sensor = f"{finger}_sensor"
+            ellipses = seen.ellipses[k] if seen.ellipses else None
+            if ellipses is not None and len(ellipses):
+                camera = f"{finger}_camera"
+                yield Item(f"/{finger}/ellipses", "curves", stamp, camera, curves_of(ellipses))
+            touch = seen.touch[k] if seen.touch else None
+            if touch is None or touch.surface is None:
+                continue
+            mesh = surface_mesh(touch.surface)
+            yield Item(f"/{finger}/membrane/drawn", "mesh", stamp, sensor, mesh)
+            if touch.traction is not None:
+                arrows = traction_arrows(touch.traction, touch.surface)
+                yield Item(f"/{finger}/traction/drawn", "arrows", stamp, sensor, arrows)
+                force = force_arrow(touch.traction, touch.surface)
+                yield Item(f"/{finger}/force/drawn", "arrows", stamp, sensor, force)
+        if seen.view is not None:
+            yield from self._scene(seen)
+
+    def _scene(self, seen: Perceived) -> Iterator[Item]:
+        moved = []
+        for solid in seen.view.solids():
+            frame = f"scene/{solid.name}"
+            pose = np.append(solid.R_WG.ravel(), solid.p_WG)
+            before = self._placed.get(frame)
+            if before is None:
+                mesh = Mesh(solid.points, solid.faces, tuple(map(float, solid.rgba)))
+                yield Item(f"/{frame}", "mesh", seen.time, frame, mesh)
+            if before is None or not np.array_equal(before, pose):
+                moved.append(Transform("world", frame, solid.R_WG, solid.p_WG))
+                self._placed[frame] = pose
+        for name, points, faces, rgba in seen.view.soft_bodies():
+            mesh = Mesh(points, faces, tuple(map(float, rgba)))
+            yield Item(f"/soft/{name}", "mesh", seen.time, "world", mesh)
+        if moved:
+            yield Item("/tf_scene", "frames", seen.time, "", moved)
+
+
+def drawn_items(episode: Episode) -> Iterator[Item]:
+    """All messages of a recording, and what is drawn of each cycle."""
+    drawing = Drawing(episode)
+    yield cameras(episode, float(episode.recording.columns["time"][0]))
+    for seen in episode.cycles():
+        yield from of_cycle(episode, seen)
+        yield from drawing.of(seen)
+
+
+def curves_of(ellipses: Ellipses) -> Curves:
+    """The ellipses of an image as closed curves; those that are not "ok" are not trusted."""
+    shapes = shape_from_axes(ellipses.semi_axes_px, ellipses.angle)
+    points, _ = boundary(ellipses.center_px, shapes, _AROUND)
+    return Curves(np.concatenate([points, points[:, :1]], axis=1), ellipses.status == "ok")
+
+
+def surface_mesh(surface: Surface) -> Mesh:
+    """A membrane's shape as triangles, two between four neighbours of its grid."""
+    x, y = np.meshgrid(surface.x, surface.y)
+    rows, columns = x.shape
+    corner = np.arange(rows * columns).reshape(rows, columns)
+    a = corner[:-1, :-1].ravel()
+    b = corner[:-1, 1:].ravel()
+    c = corner[1:, 1:].ravel()
+    d = corner[1:, :-1].ravel()
+    triangles = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    points = np.column_stack([x.ravel(), y.ravel(), surface.z.ravel()])
+    return Mesh(points, triangles, MEMBRANE)
+
+
+def traction_arrows(traction: Traction, surface: Surface) -> Arrows:
+    """Force per area of membrane at the nodes that feel one, tips on the membrane."""
+    x, y = np.meshgrid(traction.x, traction.y)
+    node_area = (traction.x[1] - traction.x[0]) * (traction.y[1] - traction.y[0])
+    pressure = traction.force.reshape(-1, 3) / node_area
+    size = np.linalg.norm(pressure, axis=1)
+    felt = size > _FELT * max(float(np.nanmax(size, initial=0.0)), 1e-9)
+    at = np.column_stack([x.ravel(), y.ravel()])[felt]
+    tips = np.column_stack([at, _height(surface, at)])
+    vectors = TRACTION * pressure[felt]
+    return Arrows(tips - vectors, vectors, PRESSED)
+
+
+def force_arrow(traction: Traction, surface: Surface) -> Arrows:
+    """The net force on the membrane, its tip where it pushes: on the axis on which its torque is
+    the felt one, (x, y) = (-t_y, t_x) / f_z. Nothing of a force that is unknown or tiny."""
+    force = traction.wrench[:3]
+    if not np.isfinite(traction.wrench).all() or abs(force[2]) < 0.02:
+        return Arrows(np.zeros((0, 3)), np.zeros((0, 3)), PRESSED)
+    torque = traction.wrench[3:]
+    at = np.array([[-torque[1], torque[0]]]) / force[2]
+    at = np.clip(at, [surface.x[0], surface.y[0]], [surface.x[-1], surface.y[-1]])
+    tip = np.column_stack([at, _height(surface, at)])
+    vector = FORCE * force[None]
+    return Arrows(tip - vector, vector, PRESSED)
+
+
+def _height(surface: Surface, at: Array) -> Array:
+    """z (n,) m of the membrane at the nodes nearest to (n, 2) m."""
+    column = np.abs(surface.x[None] - at[:, :1]).argmin(axis=1)
+    row = np.abs(surface.y[None] - at[:, 1:]).argmin(axis=1)
+    return surface.z[row, column]

@@ -1,0 +1,329 @@
+"""Foxglove's messages, and where they go: a file, or the viewer that is open.
+
+Written with foxglove-sdk, which brings these schemas; the plain mcap package would want them
+written out by hand. What Foxglove has no schema for (a felt wrench, a touch, a line of the log) is
+JSON with a schema of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Array
+from mjtactile.export import stream
+from mjtactile.export.drawing import FLAGGED, TRUSTED, Arrows, Curves, Mesh
+from mjtactile.export.episode import meanings
+from mjtactile.recording.files import to_json
+
+PORT = 8765
+_ARROW_WIDTH = 8e-4  # m
+_WRENCH = {"fx": "N", "fy": "N", "fz": "N", "tx": "N m", "ty": "N m", "tz": "N m"}
+
+
+class FoxgloveSink:
+    """Sends items to whoever listens to a `context` of foxglove-sdk; a channel a topic."""
+
+    def __init__(self) -> None:
+        import foxglove
+
+        self.context = foxglove.Context()
+        self._channels: dict[str, Any] = {}
+
+    def log(self, item: stream.Item) -> None:
+        """Send one item."""
+        if item.topic not in self._channels:
+            self._channels[item.topic] = _channel(item, self.context)
+        message = _MESSAGES[item.kind](item)
+        self._channels[item.topic].log(message, log_time=stream.nanoseconds(item.time))
+
+
+class FoxgloveFile(FoxgloveSink):
+    """An MCAP file."""
+
+    forgets = False
+
+    def __init__(self, path: Path):
+        super().__init__()
+        import foxglove
+        from foxglove.mcap import MCAPWriteOptions
+
+        self.where = f"written to {path}: open it in Foxglove"
+        options = MCAPWriteOptions(profile="")
+        self.writer = foxglove.open_mcap(path, context=self.context, writer_options=options)
+
+    def close(self) -> None:
+        """Finish the file."""
+        self.writer.close()
+
+
+class FoxgloveServer(FoxgloveSink):
+    """A server on this computer, to which Foxglove connects. Raises InputError for a port that is
+    taken."""
+
+    forgets = True
+
+    def __init__(self, port: int = PORT):
+        super().__init__()
+        import foxglove
+
+        try:
+            self._server = foxglove.start_server(name="mjtactile", port=port, context=self.context)
+        except Exception as error:  # the SDK's own kinds of error change from version to version
+            text = " ".join(str(error).split())
+            raise InputError(f"port {port}: {text}", field="--live") from error
+        self.port = self._server.port
+        self.where = f"Foxglove: open connection ws://localhost:{self.port}"
+
+    def close(self) -> None:
+        """End the server."""
+        self._server.stop()
+
+
+def _channel(item: stream.Item, context: Any) -> Any:
+    from foxglove import Channel, channels
+
+    typed = {
+        "image": channels.CompressedImageChannel,
+        "curves": channels.ImageAnnotationsChannel,
+        "mesh": channels.SceneUpdateChannel,
+        "arrows": channels.SceneUpdateChannel,
+        "camera": channels.CameraCalibrationChannel,
+        "cloud": channels.PointCloudChannel,
+        "joints": channels.JointStatesChannel,
+        "frames": channels.FrameTransformsChannel,
+        "static": channels.FrameTransformsChannel,
+    }
+    if item.kind in typed:
+        return typed[item.kind](item.topic, context=context)
+    return Channel(item.topic, schema=_schema(item), context=context)
+
+
+def _schema(item: stream.Item) -> dict[str, Any]:
+    """JSON schema of a touch, a wrench or a line of the log, with units and meanings."""
+    what = meanings()
+    if item.kind == "wrench":
+        fields = {
+            name: {"type": ["number", "null"], "description": unit}
+            for name, unit in _WRENCH.items()
+        }
+    else:
+        fields = {
+            key: {"description": f"{what[key]['unit']}: {what[key]['meaning']}"}
+            for key in item.value
+        }
+    stamp = {
+        "type": "object",
+        "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
+    }
+    return {
+        "title": f"mjtactile.{item.kind.capitalize()}",
+        "type": "object",
+        "properties": {"timestamp": stamp, "frame_id": {"type": "string"}, **fields},
+    }
+
+
+def _stamp(item: stream.Item) -> Any:
+    from foxglove.messages import Timestamp
+
+    return Timestamp(*divmod(stream.nanoseconds(item.time), 10**9))
+
+
+def _image(item: stream.Item) -> Any:
+    from foxglove.messages import CompressedImage
+
+    return CompressedImage(
+        timestamp=_stamp(item), frame_id=item.frame, data=stream.png_of(item), format="png"
+    )
+
+
+def _curves(item: stream.Item) -> Any:
+    from foxglove.messages import Color, ImageAnnotations, Point2, PointsAnnotation
+    from foxglove.messages import PointsAnnotationType as Type
+
+    curves: Curves = item.value
+    stamp = _stamp(item)
+    colour = {True: Color(**_rgba(TRUSTED)), False: Color(**_rgba(FLAGGED))}
+    return ImageAnnotations(
+        timestamp=stamp,
+        points=[
+            PointsAnnotation(
+                timestamp=stamp,
+                type=Type.LineLoop,
+                points=[Point2(x=x, y=y) for x, y in points],
+                outline_color=colour[trusted],
+                thickness=1.0,
+            )
+            for points, trusted in zip(curves.points.tolist(), curves.trusted.tolist(), strict=True)
+        ],
+    )
+
+
+def _mesh(item: stream.Item) -> Any:
+    from foxglove.messages import Color, Point3, TriangleListPrimitive
+
+    mesh: Mesh = item.value
+    surface = TriangleListPrimitive(
+        pose=_pose(np.eye(3), np.zeros(3)),
+        points=[Point3(x=x, y=y, z=z) for x, y, z in mesh.points.tolist()],
+        indices=mesh.triangles.ravel().tolist(),
+        color=Color(**_rgba(mesh.rgba)),
+    )
+    return _entity(item, triangles=[surface])
+
+
+def _arrows(item: stream.Item) -> Any:
+    from foxglove.messages import ArrowPrimitive, Color
+
+    arrows: Arrows = item.value
+    colour = Color(**_rgba(arrows.rgba))
+    drawn = []
+    for tail, vector in zip(arrows.tails, arrows.vectors, strict=True):
+        length = float(np.linalg.norm(vector))
+        width = min(_ARROW_WIDTH, length / 4)
+        drawn.append(
+            ArrowPrimitive(
+                pose=_pose(_along(vector), tail),
+                shaft_length=0.7 * length,
+                shaft_diameter=width,
+                head_length=0.3 * length,
+                head_diameter=2 * width,
+                color=colour,
+            )
+        )
+    return _entity(item, arrows=drawn)
+
+
+def _entity(item: stream.Item, **drawn: Any) -> Any:
+    """A thing in a 3D scene, in place of what was drawn of it before."""
+    from foxglove.messages import SceneEntity, SceneUpdate
+
+    entity = SceneEntity(
+        timestamp=_stamp(item), frame_id=item.frame, id=item.topic, frame_locked=True, **drawn
+    )
+    return SceneUpdate(entities=[entity])
+
+
+def _along(vector: Array) -> Array:
+    """A rotation (3, 3) whose x axis is along `vector`, as Foxglove's arrows are."""
+    x = vector / max(float(np.linalg.norm(vector)), 1e-12)
+    aside = np.eye(3)[int(np.abs(x).argmin())]
+    y = np.cross(aside, x)
+    y /= np.linalg.norm(y)
+    return np.column_stack([x, y, np.cross(x, y)])
+
+
+def _rgba(rgba: Sequence[float]) -> dict[str, float]:
+    return dict(zip("rgba", map(float, rgba), strict=True))
+
+
+def _camera(item: stream.Item) -> Any:
+    from foxglove.messages import CameraCalibration
+
+    c = item.value
+    P = np.column_stack([c.K, np.zeros(3)])
+    return CameraCalibration(
+        timestamp=_stamp(item),
+        frame_id=item.frame,
+        width=c.width,
+        height=c.height,
+        distortion_model="plumb_bob",
+        D=list(c.distortion),
+        K=c.K.ravel().tolist(),
+        R=np.eye(3).ravel().tolist(),
+        P=P.ravel().tolist(),
+    )
+
+
+def _cloud(item: stream.Item) -> Any:
+    from foxglove.messages import PackedElementField, PackedElementFieldNumericType, PointCloud
+
+    cloud: stream.Cloud = item.value
+    fields = [
+        PackedElementField(name=name, offset=8 * k, type=PackedElementFieldNumericType.Float64)
+        for k, name in enumerate(cloud.names)
+    ]
+    return PointCloud(
+        timestamp=_stamp(item),
+        frame_id=item.frame,
+        pose=_pose(np.eye(3), np.zeros(3)),
+        fields=fields,
+        point_stride=8 * len(fields),
+        data=np.ascontiguousarray(cloud.values, "<f8").tobytes(),
+    )
+
+
+def _joints(item: stream.Item) -> Any:
+    from foxglove.messages import JointState, JointStates
+
+    def known(value: float) -> float | None:
+        return value if np.isfinite(value) else None
+
+    return JointStates(
+        timestamp=_stamp(item),
+        joints=[
+            JointState(
+                name=name, position=known(position), velocity=known(velocity), effort=known(effort)
+            )
+            for name, (position, velocity, effort) in item.value.items()
+        ],
+    )
+
+
+def _frames(item: stream.Item) -> Any:
+    from foxglove.messages import FrameTransform, FrameTransforms, Quaternion, Vector3
+
+    return FrameTransforms(
+        transforms=[
+            FrameTransform(
+                timestamp=_stamp(item),
+                parent_frame_id=t.parent,
+                child_frame_id=t.child,
+                translation=Vector3(**_xyz(t.p)),
+                rotation=Quaternion(**dict(zip("xyzw", stream.quaternion(t.R), strict=True))),
+            )
+            for t in item.value
+        ]
+    )
+
+
+def _pose(R: Array, p: Array) -> Any:
+    from foxglove.messages import Pose, Quaternion, Vector3
+
+    return Pose(
+        position=Vector3(**_xyz(p)),
+        orientation=Quaternion(**dict(zip("xyzw", stream.quaternion(R), strict=True))),
+    )
+
+
+def _xyz(p: Array) -> dict[str, float]:
+    return {name: float(value) for name, value in zip("xyz", p, strict=True)}
+
+
+def _json(item: stream.Item) -> Any:
+    if item.kind == "wrench":
+        values = dict(zip(_WRENCH, item.value, strict=True))
+    else:
+        values = dict(item.value)
+    sec, nsec = divmod(stream.nanoseconds(item.time), 10**9)
+    return to_json({"timestamp": {"sec": sec, "nsec": nsec}, "frame_id": item.frame, **values})
+
+
+_MESSAGES: dict[str, Callable[[stream.Item], Any]] = {
+    "image": _image,
+    "curves": _curves,
+    "mesh": _mesh,
+    "arrows": _arrows,
+    "camera": _camera,
+    "cloud": _cloud,
+    "joints": _joints,
+    "frames": _frames,
+    "static": _frames,
+    "wrench": _json,
+    "touch": _json,
+    "cycle": _json,
+}

@@ -1,0 +1,253 @@
+"""`LiveView` shows a run while it happens, in a viewer that people have open: Rerun or Foxglove."""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Array
+from mjtactile.export import stream
+from mjtactile.export.drawing import Drawing
+from mjtactile.export.episode import Perceived
+from mjtactile.recording.columns import make_row
+from mjtactile.recording.observer import Observer
+from mjtactile.report.overlay import followed
+
+TARGETS = (
+    "rerun",
+    "rerun:FILE.rrd",
+    "rerun+http://HOST:9876/proxy",
+    "foxglove",
+    "foxglove:PORT",
+    "foxglove:FILE.mcap",
+)
+_MODULES = {"rerun": "rerun", "foxglove": "foxglove"}
+_WAITING = 8  # cycles that wait for the viewer
+_AGAIN = 1.0  # s after which what stands still is sent once more, for who looks since then
+_FLUSH_TIME = 10.0  # s that the end of a run waits for what is still to be sent
+_logger = logging.getLogger(__name__)
+
+
+class Sink(Protocol):
+    """Where items go. `where` says what to open to see them; what `forgets` shows who comes later
+    only what is sent from then on."""
+
+    where: str
+    forgets: bool
+
+    def log(self, item: stream.Item) -> None: ...
+    def close(self) -> None: ...
+
+
+class LiveView(Observer):
+    """Shows images with ellipses, membranes, tractions, forces and the scene, cycle by cycle.
+
+    Nothing here fails or holds up a run: a simulated world waits for a viewer that is behind, a
+    real one's cycles are left out, and a viewer that fails is given up with a warning. Use it as a
+    context manager, or call `close`.
+
+    Args:
+        target: "rerun" (the viewer that is open, else a new one), "rerun:FILE.rrd",
+            "rerun+http://HOST:9876/proxy" (a viewer elsewhere), "foxglove" (a server on port 8765
+            that Foxglove connects to), "foxglove:PORT", "foxglove:FILE.mcap".
+        say: Is given a line that says what to open.
+
+    Raises:
+        InputError: For another target, a file that is there, or a package that is not.
+    """
+
+    def __init__(self, target: str, say: Callable[[str], None] = lambda _: None):
+        self.viewer, self._to = _parsed(target)
+        self.where = ""
+        """What to open to see it; known once the run has begun."""
+        self.left_out = 0
+        """Cycles that nobody was shown."""
+        self.problem = ""
+        self._patience = 0.0
+        self._sink: Sink | None = None
+        self._session: Any = None
+        self._say = say
+        self._queue: queue.Queue[Perceived | None] = queue.Queue(_WAITING)
+        self._thread: threading.Thread | None = None
+
+    def __enter__(self) -> LiveView:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def begin(self, session: Any) -> None:
+        """Open the viewer, the server or the file.
+
+        Args:
+            session: The `Session`.
+        """
+        self._session = session
+        self._patience = session.patience
+        source = _Running(session)
+        self._sink = self._open(source.fingers, pictured=session.rig.scene is not None)
+        self.where = self._sink.where
+        self._say(self.where)
+        self._thread = threading.Thread(
+            target=self._work, args=(source, self._sink), name="live", daemon=True
+        )
+        self._thread.start()
+
+    def add(self, cycle: Any, view: Any = None, **truth: Any) -> None:
+        """Show one cycle.
+
+        Args:
+            cycle: What was seen, felt, asked for and sent.
+            view: The scene at that time; of a simulation alone.
+            **truth: Ground truth by column; of a simulation alone.
+        """
+        if self._thread is None or self.problem:
+            return
+        chains = self._session.perceptions
+        tracks = [getattr(getattr(chain, "state", None), "tracks", None) for chain in chains]
+        drawn = all(image.pixels.size for image in cycle.images)
+        row = make_row(cycle, (), truth)
+        seen = Perceived(
+            cycle.time,
+            {key: value for key, value in row.items() if key not in ("kind", "images")},
+            cycle.images if drawn else (),
+            (),
+            cycle.touch,
+            tuple(map(followed, cycle.images, tracks)),
+            view,
+        )
+        try:
+            self._queue.put(seen, block=self._patience > 0, timeout=self._patience)
+        except queue.Full:
+            self.left_out += 1
+
+    def close(self) -> None:
+        """Show what is left, and let go of the viewer; later calls do nothing."""
+        thread = self._thread
+        self._thread = None
+        if thread is not None and self._sink is not None:
+            try:
+                self._queue.put(None, timeout=_FLUSH_TIME)
+            except queue.Full:
+                return
+            thread.join(_FLUSH_TIME)
+            self._attempt(self._sink.close)
+
+    def _open(self, fingers: tuple[str, ...], *, pictured: bool) -> Sink:
+        if self.viewer == "foxglove":
+            from mjtactile.export.foxglove_sink import FoxgloveFile, FoxgloveServer
+
+            if isinstance(self._to, Path):
+                return FoxgloveFile(self._to)
+            return FoxgloveServer(int(self._to)) if self._to else FoxgloveServer()
+        from mjtactile.export.rerun_sink import RerunSink, to_file, to_viewer
+
+        sink = RerunSink(fingers, pictured=pictured)
+        if isinstance(self._to, Path):
+            to_file(sink, self._to)
+        else:
+            to_viewer(sink, self._to)
+        return sink
+
+    def _work(self, source: _Running, sink: Sink) -> None:
+        """The background thread."""
+        drawing = Drawing(source)
+        sent = -np.inf
+        while (seen := self._queue.get()) is not None:
+            if self.problem:
+                continue
+            is_first = sent < 0 or (sink.forgets and seen.time - sent >= _AGAIN)
+            if is_first:
+                sent = seen.time
+                drawing.again()
+            self._attempt(lambda seen=seen, first=is_first: _show(sink, drawing, seen, first=first))
+
+    def _attempt(self, act: Callable[[], None]) -> None:
+        """Do what may fail: a viewer's fault is no reason to end a run."""
+        try:
+            act()
+        except Exception as error:  # noqa: BLE001
+            said = " ".join(f"{type(error).__name__}: {error}".split())
+            if not self.problem:
+                _logger.warning("the viewer was given up: %s", said)
+            self.problem = self.problem or said
+
+
+def _show(sink: Sink, drawing: Drawing, seen: Perceived, *, first: bool) -> None:
+    """Send all of one cycle; the `first` time also where the cameras stand."""
+    source = drawing.source
+    if first:
+        sink.log(stream.cameras(source, seen.time))
+    for item in stream.of_cycle(source, seen):
+        sink.log(item)
+    for item in drawing.of(seen):
+        sink.log(item)
+
+
+class _Running:
+    """A run that goes on, as exports see a recording."""
+
+    def __init__(self, session: Any):
+        self._session = session
+        self._designs = {finger.name: _design(finger) for finger in session.rig.fingers}
+
+    @property
+    def fingers(self) -> tuple[str, ...]:
+        return tuple(self._designs)
+
+    def design_of(self, finger: str) -> SensorDesign:
+        """The design with the lens that was measured of this finger."""
+        return self._designs[finger]
+
+    @property
+    def camera_poses(self) -> dict[str, tuple[Array, Array]]:
+        """R_SC and p_SC of each finger's camera, as its flat reference shows it, else as its
+        sensor file says."""
+        poses = {}
+        for chain, name in zip(self._session.perceptions, self.fingers, strict=True):
+            flat = getattr(getattr(chain, "state", None), "flat", None)
+            if flat is None:
+                poses[name] = (np.eye(3), self._designs[name].camera.p_SC)
+            else:
+                poses[name] = (flat.R_SC, flat.p_SC)
+        return poses
+
+
+def _design(finger: Any) -> SensorDesign:
+    if finger.calibration is None:
+        return finger.design
+    return finger.calibration.used(finger.design).design(finger.design)
+
+
+def _parsed(target: str) -> tuple[str, Path | str]:
+    """The viewer, and its file, its address or port, "" for the usual one. Raises InputError."""
+    if target.startswith("rerun+http"):
+        viewer, where = "rerun", target
+    else:
+        viewer, _, where = target.partition(":")
+    if viewer not in _MODULES:
+        raise InputError(f"{target!r} is no viewer", field="--live", choices=TARGETS)
+    if find_spec(_MODULES[viewer]) is None:
+        raise InputError(
+            f"{viewer}-sdk is not installed: pip install 'mjtactile[live]'", field="--live"
+        )
+    if not where or where.startswith("rerun+") or viewer == "foxglove" and where.isdecimal():
+        return viewer, where
+    path = Path(where)
+    suffix = {"rerun": ".rrd", "foxglove": ".mcap"}[viewer]
+    if path.suffix != suffix:
+        raise InputError(f"{where!r} does not end in {suffix}", field="--live", choices=TARGETS)
+    if path.exists():
+        raise InputError("exists; nothing is overwritten", source=path, field="--live")
+    if not path.parent.is_dir():
+        raise InputError("no such folder", source=path.parent, field="--live")
+    return viewer, path

@@ -1,0 +1,231 @@
+"""Rerun's messages, and where they go: a file, or the viewer that is open.
+
+Frames are entities below each other, as Rerun's transforms go: `/world/left_sensor/left_camera`.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import sys
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjtactile.core.errors import InputError
+from mjtactile.export import stream
+from mjtactile.export.drawing import FLAGGED, TRUSTED, Arrows, Curves, Mesh
+
+PORT = 9876
+_ARROW_RADIUS = 3e-4  # m
+_POINT_RADIUS = 2e-4  # m
+_ROOTS = ("world", "gripper_start")
+
+
+class RerunSink:
+    """Sends items to a recording stream of rerun-sdk. `fingers` are what the views are of."""
+
+    forgets = False
+    where = "Rerun"
+
+    def __init__(self, fingers: Sequence[str], *, pictured: bool):
+        self._rr: Any = import_module("rerun")
+        self.stream = self._rr.RecordingStream("mjtactile")
+        self._parents: dict[str, str] = dict.fromkeys(_ROOTS, "")
+        for finger in fingers:
+            self._parents[f"{finger}_sensor"] = "world" if pictured else "gripper_start/gripper"
+        self._fingers = tuple(fingers)
+        self._phase = ""
+        self._log: dict[str, Callable[[stream.Item], None]] = {
+            "image": self._image,
+            "curves": self._curves,
+            "mesh": self._mesh,
+            "arrows": self._arrows,
+            "camera": self._camera,
+            "cloud": self._cloud,
+            "joints": self._joints,
+            "frames": self._frames,
+            "static": self._frames,
+            "wrench": self._wrench,
+            "touch": self._touch,
+            "cycle": self._cycle,
+        }
+
+    def log(self, item: stream.Item) -> None:
+        """Send one item."""
+        self.stream.set_time("rig", duration=item.time)
+        self._log[item.kind](item)
+
+    def close(self) -> None:
+        """See that all has arrived."""
+        self.stream.flush()
+        self.stream.disconnect()
+
+    def blueprint(self) -> Any:
+        """What is shown where, until somebody arranges it in another way."""
+        views: Any = import_module("rerun.blueprint")
+        cameras = [
+            views.Spatial2DView(name=finger, origin=f"/{self._place(f'{finger}_camera')}")
+            for finger in self._fingers
+        ]
+        curves = views.TimeSeriesView(name="force, N", origin="/force")
+        return views.Blueprint(
+            views.Horizontal(
+                views.Vertical(views.Spatial3DView(origin="/", name="scene"), curves),
+                views.Vertical(*cameras),
+                column_shares=[2, 1],
+            )
+        )
+
+    def _place(self, frame: str) -> str:
+        """The entity of a frame."""
+        if frame.endswith("_camera") and frame not in self._parents:
+            self._parents[frame] = self._place(frame.removesuffix("_camera") + "_sensor")
+        parent = self._parents.get(frame, "world")
+        return f"{parent}/{frame}" if parent else frame
+
+    def _send(self, path: str, what: Any, *, static: bool = False) -> None:
+        self.stream.log(path.split("/"), what, static=static)  # parts are escaped
+
+    def _in_frame(self, item: stream.Item) -> str:
+        """The entity of what is drawn in a frame."""
+        place = self._place(item.frame)
+        name = item.topic.strip("/").removesuffix("/drawn").split("/")[-1]
+        return place if item.topic == f"/{item.frame}" else f"{place}/{name}"
+
+    def _image(self, item: stream.Item) -> None:
+        picture = self._rr.EncodedImage(contents=stream.png_of(item), media_type="image/png")
+        self._send(self._in_frame(item), picture)
+
+    def _curves(self, item: stream.Item) -> None:
+        curves: Curves = item.value
+        colours = np.where(curves.trusted[:, None], _rgba(TRUSTED), _rgba(FLAGGED))
+        self._send(self._in_frame(item), self._rr.LineStrips2D(curves.points, colors=colours))
+
+    def _mesh(self, item: stream.Item) -> None:
+        mesh: Mesh = item.value
+        drawn = self._rr.Mesh3D(
+            vertex_positions=mesh.points,
+            triangle_indices=mesh.triangles,
+            vertex_normals=_normals(mesh),
+            albedo_factor=_rgba(mesh.rgba),
+        )
+        self._send(self._in_frame(item), drawn)
+
+    def _arrows(self, item: stream.Item) -> None:
+        arrows: Arrows = item.value
+        drawn = self._rr.Arrows3D(
+            origins=arrows.tails,
+            vectors=arrows.vectors,
+            colors=_rgba(arrows.rgba),
+            radii=_ARROW_RADIUS,
+        )
+        self._send(self._in_frame(item), drawn)
+
+    def _camera(self, item: stream.Item) -> None:
+        lens = item.value
+        place = self._place(item.frame)
+        pinhole = self._rr.Pinhole(
+            image_from_camera=lens.K,
+            resolution=[lens.width, lens.height],
+            image_plane_distance=0.01,
+        )
+        self._send(place, pinhole, static=True)
+
+    def _cloud(self, item: stream.Item) -> None:
+        """Markers; of membrane and tractions surface and arrows are drawn."""
+        if item.topic.endswith("/markers"):
+            cloud: stream.Cloud = item.value
+            points = self._rr.Points3D(cloud.values[:, :3], radii=_POINT_RADIUS)
+            self._send(self._in_frame(item), points)
+
+    def _joints(self, item: stream.Item) -> None:
+        for name, (position, _, effort) in item.value.items():
+            self._number(f"gripper/{name}", position)
+            self._number(f"gripper/{name}_effort", effort)
+
+    def _frames(self, item: stream.Item) -> None:
+        for t in item.value:
+            self._parents.setdefault(t.child, self._place(t.parent))
+            pose = self._rr.Transform3D(translation=t.p, mat3x3=t.R)
+            self._send(self._place(t.child), pose, static=item.kind == "static")
+
+    def _wrench(self, item: stream.Item) -> None:
+        if np.isfinite(item.value).all():
+            finger = item.topic.split("/")[1]
+            self._send(f"wrench/{finger}", self._rr.Scalars(item.value))
+
+    def _touch(self, item: stream.Item) -> None:
+        finger = item.topic.split("/")[1]
+        self._number(f"force/{finger}", item.value["force_normal"])
+        if "pressure_gauge" in item.value:
+            self._number(f"pressure/{finger}", item.value["pressure_gauge"])
+        if item.value["status_code"] != "ok":
+            self._send(f"log/{finger}", self._rr.TextLog(str(item.value["status"]), level="WARN"))
+
+    def _cycle(self, item: stream.Item) -> None:
+        row = item.value
+        phase = str(row["phase"])
+        if phase != self._phase:
+            self._phase = phase
+            self._send("log/phase", self._rr.TextLog(phase))
+        for finger, true in zip(self._fingers, row.get("force_normal_true", ()), strict=False):
+            self._number(f"force/{finger}_true", true)
+
+    def _number(self, path: str, value: Any) -> None:
+        """What is unknown is left out, so that its curve has a gap."""
+        if value is not None and np.isfinite(value):
+            self._send(path, self._rr.Scalars(float(value)))
+
+
+def to_file(sink: RerunSink, path: Path) -> None:
+    """Have a sink write a file."""
+    sink.stream.save(path, default_blueprint=sink.blueprint())
+    sink.where = f"written to {path}: rerun {path}"
+
+
+def to_viewer(sink: RerunSink, url: str = "") -> None:
+    """Have a sink send to the viewer at `url` ("": to the one that is open here, or a new one).
+    Raises InputError where there is no screen to open one on."""
+    if url:
+        sink.stream.connect_grpc(url, default_blueprint=sink.blueprint())
+        sink.where = f"Rerun at {url}"
+        return
+    if not _is_open() and not _has_screen():
+        raise InputError(
+            "there is no screen here to open a viewer on; rerun:FILE.rrd writes a file, and "
+            f"rerun+http://HOST:{PORT}/proxy sends to a viewer that is open elsewhere",
+            field="--live",
+        )
+    sink.stream.spawn(port=PORT, default_blueprint=sink.blueprint())
+    sink.where = "Rerun's viewer"
+
+
+def _is_open() -> bool:
+    """Whether something on this computer listens where Rerun's viewer does."""
+    with socket.socket() as end:
+        end.settimeout(0.5)
+        return end.connect_ex(("127.0.0.1", PORT)) == 0
+
+
+def _has_screen() -> bool:
+    if sys.platform != "linux":
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _rgba(rgba: Sequence[float]) -> np.ndarray:
+    return np.round(255 * np.asarray(rgba)).astype(np.uint8)
+
+
+def _normals(mesh: Mesh) -> np.ndarray:
+    """At each point (n, 3), the mean of its triangles', by area."""
+    corners = mesh.points[mesh.triangles]
+    face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(mesh.points)
+    for k in range(3):
+        np.add.at(normals, mesh.triangles[:, k], face)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)

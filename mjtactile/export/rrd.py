@@ -1,0 +1,27 @@
+"""Files that Rerun's viewer opens: an episode a file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from mjtactile.export.drawing import drawn_items
+from mjtactile.export.episode import Episode
+from mjtactile.export.rerun_sink import RerunSink, to_file
+
+
+def write(
+    episodes: Sequence[Episode], out: Path, *, say: Callable[[str], None] = lambda _: None
+) -> dict[str, Any]:
+    """Write `episode_000000.rrd` and so on into `out`; returns how many frames."""
+    frames = 0
+    for k, episode in enumerate(episodes):
+        say(f"{k + 1} of {len(episodes)}: {episode.recording.folder}")
+        sink = RerunSink(episode.fingers, pictured=False)
+        to_file(sink, out / f"episode_{k:06d}.rrd")
+        for item in drawn_items(episode):
+            sink.log(item)
+        sink.close()
+        frames += len(episode.recording)
+    return {"episodes": len(episodes), "frames": frames}
