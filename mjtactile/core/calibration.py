@@ -77,8 +77,9 @@ def stamp(design: SensorDesign, versions: Mapping[str, str], residuals: Mapping[
 def fingerprint(design: SensorDesign) -> str:
     """SHA-256 of all values of a sensor file; comments and layout do not count."""
     values = asdict(replace(design, calibration=None))
-    if design.fiducials is None:  # fingerprints of files from before there were any stay
-        del values["fiducials"]
+    for added in ("fiducials", "relaxation"):  # fingerprints of files from before them stay
+        if values[added] is None:
+            del values[added]
     return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 

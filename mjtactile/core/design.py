@@ -33,6 +33,7 @@ from mjtactile.core.fields import (
     whole,
     write_fields,
 )
+from mjtactile.core.relaxation import Relaxation
 from mjtactile.core.rubber import Law, equibiaxial_stress
 from mjtactile.core.toml import Section, read_toml
 from mjtactile.core.types import Array
@@ -332,6 +333,7 @@ class SensorDesign:
         camera: Place, lens, image size and rate.
         leds: The light.
         fiducials: Circles that do not move, beside the membrane; None: there are none.
+        relaxation: How the sheet's stress fades; None: it does not.
         calibration: The file that a finger's own sensor file names for what was measured of it;
             None: it names none.
     """
@@ -345,6 +347,7 @@ class SensorDesign:
     camera: CameraDesign = part("camera", CameraDesign)
     leds: Leds = part("leds", Leds, default=Leds())
     fiducials: Fiducials | None = part("fiducials", Fiducials, default=None)
+    relaxation: Relaxation | None = part("relaxation", Relaxation, default=None)
     calibration: Path | None = file_path("calibration", compare=False)
 
     def require_rectangle(self, who: str) -> None:
@@ -411,6 +414,8 @@ class SensorDesign:
             raise section.fail("leds.marker_DN", "markers must be darker than the membrane")
         if self.fiducials is not None:
             self.fiducials.check(self, section)
+        if self.relaxation is not None:
+            self.relaxation.check(section)
 
 
 def load_sensor(name_or_path: str | Path | SensorDesign) -> SensorDesign:

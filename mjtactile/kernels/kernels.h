@@ -184,6 +184,15 @@ int64_t membrane_loads(int64_t contacts, int64_t list, const int64_t *layout /* 
 int64_t rubber_stiffness(int64_t m, const int64_t *edges /* m, 3 */, int64_t e, const int64_t *ends /* e, 2 */, int64_t n,
                          const double *p /* n, 3 */, const double *metric /* m, 3, 3 */, const double *law /* 5 */,
                          const double *by_mu /* m, 6 */, const double *by_lambda /* m, 6 */, double *rows /* m, 21 */);
+/* sim/sensor/relaxing.py: m triangles of n vertices `p`, whose edges' `inverse` and area times thickness, `section`, are those of
+   the flat sheet. `law`: mu, Poisson's ratio, the pre-stretch squared, softening and its energy; each term has a share and what is
+   `kept` of it. In and out: `memory`, the stress before and what each term has faded by, and `most` energy. Out: `scale` of the
+   lasting stiffness, and `forces` that take the faded stress away. */
+int64_t rubber_remembers(int64_t m, const int64_t *triangles /* m, 3 */, int64_t n, const double *p /* n, 3 */,
+                         const double *inverse /* m, 2, 2 */, const double *section /* m */, const double *law /* 5 */,
+                         int64_t terms, const double *shares /* terms */, const double *kept /* terms */,
+                         double *memory /* m, terms + 1, 3 */, double *most /* m */, double *scale /* m */,
+                         double *forces /* n, 3 */);
 /* sim/sensor/facets.py: sums of the principal curvatures `out` 1/m of MuJoCo's geoms of `kinds` and `sizes` where their surfaces
    have the `normals` in their frames; `end`: the least cosine of a normal to a cylinder's end. */
 void curvatures(int64_t n, const int32_t *kinds /* n */, const double *sizes /* n, 3 */, const double *normals /* n, 3 */,

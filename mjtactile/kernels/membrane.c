@@ -1,5 +1,5 @@
 /* What a membrane needs before every step: gas volume, rubber, contact that remembers. The equations are in the docstrings of
-   sim/sensor/chamber.py, rubber.py, facets.py and stiction.py. */
+   sim/sensor/chamber.py, rubber.py, relaxing.py, facets.py and stiction.py. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -115,6 +115,50 @@ int64_t rubber_stiffness(int64_t m, const int64_t *edges, int64_t e, const int64
         if (!(fabs(trace) < UNSTRAINED))
             lambda = fmin(fmax((shear - mu * (1 + 2 * trace)) / trace, least * mu), most * first);
         for (int i = 0; i < 6; i++) rows[ROW * t + i] = mu * by_mu[6 * t + i] + lambda * by_lambda[6 * t + i];
+    }
+    return 0;
+}
+
+/* W over the shear modulus of neo-Hookean rubber at C11, C22, C12: core/rubber.py. `q` = c / det C. */
+static double energy(const double *C, double q, double poisson) {
+    double det = fmax(C[0] * C[1] - C[2] * C[2], FLATTEST), c = q * det, log_volume = log(c * det) / 2;
+    return (C[0] + C[1] + c - 3 - 2 * log_volume) / 2 + poisson / (1 - 2 * poisson) * log_volume * log_volume;
+}
+
+int64_t rubber_remembers(int64_t m, const int64_t *triangles, int64_t n, const double *p, const double *inverse,
+                         const double *section, const double *law, int64_t terms, const double *shares, const double *kept,
+                         double *memory, double *most, double *scale, double *forces) {
+    if (!are_below(n, 3 * m, triangles)) return REFUSED;
+    double shear = law[0], poisson = law[1], stretch2 = law[2], softening = law[3], softening_energy = law[4], quick = 1;
+    for (int64_t i = 0; i < terms; i++) quick += shares[i];
+    memset(forces, 0, 3 * n * sizeof *forces);
+    for (int64_t t = 0; t < m; t++) {
+        const int64_t *corner = triangles + 3 * t;
+        const double *in = inverse + 4 * t;
+        double *before = memory + 3 * (terms + 1) * t, faded[3] = {0}, g[2][3], C[3] = {0};
+        for (int k = 0; k < 3; k++) {
+            double a = p[3 * corner[0] + k], u = p[3 * corner[1] + k] - a, w = p[3 * corner[2] + k] - a;
+            for (int i = 0; i < 2; i++) g[i][k] = in[2 * i] * u + in[2 * i + 1] * w;
+            C[0] += stretch2 * g[0][k] * g[0][k], C[1] += stretch2 * g[1][k] * g[1][k], C[2] += stretch2 * g[0][k] * g[1][k];
+        }
+        double q = thickness_over_area(log(fmax(C[0] * C[1] - C[2] * C[2], FLATTEST)), poisson);
+        double W = shear * energy(C, q, poisson), by = shear;
+        most[t] = fmax(most[t], W);
+        by *= 1 - softening * erf((most[t] - W) / softening_energy);
+        double S[3] = {by * (1 - q * C[1]), by * (1 - q * C[0]), by * q * C[2]};
+        scale[t] = quick * by / shear;
+        for (int64_t i = 0; i < terms; i++)
+            for (int k = 0; k < 3; k++) {
+                double *r = before + 3 * (i + 1) + k;
+                *r = kept[i] * *r + (1 - kept[i]) * shares[i] * (before[k] + S[k]) / 2;
+                faded[k] += *r;
+            }
+        memcpy(before, S, sizeof S);
+        for (int k = 0; k < 3; k++) {
+            double one = faded[0] * g[0][k] + faded[2] * g[1][k], two = faded[2] * g[0][k] + faded[1] * g[1][k];
+            double u = section[t] * (in[0] * one + in[2] * two), w = section[t] * (in[1] * one + in[3] * two);
+            forces[3 * corner[1] + k] += u, forces[3 * corner[2] + k] += w, forces[3 * corner[0] + k] -= u + w;
+        }
     }
     return 0;
 }

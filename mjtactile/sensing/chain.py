@@ -42,6 +42,7 @@ from mjtactile.sensing.body.motion import rubber_step
 from mjtactile.sensing.estimate import Estimate, ShapeEstimator
 from mjtactile.sensing.force import bulge, zero
 from mjtactile.sensing.force.inverse import InverseMembrane, InverseRest
+from mjtactile.sensing.force.relaxing import RubberMemory
 from mjtactile.sensing.image import tracking
 from mjtactile.sensing.image.exposure import is_overexposed
 from mjtactile.sensing.image.markers import grey_image
@@ -147,7 +148,8 @@ class Chain:
             for image in images
         ]
         flat = measure_flat(self.design, self.camera, seen, self.settings.reference)
-        return replace(nominal, flat=flat, expected=self.design.markers.p_SM)
+        flat_at = max((image.time for image in images), default=-math.inf)
+        return replace(nominal, flat=flat, expected=self.design.markers.p_SM, flat_at=flat_at)
 
     def take_rest(
         self,
@@ -173,7 +175,9 @@ class Chain:
             DeviceError: The membrane does not bulge as it must: a valve that did not move where no
                 pressure sensor says so, or another membrane.
         """
-        return self.set_rest(state, self.rest_markers(state, images), pressure_gauge, sealed=sealed)
+        markers = self.rest_markers(state, images)
+        time = max(image.time for image in images)
+        return self.set_rest(state, markers, pressure_gauge, sealed=sealed, time=time)
 
     def rest_markers(self, state: ChainState, images: Sequence[Image]) -> Markers:
         """Find the markers of an inflated membrane that nothing touches.
@@ -199,7 +203,13 @@ class Chain:
         return _average(seen)
 
     def set_rest(
-        self, state: ChainState, markers: Markers, pressure_gauge: float, *, sealed: bool = True
+        self,
+        state: ChainState,
+        markers: Markers,
+        pressure_gauge: float,
+        *,
+        sealed: bool = True,
+        time: float = math.inf,
     ) -> ChainState:
         """Use a rest state that was measured before; see `take_rest`.
 
@@ -208,6 +218,8 @@ class Chain:
             markers: At rest.
             pressure_gauge: Pa in the chamber then.
             sealed: Whether the chamber keeps its gas.
+            time: When it was measured, s on the images' clock; left out: so long ago that rubber
+                that relaxes has done so.
 
         Returns:
             The state with the rest reference, without history.
@@ -216,7 +228,10 @@ class Chain:
             DeviceError: The markers are no bulge of the sensor file's.
         """
         self._require(markers, "rest reference")
-        rest = self.inverse.rest_state(markers, pressure_gauge, sealed=sealed)
+        inflated_s = math.inf if math.isinf(time) else time - state.flat_at
+        rest = self.inverse.rest_state(
+            markers, pressure_gauge, sealed=sealed, inflated_s=inflated_s
+        )
         self._check_rest(state, markers, rest, pressure_gauge)
         return replace(
             state,
@@ -225,7 +240,14 @@ class Chain:
             gas=None,
             knocked=0,
             camera=None,
+            rubber=self._remembered(rest, inflated_s, time),
         ).without_history()
+
+    def _remembered(self, rest: InverseRest, inflated_s: float, time: float) -> RubberMemory | None:
+        """What the rubber remembers at the rest reference; None: it does not relax."""
+        if self.inverse.rubber is None:
+            return None
+        return self.inverse.rubber.begin(rest.c, rest.stiffness_scale, inflated_s, time)
 
     def _check_rest(
         self, state: ChainState, markers: Markers, rest: InverseRest, pressure_gauge: float
@@ -452,13 +474,22 @@ class Chain:
         unknown = Touch(time, 0.0, np.nan, np.nan, False, surface=surface, markers=markers)
         if (status := self.enough(markers)) != OK:
             return replace(unknown, status=status), state
-        estimate = self.estimator.estimate(state, state.reference, markers, time, reading)
+        reference = state.reference
+        if state.rubber is not None:
+            rest = self.inverse.at_rest(replace(reference.rest, faded=state.rubber.total))
+            reference = replace(reference, rest=rest)
+            state = replace(state, reference=reference)
+        estimate = self.estimator.estimate(state, reference, markers, time, reading)
         unknown = replace(unknown, markers=estimate.markers)
         if not self.estimator.is_explained(estimate.shape):
             state = self._lost(estimate.state)
             status = self._why_lost(state)
             lost = slip.unknown(status.code, "shape not explained")
             return replace(unknown, slip=lost, status=status), state
+        if self.inverse.rubber is not None and state.rubber is not None:
+            scale = estimate.rest.stiffness_scale
+            rubber = self.inverse.rubber.after(state.rubber, estimate.shape.c, scale, time)
+            estimate = replace(estimate, state=replace(estimate.state, rubber=rubber))
         moved = estimate.rest.pressure_gauge - state.reference.rest.pressure_gauge
         moved = moved if math.isfinite(moved) else 0.0  # no gauge
         traction = self._traction(estimate, moved, time)

@@ -77,7 +77,10 @@ class Perception:
             The markers at rest.
         """
         markers = self.chain.rest_markers(self.state, images)
-        self.state = self.chain.set_rest(self.state, markers, pressure_gauge, sealed=sealed)
+        time = max(image.time for image in images)
+        self.state = self.chain.set_rest(
+            self.state, markers, pressure_gauge, sealed=sealed, time=time
+        )
         return markers
 
     def perceive(self, image: Image, now: float, reading: PressureReading | None = None) -> Touch:

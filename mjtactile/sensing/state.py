@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 from mjtactile.core.types import Array, FiducialsSeen, Surface
@@ -10,6 +11,7 @@ from mjtactile.sensing.force import zero
 from mjtactile.sensing.force.camera import CameraSeen
 from mjtactile.sensing.force.gauge import GasState
 from mjtactile.sensing.force.inverse import InverseRest, Shape
+from mjtactile.sensing.force.relaxing import RubberMemory
 from mjtactile.sensing.image import tracking
 from mjtactile.sensing.pose.reference import FlatReference
 from mjtactile.sensing.touch import slip
@@ -39,8 +41,9 @@ class ChainState:
     where fiducials show it, gas seemed lost: from `KNOCKS_SURE` on it was; since nothing explains
     the markers, for how many images, `unexplained`, and the force (3,) N in the last one before
     that they did explain, `lost_at`; the last image's `fiducials`, and the `camera` that they
-    showed; and what its images have told of the body of this `press`, where somebody asks for
-    shapes."""
+    showed; what its images have told of the body of this `press`, where somebody asks for
+    shapes; and of rubber that relaxes when the flat membrane was seen last, `flat_at` s, and what
+    it remembers (`rubber`)."""
 
     flat: FlatReference
     expected: Array
@@ -58,10 +61,12 @@ class ChainState:
     fiducials: FiducialsSeen | None = None
     camera: CameraSeen | None = None
     press: Press | None = None
+    flat_at: float = -math.inf
+    rubber: RubberMemory | None = None
 
     def without_history(self) -> ChainState:
         """The same references, as if no image had been seen since; what is known of the gas
-        stays."""
+        and of the rubber stays."""
         return replace(
             self,
             shape=None,

@@ -151,6 +151,12 @@ def attach_membrane(
     if Effect.SHEET in on:
         add_membrane(child, body, design, grid)
         set_physics(child, grid, on)
+    elif design.relaxation is not None:
+        raise InputError(
+            "a film's rubber does not relax: leave out relaxation as well as the sheet",
+            source=design.name,
+            field="effects",
+        )
     else:
         add_feeler(body, design)
     try:

@@ -33,6 +33,7 @@ from mjtactile.sensing.force.camera import CameraSeen, known_modes
 from mjtactile.sensing.force.doubt import AXES, Doubt, Felt
 from mjtactile.sensing.force.drift import camera_modes, drift_of
 from mjtactile.sensing.force.prior import LoadPrior
+from mjtactile.sensing.force.relaxing import Relaxing
 from mjtactile.sensing.force.sheet import Gas, Sheet, State, Stiffness
 from mjtactile.sensing.force.slopes import MarkerSlopes
 from mjtactile.sensing.settings import (
@@ -64,7 +65,9 @@ class InverseRest:
     coefficients `c` (3, n) m of that model, and what then remains, `offset` (N, 3) m, measured less
     modelled marker positions. Where a gauge measures the gas: the sd of its pressure, `gas_sd` Pa,
     in a chamber of `gas_volume` m^3, and the pressure at rest, `pressure_gauge` Pa.
-    `darkness` (N,) is that of the markers then; NaN, or None: unknown."""
+    `darkness` (N,) is that of the markers then; NaN, or None: unknown. Of rubber that
+    relaxes the scale is that of its lasting modulus, and `faded` (3, qx, qy) N/m what is lost by
+    now of the stress that a quick deformation meets; None: it does not relax."""
 
     gas: Gas
     stiffness_scale: float
@@ -74,6 +77,7 @@ class InverseRest:
     gas_volume: float = math.nan
     pressure_gauge: float = math.nan
     darkness: Array | None = None
+    faded: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,6 +168,9 @@ class InverseMembrane:
         self.settings = settings
         self._known = fiducials
         self.sheet = Sheet(design, settings.spans)
+        relaxation = design.relaxation
+        self.rubber = None if relaxation is None else Relaxing(self.sheet, relaxation)
+        self._quick = 1.0 if relaxation is None else relaxation.quick
         ax, ay = self.sheet.axes
         self.x = ax.breaks
         self.y = ay.breaks
@@ -205,10 +212,15 @@ class InverseMembrane:
     # --------------------------------------------------------------------------------
 
     def rest_state(
-        self, markers: Markers, pressure_gauge: float, *, sealed: bool = True
+        self,
+        markers: Markers,
+        pressure_gauge: float,
+        *,
+        sealed: bool = True,
+        inflated_s: float = math.inf,
     ) -> InverseRest:
-        """Calibrate on a state with nothing touching and a known gauge pressure, Pa: see
-        `InverseRest`."""
+        """Calibrate on a state with nothing touching and a known gauge pressure, Pa, in which the
+        membrane has been for `inflated_s` s: see `InverseRest`."""
         valve = Gas(pressure_gauge)
         scale = 1.0
         c = self.sheet.equilibrium(valve)
@@ -219,15 +231,17 @@ class InverseMembrane:
                 # pressed in below the frame: no bulge
                 ratio = max(float(modelled @ height / (modelled @ modelled)), 0.01)
                 scale *= np.clip(1 / ratio**self.settings.rest_power, 0.5, 2.0)
-                c = self.sheet.equilibrium(valve, scale, start=c)
-        state = self.sheet.state(c, scale)
+                faded = self._faded(c, scale, inflated_s)
+                c = self.sheet.equilibrium(valve, scale * self._quick, start=c, faded=faded)
+        faded = self._faded(c, scale, inflated_s)
+        state = self.sheet.state(c, scale * self._quick, faded)
         gas = self.sheet.seal(state, pressure_gauge) if sealed else valve
         offset = np.zeros((self.design.markers.count, 3))
         offset[markers.ids] = markers.p_SM - self.positions(c)[markers.ids]
         darkness = np.full(self.design.markers.count, np.nan)
         if markers.darkness is not None:
             darkness[markers.ids] = markers.darkness
-        return InverseRest(gas, scale, c, offset, darkness=darkness)
+        return InverseRest(gas, scale, c, offset, darkness=darkness, faded=faded)
 
     def volume(self, c: Array) -> float:
         """Gas volume, m^3, behind the sheet at coefficients `c`."""
@@ -236,14 +250,29 @@ class InverseMembrane:
     def with_gas(self, rest: InverseRest, gas: Gas, sd: float, volume: float) -> InverseRest:
         """The same sensor at rest with `gas` in it, whose pressure is known to `sd` Pa in a chamber
         of `volume` m^3."""
+        rest = self.at_rest(replace(rest, gas=gas))
+        return replace(rest, gas_sd=sd, gas_volume=volume)
+
+    def at_rest(self, rest: InverseRest) -> InverseRest:
+        """The same sensor with the shape and the pressure that it has at rest, now that its gas, or
+        what has faded of its stress, is another."""
         c = rest.c
-        state = self.sheet.state(c, rest.stiffness_scale)
+        state = self._state(c, rest)
         # what holds this bulge, as far as a pressure does
         held = float((state.elastic * state.gradient).sum() / (state.gradient**2).sum())
-        if abs(self.sheet.gas_pressure(state, gas)[0] - held) > _GAS_NEAR:
-            c = self.sheet.equilibrium(gas, rest.stiffness_scale, start=c)
-            held = self.sheet.gas_pressure(self.sheet.state(c), gas)[0]
-        return replace(rest, gas=gas, c=c, gas_sd=sd, gas_volume=volume, pressure_gauge=held)
+        if abs(self.sheet.gas_pressure(state, rest.gas)[0] - held) > _GAS_NEAR:
+            scale = rest.stiffness_scale * self._quick
+            c = self.sheet.equilibrium(rest.gas, scale, start=c, faded=rest.faded)
+            held = self.sheet.gas_pressure(self.sheet.state(c), rest.gas)[0]
+        return replace(rest, c=c, pressure_gauge=held)
+
+    def _state(self, c: Array, rest: InverseRest) -> State:
+        """The sheet of this sensor at `c` (3, n) m."""
+        return self.sheet.state(c, rest.stiffness_scale * self._quick, rest.faded)
+
+    def _faded(self, c: Array, scale: float, inflated_s: float) -> Array | None:
+        """What has faded (3, qx, qy) N/m of a sheet that has been at `c` for `inflated_s` s."""
+        return None if self.rubber is None else self.rubber.begin(c, scale, inflated_s, 0.0).total
 
     def force(self, shape: Shape) -> Array:
         """Net force (3,) N on the sheet."""
@@ -299,7 +328,7 @@ class InverseMembrane:
         m = len(markers)
         slopes_off = None
         data = markers.p_SM - rest.offset[ids] - self._material[ids]
-        state = self.sheet.state(c, rest.stiffness_scale)
+        state = self._state(c, rest)
         pressure, _ = self.sheet.gas_pressure(state, rest.gas)
         if self._slopes is not None:
             slopes_off = np.where(
@@ -372,7 +401,7 @@ class InverseMembrane:
         knocked: bool,
         camera: CameraSeen | None,
     ) -> Gain:
-        state = self.sheet.state(c, rest.stiffness_scale)
+        state = self._state(c, rest)
         ids = markers.ids
         _, stiffness = self.sheet.linearise(state, rest.gas)
         excess = np.zeros((2, len(ids))) if before is None else before.excess[:, ids]

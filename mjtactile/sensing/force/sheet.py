@@ -117,7 +117,7 @@ class Sheet:
         self._up_x = np.concatenate(bx)
         self._up_y = np.concatenate(by).T.copy()
         sheet = design.membrane
-        law = SheetLaw(design.membrane)
+        self.law = law = SheetLaw(sheet)
         numbers = np.array([ax.length, ay.length, sheet.pre_stretch**2, *law.numbers])
         # as kernels take them
         self.numbers = numbers
@@ -132,24 +132,51 @@ class Sheet:
     # -- one state
     # --------------------------------------------------------------------------------
 
-    def state(self, c: Array, scale: float = 1.0) -> State:
-        """What coefficients `c` (3, n) m make of the sheet."""
+    def state(self, c: Array, scale: float = 1.0, faded: Array | None = None) -> State:
+        """What coefficients `c` (3, n) m make of the sheet, of whose stress (3, qx, qy) N/m has
+        `faded`."""
         elastic = np.empty_like(c)
         gradient = np.empty_like(c)
         volume = np.empty(1)
         kernel("sheet_state")(*self.shape, *self._law, c, scale, elastic, gradient, volume)
+        if faded is not None:
+            elastic -= self.forces_of(c, faded)
         return State(c, scale, float(volume[0]), gradient, elastic)
 
-    def area_vector(self, c: Array, weight: Array) -> Array:
-        """The sum (3,) of the area vectors dx/dX cross dx/dY at the Gauss points, times `weight`
-        (qx, qy)."""
-        qx, qy = weight.shape
+    def stress(self, c: Array) -> Array:
+        """Second Piola-Kirchhoff stress (3, qx, qy) N/m of the file's law at the Gauss points: S11,
+        S22, S12."""
+        g1, g2 = self._tangents(c)
+        stretch2 = self.design.membrane.pre_stretch**2
+        C = (stretch2 * np.einsum("kxy,kxy->xy", a, b) for a, b in ((g1, g1), (g2, g2), (g1, g2)))
+        return self.law.stress(*C)
+
+    def forces_of(self, c: Array, stress: Array) -> Array:
+        """Generalised forces (3, n) N of a stress (3, qx, qy) N/m in the sheet at `c` (Eq. F3)."""
+        qx, qy = self.weights.shape
+        g1, g2 = self._tangents(c)
+        S11, S22, S12 = stress * self.weights
+        value_x, slope_x = self._up_x[:qx], self._up_x[qx:]
+        value_y, slope_y = self._up_y[:, :qy], self._up_y[:, qy:]
+        along = slope_x.T @ (S11 * g1 + S12 * g2) @ value_y.T
+        across = value_x.T @ (S12 * g1 + S22 * g2) @ slope_y.T
+        return (along + across).reshape(3, self.count)
+
+    def _tangents(self, c: Array) -> tuple[Array, Array]:
+        """dx/dX and dx/dY (3, qx, qy) at the Gauss points."""
+        qx, qy = self.weights.shape
         # (3, 2 qx, 2 qy): value and slope along x, y
         up = self._up_x @ c.reshape(3, *self.shape) @ self._up_y
         g1 = up[:, qx:, :qy]
         g2 = up[:, :qx, qy:]
         g1[0] += 1
         g2[1] += 1
+        return g1, g2
+
+    def area_vector(self, c: Array, weight: Array) -> Array:
+        """The sum (3,) of the area vectors dx/dX cross dx/dY at the Gauss points, times `weight`
+        (qx, qy)."""
+        g1, g2 = self._tangents(c)
         M = (g1 * weight).reshape(3, -1) @ g2.reshape(3, -1).T
         return np.array([M[1, 2] - M[2, 1], M[2, 0] - M[0, 2], M[0, 1] - M[1, 0]])
 
@@ -203,17 +230,22 @@ class Sheet:
         return self.residual(state, pressure), Stiffness(self, band, softened, share)
 
     def equilibrium(
-        self, gas: Gas, scale: float = 1.0, load: Array | None = None, start: Array | None = None
+        self,
+        gas: Gas,
+        scale: float = 1.0,
+        load: Array | None = None,
+        start: Array | None = None,
+        faded: Array | None = None,
     ) -> Array:
         """Coefficients (3, n) at rest under `gas` and generalised loads (3, n) N, by Newton steps
-        from `start`.
+        from `start`; `faded` as for `state`.
 
         Raises MjtactileError when no equilibrium is found (a design that cannot hold its own
         pressure).
         """
         c: Array = np.zeros((3, self.count)) if start is None else start.copy()
         for _ in range(_NEWTON_STEPS):
-            residual, stiffness = self.linearise(self.state(c, scale), gas)
+            residual, stiffness = self.linearise(self.state(c, scale, faded), gas)
             step = stiffness.solve(residual if load is None else residual - load.reshape(3, -1))
             largest = float(np.abs(step).max())
             c -= min(1.0, _STEP_MAX / max(largest, 1e-30)) * step

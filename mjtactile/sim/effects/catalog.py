@@ -267,6 +267,17 @@ def _valve(s: Scene) -> tuple[bool, str]:
     return False, "the sensor's valve is ideal and nothing leaks"
 
 
+def _relaxation(s: Scene) -> tuple[bool, str]:
+    relaxation = s.design.relaxation
+    if relaxation is None:
+        return False, "the sensor's file has no rubber that relaxes"
+    if not relaxation.terms:
+        return True, f"the first cycles take {relaxation.softening:.0%} of the stress"
+    slowest = float(relaxation.times.max())
+    faded = relaxation.quick - 1
+    return True, f"{faded:.0%} more than the lasting stress at first, faded after {slowest:g} s"
+
+
 def _servo(s: Scene) -> tuple[bool, str]:
     period = 1 / s.design.camera.rate
     return period < 0.02, f"the controller acts every {1e3 * period:.0f} ms, a servo's lag is 20 ms"
@@ -339,6 +350,7 @@ EFFECTS: tuple[Entry, ...] = (
     Entry(Effect.HYPERELASTICITY, "membrane", _hyperelastic),
     Entry(Effect.HEAT_EXCHANGE, "chamber", _heat),
     Entry(Effect.VALVE_FLOW, "chamber", _valve),
+    Entry(Effect.RELAXATION, "membrane", _relaxation),
     Entry(Effect.SERVO_DYNAMICS, "rig", _servo),
     Entry(Effect.CAMERA_NOISE, "camera", lambda s: _has(s.design.camera.noise_dn, "noise")),
     Entry(Effect.BLUR, "camera", lambda s: _has(s.design.camera.blur_px, "blur")),

@@ -77,7 +77,8 @@ class GasTendon:
         self.dofs = slice(dof, dof + count)
         self.displacements: Array = np.asarray(data.qpos)[qpos : qpos + count]
         """Live view of the interior vertices' displacements in S, (3 k,) m."""
-        self._forces = np.asarray(data.qfrc_applied)[self.dofs]
+        self.forces: Array = np.asarray(data.qfrc_applied)[self.dofs]
+        """Live view of the forces applied to them, (3 k,) N."""
         self._apply = bound(
             "apply_gas_load",
             self._count,
@@ -90,7 +91,7 @@ class GasTendon:
             coefficients,
             self._spring,
             rest,
-            self._forces,
+            self.forces,
         )
 
     def apply(self, pressure_gauge: float, stiffness: float, gradient: Array) -> None:
@@ -109,7 +110,7 @@ class GasTendon:
         otherwise."""
         self._model.tendon_num[self._tendon] = 0
         self._spring[0] = 0.0
-        self._forces[:] = 0.0
+        self.forces[:] = 0.0
 
     def resume(self) -> None:
         """Put the joints back; `apply` brings the pressure."""

@@ -93,13 +93,15 @@ class Rubber:
             by_lambda,
             _all_rows(model, flex_id),
         )
+        self._rows = stiffness_rows(model, flex_id)
 
-    def update(self, p_SV: Array) -> None:
+    def update(self, p_SV: Array) -> Array:
         """Write the stiffness of the strain that the vertices at `p_SV` (n, 3) m mean; call before
-        every step.
+        every step. Returns a live view of it, (m, 6).
 
         Of each triangle: secant moduli mu', lambda', times what turns them into MuJoCo's matrix
         (mjtactile/kernels/membrane.c).
         """
         self._p_SV[:] = p_SV
         self._write()
+        return self._rows

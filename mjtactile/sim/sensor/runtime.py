@@ -18,6 +18,7 @@ from mjtactile.sim.sensor.facets import StandOff
 from mjtactile.sim.sensor.membrane import FLEX, ContactStiffness, pre_stretch, touch_with
 from mjtactile.sim.sensor.mesh import MarkerInterpolator, MembraneMesh
 from mjtactile.sim.sensor.points import ContactPoints, missed
+from mjtactile.sim.sensor.relaxing import Relaxing
 from mjtactile.sim.sensor.rubber import Rubber
 from mjtactile.sim.sensor.sleep import Sleeper
 from mjtactile.sim.sensor.stiction import Stiction
@@ -101,6 +102,7 @@ class TactileSensor:
         self._rubber = (
             Rubber(model, self.flex_id, mesh, sheet) if sheet.law is Law.NEO_HOOKEAN else None
         )
+        self._relaxing = _relaxing(design, mesh)
         self._turning = Turning(model, data, self.body_id, self.flex_id, mesh)
         self._tendon = make_load(model, data, mesh, prefix, effects)
         # rooms for every step
@@ -129,7 +131,7 @@ class TactileSensor:
             if self.sleepy and not self._sleeper.wakes():
                 return
             self.wake()
-        elif self.sleepy and self._sleeper.may_sleep(self._gas.is_still):
+        elif self.sleepy and self._sleeper.may_sleep(self._is_still):
             self._sleeper.sleep()
             self._turning.stop()
             return
@@ -138,6 +140,11 @@ class TactileSensor:
     @property
     def is_asleep(self) -> bool:
         return self._sleeper.asleep
+
+    @property
+    def _is_still(self) -> bool:
+        """Whether neither gas nor rubber is on its way."""
+        return self._gas.is_still and (self._relaxing is None or self._relaxing.is_still)
 
     @property
     def is_touched(self) -> bool:
@@ -162,13 +169,16 @@ class TactileSensor:
         p_SV[self.mesh.interior] = self._moved.reshape(-1, 3)
         self._volume, gradient = self._geometry.volume_and_gradient(p_SV)
         time = float(self._data.time)
-        self._gas.advance(self._volume, time - self._time)
+        elapsed = time - self._time
+        self._gas.advance(self._volume, elapsed)
         self._time = time
         pressure = self._gas.pressure_gauge
         self._tendon.apply(pressure, self._gas.stiffness(self._timestep), gradient)
         self._contact_stiffness.set_pressure(pressure)
         if self._rubber:
-            self._rubber.update(p_SV)
+            rows = self._rubber.update(p_SV)
+            if self._relaxing:
+                self._relaxing.update(p_SV, elapsed, rows, self._tendon.forces)
         self._turning.update(p_SV)
         self._stand_off.update()
         if self._approach:
@@ -319,6 +329,8 @@ class TactileSensor:
         self._data.qvel[self._tendon.dofs] = 0.0
         self._gas.seal(self._geometry.volume_and_gradient(self.p_SV)[0], pressure_gauge)
         self._time = self.time
+        if self._relaxing:
+            self._relaxing.settle(self.p_SV)
         self._follow()
 
     def puncture(self, conductance: float) -> None:
@@ -361,6 +373,18 @@ class TactileSensor:
                 f"{f'; rubber like this may not hold {1e-3 * pressure:.3g} kPa' if bursts else ''}"
             )
         return None
+
+
+def _relaxing(design: SensorDesign, mesh: MembraneMesh) -> Relaxing | None:
+    if design.relaxation is None:
+        return None
+    if design.membrane.law is not Law.NEO_HOOKEAN:
+        raise InputError(
+            "rubber that relaxes is neo-Hookean: leave out relaxation as well as hyperelasticity",
+            source=design.name,
+            field="effects",
+        )
+    return Relaxing(mesh, design.membrane, design.relaxation)
 
 
 def _geoms_of(model: mujoco.MjModel, body: int) -> NDArray[np.int64]:

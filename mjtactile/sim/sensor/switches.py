@@ -40,6 +40,7 @@ class Effect(StrEnum):
     HYPERELASTICITY = "hyperelasticity"
     HEAT_EXCHANGE = "heat exchange"
     VALVE_FLOW = "valve flow"
+    RELAXATION = "relaxation"
     SERVO_DYNAMICS = "servo dynamics"
     CAMERA_NOISE = "camera noise"
     BLUR = "blur"
@@ -129,7 +130,10 @@ def set_design(design: SensorDesign, on: frozenset[str]) -> SensorDesign:
         camera = replace(camera, distortion=(0.0,) * 5)
     if Effect.REFRACTION not in on:
         glass = replace(glass, refractive_index=1.0)
-    return replace(set_law(design, on), chamber=chamber, camera=camera, glass=glass)
+    relaxation = design.relaxation if Effect.RELAXATION in on else None
+    return replace(
+        set_law(design, on), chamber=chamber, camera=camera, glass=glass, relaxation=relaxation
+    )
 
 
 def set_law(design: SensorDesign, on: frozenset[str]) -> SensorDesign:
@@ -158,26 +162,22 @@ class FixedLoad:
     Adds no element."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, first_joint: int, count: int):
-        self._data = data
-        self._last = (math.nan, None)
         qpos = int(model.jnt_qposadr[first_joint])
         dof = int(model.jnt_dofadr[first_joint])
         self.dofs = slice(dof, dof + count)
         self.displacements: Array = np.asarray(data.qpos)[qpos : qpos + count]
+        self.forces: Array = np.asarray(data.qfrc_applied)[self.dofs]
 
     def apply(self, pressure_gauge: float, stiffness: float, gradient: Array) -> None:
-        """Write the load, if it changed."""
-        if self._last != (pressure_gauge, id(gradient)):
-            self._last = (pressure_gauge, id(gradient))
-            self._data.qfrc_applied[self.dofs] = pressure_gauge * gradient.ravel()
+        """Write the load."""
+        np.multiply(gradient.ravel(), pressure_gauge, out=self.forces)
 
     def suspend(self) -> None:
         """Take the load away; the vertices are held otherwise."""
-        self._data.qfrc_applied[self.dofs] = 0.0
+        self.forces[:] = 0.0
 
     def resume(self) -> None:
-        """Let the next `apply` write it again."""
-        self._last = (math.nan, None)
+        """The next `apply` writes it again."""
 
 
 class FixedGas(Gas):

@@ -1,0 +1,62 @@
+"""What a sensor file says of rubber that relaxes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mjtactile.core.calibration import fingerprint
+from mjtactile.core.design import load_sensor, sensor_from_table
+from mjtactile.core.errors import InputError
+from mjtactile.core.relaxation import Relaxation, decades, relaxed_modulus
+from mjtactile.core.resources import folder
+from mjtactile.core.toml import read_toml
+
+TABLE = read_toml(folder("models/sensors") / "dense.toml")
+
+
+def with_section(**section):
+    return sensor_from_table(TABLE | {"relaxation": section}, name="dense", source="dense.toml")
+
+
+def test_a_file_says_shares_and_times():
+    found = with_section(terms_s=[[0.05, 1], [0.04, 10.0]], softening_share=0.1)
+    assert found.relaxation == Relaxation(((0.05, 1.0), (0.04, 10.0)), 0.1)
+    assert found.relaxation.quick == pytest.approx(1.09)
+
+
+@pytest.mark.parametrize(
+    ("section", "words"),
+    [
+        ({"terms_s": [[0.0, 1.0]]}, "terms_s"),
+        ({"terms_s": [[0.1, 0.0]]}, "terms_s"),
+        ({"terms_s": [[0.1]]}, "pairs"),
+        ({"terms_s": [[0.1, 1.0]] * 9}, "more than 8"),
+        ({"terms_s": []}, "neither"),
+        ({"terms_s": [], "softening_share": 1.0}, "softening_share"),
+        ({"term_s": [[0.1, 1.0]]}, "term"),
+    ],
+)
+def test_what_is_wrong_is_said_in_a_line(section, words):
+    with pytest.raises(InputError, match=words) as caught:
+        with_section(**section)
+    assert "dense.toml" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_without_keeps_its_fingerprint():
+    """Calibrations made before there was such a section belong to the same files still."""
+    design = load_sensor("dense")
+    assert fingerprint(design) == fingerprint(replace(design, relaxation=None))
+    relaxing = replace(design, relaxation=Relaxation(((0.05, 1.0),)))
+    assert fingerprint(relaxing) != fingerprint(design)
+
+
+def test_a_term_a_decade_is_a_straight_line_over_the_logarithm_of_time():
+    rate = 0.02
+    relaxation = Relaxation(decades(rate, 1.0, 1e4))
+    times = np.geomspace(1.0, 1e4, 50)
+    line = relaxed_modulus(relaxation, times[0]) - rate * np.log10(times)
+    off = relaxed_modulus(relaxation, times) - line
+    # exponentials a decade apart ripple by a few hundredths of the rate; the ends bend by a fifth
+    assert np.abs(off).max() < 0.25 * rate
