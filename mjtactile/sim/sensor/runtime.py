@@ -173,6 +173,8 @@ class TactileSensor:
         self._gas.advance(self._volume, elapsed)
         self._time = time
         pressure = self._gas.pressure_gauge
+        if self._relaxing:
+            self._tendon.resume()  # its forces are written anew, for others are added to them
         self._tendon.apply(pressure, self._gas.stiffness(self._timestep), gradient)
         self._contact_stiffness.set_pressure(pressure)
         if self._rubber:

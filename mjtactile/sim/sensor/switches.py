@@ -162,6 +162,7 @@ class FixedLoad:
     Adds no element."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, first_joint: int, count: int):
+        self._last = (math.nan, None)
         qpos = int(model.jnt_qposadr[first_joint])
         dof = int(model.jnt_dofadr[first_joint])
         self.dofs = slice(dof, dof + count)
@@ -169,15 +170,18 @@ class FixedLoad:
         self.forces: Array = np.asarray(data.qfrc_applied)[self.dofs]
 
     def apply(self, pressure_gauge: float, stiffness: float, gradient: Array) -> None:
-        """Write the load."""
-        np.multiply(gradient.ravel(), pressure_gauge, out=self.forces)
+        """Write the load, if it changed."""
+        if self._last != (pressure_gauge, id(gradient)):
+            self._last = (pressure_gauge, id(gradient))
+            self.forces[:] = pressure_gauge * gradient.ravel()
 
     def suspend(self) -> None:
         """Take the load away; the vertices are held otherwise."""
         self.forces[:] = 0.0
 
     def resume(self) -> None:
-        """The next `apply` writes it again."""
+        """Let the next `apply` write it again."""
+        self._last = (math.nan, None)
 
 
 class FixedGas(Gas):

@@ -100,12 +100,13 @@ def test_a_wrong_field_is_named(changes, words):
 def test_every_field_is_checked():
     """No number of the file can be NaN or text without being named."""
     labels = [label for label, *_ in fields.scalars(SensorDesign)]
-    assert len(labels) == 46
+    assert len(labels) == 48
     circles = {"surface": "rim", "radius_mm": 1.0, "places_mm": [[21.5, 3.0 * k] for k in range(4)]}
     for label in (*labels, "camera.distortion"):
         on_pane = {"surface": "pane"} if label == "fiducials.blur_px" else {}
         for bad in (math.nan, "1"):
-            changes = {"fiducials": circles | on_pane, label.replace(".", "__"): bad}
+            sections = {"fiducials": circles | on_pane, "relaxation": {"terms_s": [[0.1, 1.0]]}}
+            changes = sections | {label.replace(".", "__"): bad}
             with pytest.raises(InputError, match=re.escape(label)):
                 build(**changes)
 
