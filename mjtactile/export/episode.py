@@ -159,10 +159,14 @@ class Episode:
             return self.design
         return calibration.used(self.design).design(self.design)
 
-    @cached_property
+    @property
     def camera_poses(self) -> dict[str, tuple[Array, Array]]:
         """`R_SC` (3, 3) and `p_SC` (3,) m of each finger's camera: as this recording's flat
         reference shows it, else as it was calibrated, else as the sensor file says."""
+        return self._camera_poses
+
+    @cached_property
+    def _camera_poses(self) -> dict[str, tuple[Array, Array]]:
         return {name: self._camera_pose(k, name) for k, name in enumerate(self.fingers)}
 
     def _camera_pose(self, number: int, finger: str) -> tuple[Array, Array]:
