@@ -490,7 +490,7 @@ class Chain:
             scale = estimate.rest.stiffness_scale
             rubber = self.inverse.rubber.after(state.rubber, estimate.shape.c, scale, time)
             estimate = replace(estimate, state=replace(estimate.state, rubber=rubber))
-        moved = estimate.rest.pressure_gauge - state.reference.rest.pressure_gauge
+        moved = estimate.rest.pressure_gauge - reference.rest.pressure_gauge
         moved = moved if math.isfinite(moved) else 0.0  # no gauge
         traction = self._traction(estimate, moved, time)
         return self._judge(replace(unknown, traction=traction), traction, estimate, moved)
