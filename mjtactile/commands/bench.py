@@ -26,6 +26,7 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   accuracy    work-precision diagrams: error of force and surface against time, every knob
   speed       two membranes holding an object: against the clock, rigid pads, mesh size
   cheap       episodes without images against episodes with them: markers, forces, time
+  drawn       what a sensor's chain errs by in grasps, for --effects=-sheet,-chain
   effects     what each effect costs, and what leaving it out costs
   film        the film against an independent sheet, its scatter over places, and its time
   thin        blades, wires, pins and small faces, at random places and speeds: their force
@@ -68,6 +69,7 @@ BENCHMARKS = {
     "stability": "stability.run",
     "truth": "truth.run",
     "film": "film",
+    "drawn": "learning.drawn",
     "thin": "thin.run",
     "shape": "shape.run",
     "sensors": "sensors",
@@ -93,6 +95,7 @@ OPTIONS = {
     "against": ("speed",),
     "pairs": ("cheap",),
     "episodes": ("tasks", "slip"),
+    "sensor": ("drawn",),
 }
 """Options that only some have."""
 
@@ -145,6 +148,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--episodes", type=int, metavar="N", help="tasks, slip: so many of each (default: 200)"
     )
+    parser.add_argument("--sensor", metavar="NAME", help="drawn: of this sensor (default: dense)")
     parser.add_argument(
         "--readme",
         type=Path,

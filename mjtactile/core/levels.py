@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping
 
 LEFT_OUT: Mapping[str, str] = {
     "sheet": "left out: a film lay on what touched, in place of the mesh (--effects -sheet)",
+    "chain": "left out: touch was drawn with the chain's errors (--effects -sheet,-chain)",
     "images": "none were drawn: markers with errors drawn in their place (--effects -images)",
 }
 """By the effect's name: what its absence means. A result that lacks it has the name with false."""

@@ -132,14 +132,14 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         rig = self._rig
         drawn = replace(self.scenario, seed=self._seed)
         self._score = GraspScore(rig.scene, Judge.of(drawn, rig))
-        rig.scene.after_each_step(self._score.after_step)
+        rig.scene.after_each_stretch(self._score.after_stretch)
         self._over = False
         assert self._session is not None
         perceivers = Perceivers(
             self._session.perceptions, [finger.name for finger in rig.fingers], threads=0
         )
         self._cycle = ControlCycle.begin(
-            rig, perceivers, Supervisor(rig.period), _Snapshot(self._score)
+            rig, perceivers, Supervisor(rig.period), _Cycles(self._score)
         )
         self._start = self._cycle.now
         self._look()
@@ -155,8 +155,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         wanted = policy_command(self._seen, action)
         rig.clock.start(deadline)
         sent = cycle.send(wanted)
-        # a phase counts from the next images
-        self._score.columns(cycle.touch, sent.phase)
+        self._score.send(sent.phase)
         outcome = ""
         try:
             rig.clock.wait_until(deadline)
@@ -214,6 +213,8 @@ class GraspEnv(gymnasium.Env[Any, Array]):
                 field="rig",
                 choices=SIMULATES,
             )
+        if rig.touch_is_drawn:  # a thread costs more than what it would be for
+            rig.clock.step_in_turn()
         self._session = Session(rig, threads=0)
         self._session.take_references()
         is_plain = load_task(self.scenario.task).is_plain
@@ -267,11 +268,11 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         }
 
 
-class _Snapshot(Observer):
-    """Keeps the truth of the moment at which images were taken."""
+class _Cycles(Observer):
+    """Tells the score when images were taken."""
 
     def __init__(self, score: GraspScore):
         self._score = score
 
     def on_images(self) -> None:
-        self._score.snapshot()
+        self._score.begin_cycle()

@@ -31,11 +31,12 @@ typedef struct {
     double gas, sealed;             /* of that */
     double moved[6];                /* m of the body's origin and rad, since the look before */
     double time;                    /* s, of the last look */
+    double slid;                    /* m over the film since it touched */
 } Memory;
 
 /* Given: friction, Pa/m^3 of bulge and gas, time step s, half width of the frame m, spacing of
-   nodes m, time s. */
-typedef struct { double friction, bulge, gas, step, half, spacing, time; } Given;
+   nodes m, time s, how far the film reaches from the middle of its frame m. */
+typedef struct { double friction, bulge, gas, step, half, spacing, time, reach; } Given;
 
 /* Python's fields are of nodes alone, the film's own are padded. */
 static Film plain(Film f) {
@@ -182,12 +183,24 @@ static void stick(const Given *g, double normal_force, const double moved[3], Me
     const double carried = hypot(hypot(load[0], load[1]), load[2] / most(m->radius, g->spacing / 4)), limit = g->friction * normal_force;
     m->slides = carried > limit;
     const double left = m->slides ? limit / carried : 1;
+    m->slid += (1 - left) * hypot(m->strain[0], m->strain[1]);
     for (int i = 0; i < 3; i++) m->strain[i] *= left, m->shear[i] = load[i] * left;
 }
 
 static void release(Memory *m) {
-    m->body = 0, m->slides = 0, m->gripped = 0, m->radius = 0;
+    m->body = 0, m->slides = 0, m->gripped = 0, m->radius = 0, m->slid = 0;
     memset(m->wrench, 0, sizeof m->wrench), memset(m->strain, 0, sizeof m->strain), memset(m->shear, 0, sizeof m->shear);
+}
+
+/* Whether all bodies are above the film: their bounding balls above its highest node. */
+static int is_clear(const Film *f, const double *x, long geoms, const double *body, const double *reach2, double reach) {
+    double top = 0;
+    for (long k = 0; k < f->count; k++) top = most(top, x[2 * f->count + k]);
+    for (long k = 0; k < geoms; k++) {
+        const double *row = body + FILM_BODY * k;
+        if (row[13] < AWAY && row[15] - (sqrt(reach2[k]) - reach) < top) return 0;
+    }
+    return 1;
 }
 
 int64_t film_follow(const double *numbers, const double *law, int64_t columns, int64_t rows, int64_t keeping, const float *kept,
@@ -204,7 +217,7 @@ int64_t film_follow(const double *numbers, const double *law, int64_t columns, i
     const long near = look(geoms, geom, body_of, reach2, geom_xpos, geom_xmat, R, p, body, &m->near);
     const int same_gas = m->gas == settings[0] && m->sealed == settings[1];
     m->solved = 0;
-    if (near < 0 && !m->body && same_gas) return 0;
+    if (!m->body && same_gas && (near < 0 || is_clear(&f, x, geoms, body, reach2, g->reach))) return 0;
     double R_SB[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, p_SB[3] = {0}, off[3], moved[6] = {0};
     if (near >= 0) {
         times(R, xmat + 9 * near, 1, R_SB);

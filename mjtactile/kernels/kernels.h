@@ -243,13 +243,13 @@ int64_t film_follow(const double *numbers /* 17 */, const double *law /* 11 */, 
                     double *room /* roomy */, const double *settings /* 5 */, int64_t geoms, double *body /* geoms, 20 */,
                     int64_t pooled, const double *pool /* pooled or NULL */, double *x /* 3, columns, rows */,
                     double *force /* columns, rows */, double *trend /* 4, columns, rows */, double *found /* 14 */,
-                    const double *given /* 7 */, const double *compliance /* 2 * (columns - 2) * (rows - 2), 2 * (columns - 2) * (rows - 2) */,
+                    const double *given /* 8 */, const double *compliance /* 2 * (columns - 2) * (rows - 2), 2 * (columns - 2) * (rows - 2) */,
                     int64_t carrier, int64_t nbody, const double *xpos /* nbody, 3 */, const double *xmat /* nbody, 9 */,
                     int64_t ngeom, const double *geom_xpos /* ngeom, 3 */, const double *geom_xmat /* ngeom, 9 */,
                     const int64_t *geom /* geoms */, const int64_t *body_of /* geoms */, const double *reach2 /* geoms */,
-                    double *memory /* 66 */, uint8_t *touched /* 2, columns, rows */, double *before /* 6, columns, rows */);
+                    double *memory /* 67 */, uint8_t *touched /* 2, columns, rows */, double *before /* 6, columns, rows */);
 /* Out: what that pushes by MuJoCo's degrees of freedom, and how a free body is held (see film_hold.c); returns whether it does. */
-int64_t film_push(const double *given /* 7 */, const double *memory /* 66 */, int64_t carrier, int64_t nbody,
+int64_t film_push(const double *given /* 8 */, const double *memory /* 67 */, int64_t carrier, int64_t nbody,
                   const int32_t *parent /* nbody */, const int32_t *joints /* nbody */, const int32_t *first /* nbody */, int64_t njnt,
                   const int32_t *type /* njnt */, const int32_t *dof /* njnt */, const double *anchor /* njnt, 3 */,
                   const double *axis /* njnt, 3 */, const double *xpos /* nbody, 3 */, const double *xmat /* nbody, 9 */,
@@ -258,6 +258,17 @@ int64_t film_push(const double *given /* 7 */, const double *memory /* 66 */, in
 int64_t film_add(int64_t nv, int64_t films, const double *pushes /* films, nv */, const double *holds /* films, 43 */, double step,
                  const double *inertia /* nv */, const double *velocity /* nv */, double *base /* nv */, double *left /* nv */,
                  double *applied /* nv */, const double *undamped /* nv */, double *damping /* nv */);
+/* sim/film_stepper.py: `count` steps, or fewer: `told` says how many were done, in how many the solver ran out of iterations, and
+   whether something hurries or a film found no rest, which end it. `mujoco`: addresses of mj_kinematics, mj_step, model and data;
+   `follows`, `pushes`, `adds`: arguments of film_follow (and where it says whether it pushed), film_push (and where that goes) and film_add.
+   `goals`: of opening and lift now and wanted, m; most that they go in a step, and that the jaws' is ahead; opening at qpos 0. */
+int64_t film_steps(int64_t count, const int64_t *mujoco /* 4 */, double time, double step, int64_t films,
+                   const int64_t *follows /* films, 34 */, const int64_t *pushes /* films, 19 */, const int64_t *adds /* 12 */,
+                   double *goals /* 8 */, int64_t reads, const int64_t *read /* reads */, const double *per /* reads */, int64_t nq,
+                   const double *qpos /* nq */, int64_t drives, const int64_t *control /* drives */,
+                   const double *affine /* drives, 3 */, int64_t nu, double *ctrl /* nu */, int64_t nv, const double *qvel /* nv */,
+                   int64_t movers, const int64_t *mover /* movers */, const double *hurry /* movers */, int64_t iterations,
+                   const int32_t *solver_iterations /* 20 */, double *wrenches /* count, films, 6 */, int64_t *told /* 4 */);
 int64_t film_derive_room(const double *numbers /* 17 */);
 /* Of a film at rest with `x` and `force`, derivatives by `changes` of its bodies: `body` as they are, then for each change those
    that are `steps` of it before, and those that are as much after. Out: of displacements, forces and what film_solve finds. */

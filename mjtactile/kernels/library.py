@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import re
+import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -75,6 +76,25 @@ def bound(name: str, *values: Any) -> Callable[..., Any]:
         ValueError: as for `kernel`.
     """
     return _library()[name].bind(values)
+
+
+def words(call: Callable[..., Any]) -> np.ndarray:
+    """What a function of `bound` hands over, for a kernel that calls that C function itself.
+
+    Args:
+        call: All its arguments are bound; it must be kept as long as they are used.
+
+    Returns:
+        (n,) int64, an argument each: whole numbers, the bits of others, and addresses.
+    """
+    given = call.fixed  # type: ignore[attr-defined]
+    return np.array([_word(value) for value in given], np.int64)
+
+
+def _word(value: Any) -> int:
+    if isinstance(value, float):
+        return struct.unpack("<q", struct.pack("<d", value))[0]
+    return 0 if value is None else int(value)
 
 
 def band_stride(width: int) -> int:
@@ -209,6 +229,7 @@ class _Kernel:
             return function(*fixed)
 
         bound_call = call if later else call_with_nothing
+        bound_call.fixed = fixed  # type: ignore[attr-defined]
         bound_call.kept = values  # type: ignore[attr-defined]  # the arrays' owner, perhaps the only one
         return bound_call
 

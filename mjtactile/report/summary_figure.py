@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.errors import MjtactileError
-from mjtactile.core.types import Array, Ellipses, Image, Sighting, Surface, Touch
+from mjtactile.core.types import Array, Ellipses, Felt, Image, Sighting, Surface, Touch
 from mjtactile.recording.columns import CycleLike
 from mjtactile.recording.reader import Recording
 from mjtactile.report.scene_picture import View, draw_scene
@@ -84,6 +84,9 @@ def write_figure(
         for finger, name in enumerate(recording.fingers[:fingers]):
             image = snapshot.images[finger]
             column = columns - fingers + finger
+            if isinstance(image, Felt):
+                _draw_felt(figure.add_subplot(grid[:, column]), snapshot.touch[finger], name)
+                continue
             if not isinstance(image, Sighting) or image.ellipses is None:
                 found = detect(image)
             else:
@@ -130,6 +133,14 @@ def _title(summary: Mapping[str, Any]) -> str:
         [*parts, f"sensor {summary.get('sensor', '?')}", f"seed {summary.get('seed', '?')}"]
     )
     return "\n".join([title, *([summary["reason"]] if summary.get("reason") else [])])
+
+
+def _draw_felt(axes: Any, touch: Touch, name: str) -> None:
+    """Where touch was drawn, there is neither a picture nor a surface: what was felt, in words."""
+    axes.set_axis_off()
+    felt = f"{touch.force_normal:.2f} ± {touch.force_normal_sd:.2f} N"
+    text = f"{name}: touch was drawn\nnormal force {felt}"
+    axes.text(0.5, 0.5, text, ha="center", transform=axes.transAxes, fontsize=11)
 
 
 def _draw_image(axes: Any, image: Image, ellipses: Ellipses, title: str) -> None:
@@ -233,6 +244,7 @@ def _tractions(touch: Touch) -> Array:
         traction is None
         or contact is None
         or not touch.touching
+        or not traction.force.size
         or contact.mask.shape != traction.force.shape[:2]
     ):
         return np.zeros((1, 1, 3))

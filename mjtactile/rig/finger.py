@@ -93,6 +93,7 @@ class Rig:
         flags: What makes the numbers of a simulation worse than usual, so far: the kind of doubt
             and its reason; of a replay those that were recorded.
         told: What the task asks of the robot.
+        touch_is_drawn: Whether its cameras hand over touch in place of images (`Felt`).
         scene: The simulated world, for scoring alone; None on a real rig. Sensing and controllers
             never see a `Rig`.
     """
@@ -110,6 +111,7 @@ class Rig:
     flags: Callable[[], Mapping[str, str]] = dict
     scene: Any = None
     told: Told = TOLD
+    touch_is_drawn: bool = False
 
     @property
     def period(self) -> float:

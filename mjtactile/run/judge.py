@@ -61,8 +61,8 @@ class Judge:
         task = load_task(scenario.task)
         return cls(rig.scene, task, task.draw(scenario.seed, len(rig.fingers)).pulls())
 
-    def after_step(self, forces: Sequence[float], phase: str) -> None:
-        """Look at the truth after a physics step; `forces` N press on the fingers."""
+    def after_stretch(self, forces: Sequence[float], phase: str, steps: int = 1) -> None:
+        """Look at the truth after so many physics steps; `forces` N press on the fingers."""
         height = self._height()
         time = self.world.time
         if math.isnan(self._up_since):
@@ -72,7 +72,7 @@ class Judge:
             self.let_go_at = time - self._up_since
         if phase == "lower" and not math.isnan(self._up_since):
             pressed = max(truth.support_force(self.world, self._bodies) - self._weight(), 0.0)
-            self.bump = np.nan_to_num(self.bump) + pressed * self.world.timestep
+            self.bump = np.nan_to_num(self.bump) + pressed * steps * self.world.timestep
         if phase in ("lift", "hold") and height > _IN_AIR and time >= self._next_look:
             self._next_look = time + _EVERY
             need = self.need()

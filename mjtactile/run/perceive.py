@@ -11,11 +11,12 @@ import math
 import queue
 import threading
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 from mjtactile.core import pace, system
 from mjtactile.core.status import Status, StatusCode
-from mjtactile.core.types import Image, PressureReading, Touch
+from mjtactile.core.types import Felt, Image, PressureReading, Touch
 
 # s for an answer where nobody says how long; a chain needs a hundredth of a second for an image
 PATIENCE = 10.0
@@ -33,6 +34,25 @@ class Perceiver(Protocol):
     def perceive(
         self, image: Image, now: float, reading: PressureReading | None = None
     ) -> Touch: ...
+
+
+class DrawnPerception:
+    """In place of a chain where touch was drawn (`Felt`): it hands on what it is given. Shapes are
+    not drawn."""
+
+    shapes = False
+    state: Any = None
+
+    def take_flat(self, images: Sequence[Image]) -> None: ...
+
+    def take_rest(
+        self, images: Sequence[Image], pressure_gauge: float, *, sealed: bool = True
+    ) -> None: ...
+
+    def perceive(self, image: Image, now: float, reading: PressureReading | None = None) -> Touch:
+        assert isinstance(image, Felt) and image.touch is not None
+        touch = image.touch
+        return touch if now == touch.time else replace(touch, age=now - touch.time)
 
 
 class Perceivers:

@@ -66,10 +66,18 @@ class GraspScore:
         self._rest_height = self._object_position()[2]
         self._hand_start = truth.hand_position(self.world)[2]
 
+    def begin_cycle(self) -> None:
+        """Images were taken: from now on the phase counts that was sent for."""
+        self.phase = self._next_phase
+
+    def send(self, phase: str) -> None:
+        """A command of this phase was sent: it counts from the next images on."""
+        self._next_phase = phase
+
     def snapshot(self) -> None:
         """Keep the truth of this moment, at which the images were taken; the world must not be
         moving."""
-        self.phase = self._next_phase
+        self.begin_cycle()
         sensors = range(len(self.world.sensors))
         self._wrenches = [truth.contact_wrench(self.world, i) for i in sensors]
         self._markers = [self.world.marker_poses(i)[0] for i in sensors]
@@ -85,7 +93,7 @@ class GraspScore:
 
         `phase` is that of the command which was sent for it.
         """
-        self._next_phase = phase
+        self.send(phase)
         errors = []
         for seen, p_SM in zip(touch, self._markers, strict=True):
             markers = seen.markers
@@ -101,16 +109,16 @@ class GraspScore:
             **self._object_pose,
         }
 
-    def after_step(self) -> None:
-        """Sample the truth; call after every physics step."""
-        forces = self.forces()
-        self.peak_force = max(self.peak_force, *forces)
-        if (
-            max(forces) > self.world.object.break_force or self._is_torn()
-        ) and self.crushed_at is None:
+    def after_stretch(self) -> None:
+        """Sample the truth; call after every physics step, or stretch of them."""
+        each = truth.stretch_forces(self.world)
+        forces = each[-1].tolist()
+        peak = float(each.max())
+        self.peak_force = max(self.peak_force, peak)
+        if (peak > self.world.object.break_force or self._is_torn()) and self.crushed_at is None:
             self.crushed_at = self.world.time
         if self.judge is not None:
-            self.judge.after_step(forces, self.phase)
+            self.judge.after_stretch(forces, self.phase, len(each))
         if self.phase == "release":
             self._watch_fall()
         if self.phase not in ("lift", "hold"):
@@ -118,15 +126,12 @@ class GraspScore:
         p_WO = self._object_position()
         p_WH = truth.hand_position(self.world)
         self._track_slip(p_WO - p_WH)
-        self._carried = max(
-            self._carried,
-            sum(friction * force for friction, force in zip(self._friction, forces, strict=True)),
-        )
+        self._carried = max(self._carried, float((each @ self._friction).max()))
         lifted = float(p_WH[2] - self._hand_start)
         risen = bool(p_WO[2] - self._rest_height > _HELD_SHARE * lifted - _HELD_SLACK)
         self.lost |= lifted > _RISEN and not risen
         if self.phase == "hold":
-            self._hold_forces.append(sum(forces) / len(forces))
+            self._hold_forces += each.mean(axis=1).tolist()
             self._held.append(risen)
 
     def _watch_fall(self) -> None:

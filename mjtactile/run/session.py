@@ -12,6 +12,7 @@ from typing import Any
 
 from mjtactile.core import signals
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Command
 from mjtactile.recording.observer import CycleCallback, Observer, Observers
@@ -21,7 +22,7 @@ from mjtactile.run.controller import Stepper
 from mjtactile.run.cycle import WAIT_TIME, Cycle
 from mjtactile.run.flags import FlagNotes
 from mjtactile.run.loop import run_loop
-from mjtactile.run.perceive import Perceiver
+from mjtactile.run.perceive import DrawnPerception, Perceiver
 from mjtactile.run.perception_pool import PerceptionPool, default_count
 from mjtactile.run.references import Reference, take_references
 from mjtactile.run.supervisor import Supervisor
@@ -61,7 +62,9 @@ class Session:
         self._pool = pool
         self._say = say
         self._supervisor = Supervisor(rig.period)
-        if perceptions is None:
+        if perceptions is None and rig.touch_is_drawn:
+            perceptions = [DrawnPerception() for _ in rig.fingers]
+        elif perceptions is None:
             perceptions = [
                 Perception.of(finger.design, finger.calibration, settings=settings)
                 for finger in rig.fingers
@@ -158,6 +161,7 @@ class Session:
             The last command sent.
 
         Raises:
+            InputError: The controller reads shapes, which are not drawn.
             ControllerError: What the controller did wrong.
             DeviceError: Also when a fault brought the rig to its safe state.
             Interrupted: When a signal asked the process to end.
@@ -168,6 +172,12 @@ class Session:
         if on_cycle is not None:
             watching.append(CycleCallback(on_cycle))
         asks = "shape" in getattr(controller, "reads", ())
+        if asks and self.rig.touch_is_drawn:
+            raise InputError(
+                "a controller that reads shapes needs the chain",
+                source=controller.path,
+                field="--effects -chain",
+            )
         for perception in self.perceptions:
             perception.shapes = asks
         notes = FlagNotes(self.rig.flags, Observers(watching))
@@ -239,7 +249,7 @@ def open_session(
 def _start_pool(rig: Rig, workers: int | None) -> PerceptionPool | None:
     """Processes for a simulated rig's fingers; they start while the references are taken. None: no
     use, or no room, for them."""
-    if rig.scene is None:
+    if rig.scene is None or rig.touch_is_drawn:
         return None
     fingers = len(rig.fingers)
     count = default_count(fingers) if workers is None else min(workers, fingers)

@@ -31,7 +31,10 @@ class SimCamera:
         """`effects`: what is drawn (without IMAGES nothing: `read` gives a `Sighting`); LATENCY
         hands out the image before, MOTION_BLUR keeps the shutter open. `specimen` says where the
         camera really is, which markers it does not see, and what its pictures suffer. Raises
-        InputError where that is something, and no pictures are drawn."""
+        InputError where that is something, and no pictures are drawn, or where touch is to be
+        drawn in their place, which grasps alone can do."""
+        if Effect.CHAIN not in effects:
+            raise InputError("touch is drawn in grasps only", field="--effects -chain")
         self._sensor = sensor
         self._suffered = TroubledPicture(specimen.camera, seed)
         if self._suffered.are_any and Effect.IMAGES not in effects:

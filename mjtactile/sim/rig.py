@@ -3,6 +3,7 @@ the world."""
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -23,6 +24,8 @@ from mjtactile.rig.simulated import SimRigFile
 from mjtactile.rig.specimen import SpecimenConfig, true_design
 from mjtactile.rig.variation import FAULTLESS, Drawn, ObjectChange, RigChange, draw
 from mjtactile.sim.camera import SimCamera
+from mjtactile.sim.chain_errors import load_errors
+from mjtactile.sim.drawn import TouchDrawer
 from mjtactile.sim.effects.catalog import choose
 from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR, Fidelity
 from mjtactile.sim.scenes.grasp_world import GraspWorld, finger_designs
@@ -204,7 +207,7 @@ class SimGripper:
         self._jaw = self._motor = world.opening
         self._late: deque[tuple[float, Command]] = deque()
         if change.delay or change.jitter:
-            world.after_each_step(self._apply_late)
+            world.after_each_stretch(self._apply_late, self._due)
 
     def reseed(self, seed: int) -> None:
         """Draw noise and delays from another generator."""
@@ -242,6 +245,10 @@ class SimGripper:
             return
         due = self._world.time + change.delay + change.jitter * self._rng.random()
         self._late.append((max(due, self._late[-1][0]) if self._late else due, command))
+
+    def _due(self) -> float:
+        """s, when the next command arrives."""
+        return self._late[0][0] if self._late else math.inf
 
     def _apply_late(self) -> None:
         while self._late and self._late[0][0] <= self._world.time:
@@ -322,10 +329,17 @@ def build_sim_rig(
         happens = Happenings(world, drawn_task.events, task.orders.lift_height)
         world.after_each_step(happens.step)
     clock = SimClock(world)
-    cameras = tuple(
-        SimCamera(sensor, s, on, own)
-        for sensor, s, own in zip(world.sensors, seeds(len(world.sensors)), specimens, strict=True)
-    )
+    drawn_seeds = seeds(len(world.sensors))
+    if Effect.CHAIN in on:
+        cameras = tuple(
+            SimCamera(sensor, s, on, own)
+            for sensor, s, own in zip(world.sensors, drawn_seeds, specimens, strict=True)
+        )
+    else:
+        cameras = tuple(
+            TouchDrawer(sensor, load_errors(own, drawn.values != {}), own.membrane.friction, s)
+            for sensor, own, s in zip(world.sensors, files, drawn_seeds, strict=True)
+        )
     for sensor, own in zip(world.sensors, specimens, strict=True):
         if own.leak or own.warming:
             sensor.puncture(own.leak)
@@ -336,7 +350,7 @@ def build_sim_rig(
         for k, (sensor, own) in enumerate(zip(world.sensors, specimens, strict=True))
     )
     for valve in valves:
-        world.after_each_step(valve.move)
+        world.after_each_stretch(valve.move)
     limits = Limits(
         file.gripper.opening,
         file.gripper.speed,
@@ -358,6 +372,7 @@ def build_sim_rig(
         close=clock.close,
         varied={**drawn.values, **drawn_task.values},
         flags=lambda: world.flags,
+        touch_is_drawn=Effect.CHAIN not in on,
         scene=world,
         simulated={
             "mesh": (sheet.nx, sheet.ny),

@@ -11,14 +11,18 @@ from collections.abc import Callable, Sequence
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from mjtactile.core.errors import SimulationError
+from mjtactile.core.types import Array
 from mjtactile.sim.sensor.any import AnySensor
 from mjtactile.sim.sensor.limits import GROWS, Flags
 from mjtactile.sim.sensor.monitor import SceneMonitor
 from mjtactile.sim.step import advance
 
-_LOOK_PERIOD = 0.02  # s between the checks that cost more than a few microseconds
+# s between the checks that cost more than a few microseconds; films see much by themselves
+_LOOK_PERIOD = 0.02
+_LOOK_PERIOD_OF_FILMS = 0.1
 
 
 class Stepper:
@@ -40,7 +44,8 @@ class Stepper:
         self._monitor = SceneMonitor(model, data, self._sensors)
         self._unsolved = [0, 0]
         """Steps whose solver ran out of iterations, since the last look and in the one before."""
-        self._look_every = max(1, round(_LOOK_PERIOD / float(model.opt.timestep)))
+        period = _LOOK_PERIOD_OF_FILMS if self._monitor.only_films else _LOOK_PERIOD
+        self._look_every = max(1, round(period / float(model.opt.timestep)))
         self.flags: Flags = self._monitor.built()
         self.step_count = 0
         self.watchers: list[Callable[[], Flags]] = []
@@ -56,8 +61,19 @@ class Stepper:
         for sensor in self._sensors:
             sensor.update()
 
-    def after_step(self, count: int = 1) -> None:
-        """Check the state after `count` steps.
+    @property
+    def speeds(self) -> tuple[NDArray[np.int64], Array]:
+        """See `SceneMonitor.speeds`."""
+        return self._monitor.speeds
+
+    @property
+    def until_look(self) -> int:
+        """Steps until the next look."""
+        return self._look_every - self.step_count % self._look_every
+
+    def after_step(self, count: int = 1, unsolved: int | None = None) -> None:
+        """Check the state after `count` steps, in `unsolved` of which the solver ran out of
+        iterations (None: see the last one).
 
         Raises:
             SimulationError: the state is not finite, MuJoCo warned, a membrane is where the model
@@ -74,7 +90,9 @@ class Stepper:
             reason = sensor.failure()
             if reason:
                 self._stop(reason)
-        self._unsolved[0] += int(self._data.solver_niter[0] >= self._model.opt.iterations)
+        if unsolved is None:
+            unsolved = int(self._data.solver_niter[0] >= self._model.opt.iterations)
+        self._unsolved[0] += unsolved
         if "speed" not in self.flags:
             self.flags = self.flags | self._monitor.hurried()
         if self.step_count % self._look_every == 0:

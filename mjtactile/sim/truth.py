@@ -67,6 +67,14 @@ def contact_loads(world: World, devices: Sequence[AnySensor]) -> Array:
     )
 
 
+def stretch_forces(world: World) -> Array:
+    """Normal forces (n, sensors) N, positive for a press, on each membrane in each of the n steps
+    that the world has just done in one go."""
+    if world.stretch is None:
+        return -contact_loads(world, world.sensors)[None, :, 2]
+    return -world.stretch[:, :, 2]
+
+
 def friction_used(world: World, mu: float) -> float:
     """Sum of all contacts' friction over `mu` times the sum of their normal forces: 1 where
     everything slides."""

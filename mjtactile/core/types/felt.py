@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mjtactile.core.status import OK, Status
 from mjtactile.core.types.arrays import Array, freeze, keep_status
-from mjtactile.core.types.seen import CameraChange, Markers
+from mjtactile.core.types.seen import NO_PIXELS, CameraChange, Image, Markers
 from mjtactile.core.types.shape import FeltShape
 
 
@@ -185,3 +185,22 @@ class Touch:
 
     def __post_init__(self) -> None:
         keep_status(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Felt(Image):
+    """In place of an image: the `touch` that would be found in it. It has no pixels."""
+
+    touch: Touch | None = None
+
+    @classmethod
+    def of(cls, touch: Touch) -> Felt:
+        """Hand over a touch where an image would be.
+
+        Args:
+            touch: What is felt.
+
+        Returns:
+            The touch in place of an image of its time.
+        """
+        return cls(NO_PIXELS, touch.time, touch)

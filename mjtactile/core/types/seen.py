@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types.arrays import Array, freeze
 
+NO_PIXELS = np.zeros((0, 0), np.uint8)
+NO_PIXELS.setflags(write=False)
+
 
 @dataclass(frozen=True, eq=False)
 class Image:
@@ -70,7 +73,7 @@ class Sighting(Image):
 
     @classmethod
     def of(cls, ellipses: Ellipses, time: float) -> Sighting:
-        return cls(np.zeros((0, 0), np.uint8), time, ellipses)
+        return cls(NO_PIXELS, time, ellipses)
 
 
 @dataclass(frozen=True, eq=False)

@@ -134,7 +134,7 @@ def choose(
     `overrides` is "auto", or "+name,-name,...". Raises InputError for an unknown name, an effect
     that is not built and is forced on, or one that cannot be taken out and is forced off.
     """
-    forced = parse(overrides)
+    forced = _with_what_goes_along(parse(overrides))
     scene = Scene(design, grasped, force_error, *_feature(grasped))
     measured = _measured()
     choices = []
@@ -178,6 +178,20 @@ def parse(text: str) -> dict[Effect, bool]:
             )
         forced[effect.name] = sign == "+"
     return forced
+
+
+def _with_what_goes_along(forced: dict[Effect, bool]) -> dict[Effect, bool]:
+    """Without a chain there is nobody to look at images, and touch is that of a film. Raises
+    InputError where the two are forced apart."""
+    if forced.get(Effect.CHAIN, True):
+        return forced
+    if forced.get(Effect.SHEET, True):
+        raise InputError(
+            "touch is drawn of a film, not of a mesh", field="--effects", choices=["-sheet,-chain"]
+        )
+    if forced.get(Effect.IMAGES, False):
+        raise InputError("nobody looks at images without a chain", field="--effects")
+    return forced | {Effect.IMAGES: False}
 
 
 # -- gates: (needed, why)
@@ -376,6 +390,11 @@ EFFECTS: tuple[Entry, ...] = (
         Effect.IMAGES,
         "camera",
         lambda s: (True, "without, the markers' ellipses are drawn from their error's bound"),
+    ),
+    Entry(
+        Effect.CHAIN,
+        "camera",
+        lambda s: (True, "without, touch is drawn: a film's own, with the errors of the chain"),
     ),
     Entry(
         Effect.PLASTICITY,

@@ -90,6 +90,21 @@ class PositionActuator:
             min(force, self._range[1]),
         )
 
+    @property
+    def is_linear(self) -> bool:
+        """Whether its length is that of joints alone."""
+        return len(self.joints) > 0
+
+    @property
+    def reads(self) -> list[tuple[int, float]]:
+        """Places in qpos that its length hangs on, and by how much."""
+        return [(int(q), float(gear)) for q, gear in zip(self._qpos, self.gears, strict=True)]
+
+    @property
+    def control(self) -> tuple[float, float]:
+        """Its control where its goal is a length of 0, and by unit of that."""
+        return self._zero, self._per_length
+
     def set_goal(self, length: float) -> None:
         self._data.ctrl[self.id] = self._zero + self._per_length * length
 

@@ -13,12 +13,14 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.rig.simulated import SimRigFile
 from mjtactile.sim.attach import attach_membrane, recommend_options
+from mjtactile.sim.film_stepper import FilmStepper, is_there
 from mjtactile.sim.scenes.actuators import PositionActuator
 from mjtactile.sim.scenes.jaws import Jaws
 from mjtactile.sim.scenes.lifts import make_lift
 from mjtactile.sim.scenes.posture import solve
 from mjtactile.sim.scenes.start import Start, load_robot, place_jaws, plan_start
 from mjtactile.sim.scenes.world import World
+from mjtactile.sim.sensor.film_sensor import FilmSensor
 from mjtactile.sim.sensor.switches import PHYSICS, set_servo
 
 DEFAULT_TIMESTEP = 4e-3
@@ -93,6 +95,7 @@ class HandWorld(World):
         self._lift_speed = rig.lift.speed
         self._hold_still()
         mujoco.mj_forward(self.model, self.data)
+        self._ahead = self._film_stepper()
 
     # -- commands: what a real gripper takes
     # ---------------------------------------------------------------------
@@ -199,6 +202,31 @@ class HandWorld(World):
         self._opening_goal = _nearer(self.opening, goal, reach)
         self._lift_goal = _nearer(self._lift_goal, self._lift_target, lift_step)
         self._jaws.drive(self._opening_goal)
+        self._lift.drive(self._lift_goal)
+
+    def _film_stepper(self) -> FilmStepper | None:
+        """What does many steps in one go, where all sensors are films and jaws and lift linear."""
+        films = [sensor for sensor in self.sensors if isinstance(sensor, FilmSensor)]
+        drive = self._jaws.drive_with(self._lift)
+        known = type(self)._before_step is HandWorld._before_step
+        if not (films and len(films) == len(self.sensors) and drive and known and is_there()):
+            return None
+        return FilmStepper(self.model, self.data, films, drive, *self._stepper.speeds)
+
+    def _hand_over(self, ahead: FilmStepper) -> None:
+        jaw_step = self.rig.gripper.speed * self.timestep
+        reach = self._jaws.reach(self.rig.gripper.speed) + 4 * jaw_step
+        ahead.most[:] = jaw_step, reach, self._lift_speed * self.timestep
+        ahead.goals[:] = (
+            self._opening_goal,
+            self._opening_target,
+            self._lift_goal,
+            self._lift_target,
+        )
+
+    def _take_back(self, ahead: FilmStepper) -> None:
+        self._opening_goal = float(ahead.goals[0])
+        self._lift_goal = float(ahead.goals[2])
         self._lift.drive(self._lift_goal)
 
     def _check_clearance(self, tip_height: float, half: float) -> None:

@@ -6,10 +6,13 @@ from __future__ import annotations
 import math
 
 import mujoco
+import numpy as np
 
-from mjtactile.rig.jaws import JawLaw
+from mjtactile.rig.jaws import LINEAR, JawLaw
 from mjtactile.rig.simulated import SimRigFile
+from mjtactile.sim.film_stepper import Drive
 from mjtactile.sim.scenes.actuators import PositionActuator
+from mjtactile.sim.scenes.lifts import ActuatorLift, Lift, NoLift
 
 
 class Jaws:
@@ -74,6 +77,29 @@ class Jaws:
         """Set the goal of every actuator, shared equally."""
         for actuator, law in self._jaws:
             actuator.set_goal(law.coordinate(opening / len(self._jaws)))
+
+    def drive_with(self, lift: Lift) -> Drive | None:
+        """Jaws and lift as numbers; None where one of them is not linear."""
+        known = isinstance(lift, (ActuatorLift, NoLift))
+        if not known or not all(law.kind == LINEAR and a.is_linear for a, law in self._jaws):
+            return None
+        reads = [(q, law.ratio * gear) for a, law in self._jaws for q, gear in a.reads]
+        drives = []
+        for actuator, law in self._jaws:
+            zero, per_length = actuator.control
+            per = per_length / law.ratio
+            drives.append((actuator.id, zero - per * law.offset, per / len(self._jaws), 0.0))
+        if isinstance(lift, ActuatorLift):
+            number, zero, per = lift.affine()
+            drives.append((number, zero, 0.0, per))
+        table = np.array(drives)
+        return Drive(
+            sum(law.offset for _, law in self._jaws),
+            np.array([q for q, _ in reads]),
+            np.array([per for _, per in reads]),
+            table[:, 0],
+            table[:, 1:],
+        )
 
     def refresh_force(self) -> None:
         """Keep the force on the fingers at its limit where the lever changes with the opening."""

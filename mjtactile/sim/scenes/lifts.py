@@ -68,6 +68,11 @@ class ActuatorLift:
     def height(self) -> float:
         return (self._actuator.length - self._start) * self._ratio
 
+    def affine(self) -> tuple[int, float, float]:
+        """The actuator, its control at height 0, and by m of height."""
+        zero, per_length = self._actuator.control
+        return self._actuator.id, zero + per_length * self._start, per_length / self._ratio
+
     def drive(self, height: float) -> None:
         self._actuator.set_goal(self._start + height / self._ratio)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import mujoco
@@ -10,6 +11,7 @@ import numpy as np
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.sim.attach import Attachment
+from mjtactile.sim.film_stepper import MOST, FilmStepper
 from mjtactile.sim.log import route_warnings
 from mjtactile.sim.sensor.any import AnySensor
 from mjtactile.sim.sensor.limits import Flags
@@ -46,6 +48,12 @@ class World:
         )
         self._stepper = Stepper(self.model, self.data, self.sensors)
         self._after_step: list[Callable[[], None]] = []
+        self._after_stretch: list[Callable[[], None]] = []
+        self._dues: list[Callable[[], float]] = []
+        self._ahead: FilmStepper | None = None
+        self.stretch: Array | None = None
+        """(n, sensors, 6) wrench on each sensor in each of the last n steps, where they were done
+        in one go."""
         self._moves = type(self)._before_step is not World._before_step
 
     @property
@@ -87,19 +95,61 @@ class World:
     def step(self, count: int = 1) -> None:
         """Advance by `count` time steps. Raises SimulationError when the state is no longer to be
         trusted."""
-        if not (self.sensors or self._after_step or self._moves):  # nothing to do between the steps
+        watched = self._after_step or self._after_stretch
+        if not (self.sensors or watched or self._moves):  # nothing to do between the steps
             mujoco.mj_step(self.model, self.data, count)
             self._stepper.after_step(count)
             return
-        for _ in range(count):
+        while count > 0:
+            count -= self._go_ahead(count)
+
+    def _go_ahead(self, count: int) -> int:
+        """Do up to `count` steps in one go, if that can be, else one; returns how many."""
+        ahead = self._ahead
+        if ahead is None or self._after_step or not ahead.is_ready:
+            self.stretch = None
             self._before_step()
             self._stepper.step()
-            for call in self._after_step:
-                call()
+            done = 1
+        else:
+            most = min(count, MOST, self._stepper.until_look, self._until_due())
+            self._hand_over(ahead)
+            done, unsolved, self.stretch = ahead.run(most, "speed" not in self.flags)
+            self._take_back(ahead)
+            self._stepper.after_step(done, unsolved)
+        for call in (*self._after_step, *self._after_stretch):
+            call()
+        return done
+
+    def _until_due(self) -> int:
+        """Steps, at least one, until somebody who is told of stretches must be called."""
+        due = min((due() for due in self._dues), default=math.inf)
+        if math.isinf(due):
+            return MOST
+        return max(1, math.ceil((due - self.time) / self.timestep - 1e-9))
+
+    def _hand_over(self, ahead: FilmStepper) -> None:
+        """Hook for worlds that move their controls by themselves: `ahead` will."""
+
+    def _take_back(self, ahead: FilmStepper) -> None:
+        """Hook: `ahead` has."""
 
     def after_each_step(self, call: Callable[[], None]) -> None:
         """From now on, `call()` after every step."""
         self._after_step.append(call)
+
+    def after_each_stretch(
+        self, call: Callable[[], None], due: Callable[[], float] | None = None
+    ) -> None:
+        """From now on, `call()` after every stretch of steps that were done in one go.
+
+        Args:
+            call: Is called after 20 ms at most. With meshes, or gas that flows, after every step.
+            due: s, when it must be called at the latest; asked before each stretch.
+        """
+        self._after_stretch.append(call)
+        if due is not None:
+            self._dues.append(due)
 
     def marker_poses(self, sensor: int) -> tuple[Array, Array]:
         """True marker centres (N, 3) m and outward normals (N, 3) of one sensor in its frame S:

@@ -20,7 +20,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.film import Film, Status
 from mjtactile.film.live import HEAT_RATIO, LiveFilm, Sticking
-from mjtactile.kernels import bound
+from mjtactile.kernels import bound, words
 from mjtactile.sim.sensor import limits
 from mjtactile.sim.sensor.geoms import FeltGeoms
 from mjtactile.sim.sensor.membrane import BODY
@@ -35,10 +35,11 @@ _PATIENCE = 25  # steps without a solution in a row
 _LATE = 2  # such steps that are not worth a word
 _NO_FLEX = -2
 # places in what the kernel remembers (kernels/film_hold.c), and is given
-_MEMORY = 66
+_MEMORY = 67
 _BODY, _SLIDES, _NEAR, _STATUS, _LOST = 0, 11, 18, 19, 20
 _WRENCH, _MIDDLE, _STRAIN = slice(1, 7), slice(7, 10), slice(12, 15)
 _SOLVED_GAS = slice(57, 59)
+_SLID = 66
 _GAS, _TIME = 2, 6
 _FEELER = "feeler"
 
@@ -87,7 +88,8 @@ class FilmSensor:
         self._film = film = _film_of(design, (mesh.nx, mesh.ny))
         top = float(film.rest.x[2].max())
         half = math.hypot(design.frame.length, design.frame.width) / 2
-        self._geoms = FeltGeoms(model, self.body_id, math.hypot(half, top) + 1e-3)
+        reach = math.hypot(half, top) + 1e-3
+        self._geoms = FeltGeoms(model, self.body_id, reach)
         self._live = LiveFilm(film, self._geoms.rows, self._geoms.pool)
         self._sticking = _sticking_of(film)
         self._given = np.array(
@@ -99,6 +101,7 @@ class FilmSensor:
                 math.sqrt(design.frame.area / math.pi),
                 min(film.x[1] - film.x[0], film.y[1] - film.y[0]),
                 math.nan,
+                reach,
             ]
         )
         self._memory = np.zeros(_MEMORY)
@@ -110,7 +113,7 @@ class FilmSensor:
         self._number = self._pushes.join(prefix)
         self._force = np.zeros(model.nv)
         self._hold = np.zeros(HOLD)
-        self._pushing = False
+        self._pushing = np.zeros(1, np.int64)  # whether it did at the last look
         self._bind()
         self._time = float(data.time)
         self.sleepy = True
@@ -166,10 +169,10 @@ class FilmSensor:
     def update(self) -> None:
         """Come to rest on what is there now, and push; call before every `mj_step`."""
         self._look()
-        pushes = bool(self._find_push())
-        if pushes or self._pushing:
+        pushes = self._find_push()
+        if pushes or self._pushing[0]:
             self._pushes.set(self._number, self._force, self._hold)
-        self._pushing = pushes
+        self._pushing[0] = pushes
 
     def _look(self) -> None:
         """Bring film, gas and what sticks up to the present poses."""
@@ -224,6 +227,25 @@ class FilmSensor:
         self._gas.advance(self._volume, time - self._time)
         self._time = time
 
+    # -- for a kernel that goes on by itself (`film_stepper`)
+
+    @property
+    def is_sealed(self) -> bool:
+        """Whether the gas stays in, so that nothing but the kernels need look at it."""
+        return self._gas.is_sealed and bool(self._live.settings[1])
+
+    def follow_words(self) -> Array:
+        """(34,) What `film_follow` is called with, and where it says whether it pushed."""
+        return np.append(words(self._follow), self._pushing.ctypes.data)
+
+    def push_words(self) -> Array:
+        """(19,) What `film_push` is called with, and where its two results go."""
+        return np.concatenate([words(self._find_push), self._pushes.addresses(self._number)])
+
+    def add_words(self) -> Array:
+        """(12,) What `film_add` is called with."""
+        return self._pushes.words()
+
     # -- what it is like now
 
     @property
@@ -253,6 +275,16 @@ class FilmSensor:
     def contact_area(self) -> float:
         """m^2 of the film that lies on what touches it."""
         return self._live.area if self.is_touched else 0.0
+
+    @property
+    def depth(self) -> float:
+        """m by which the film is deepest below where it rests untouched."""
+        return float((self._film.rest.x[2] - self._live.x[2]).max()) if self.is_touched else 0.0
+
+    @property
+    def slid(self) -> float:
+        """m that what touches has slid over the film since it touched."""
+        return float(self._memory[_SLID])
 
     @property
     def slides(self) -> bool:

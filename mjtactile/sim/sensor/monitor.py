@@ -47,6 +47,7 @@ class SceneMonitor:
             for own, sensor in zip(self._felt, sensors, strict=True)
         ]
         self._any_thin = any(map(len, self._thin))
+        self.only_films = bool(sensors) and all(isinstance(one, FilmSensor) for one in sensors)
         self._cores = [
             CorePoints(model, self._geoms[own], sensor.mesh, sensor.contact)
             for own, sensor in zip(self._felt, sensors, strict=True)
@@ -74,6 +75,17 @@ class SceneMonitor:
         self._places = self._geoms_in(sensors)
         self._hulls: dict[int, str | None] = {}  # of those of `_geoms` that have touched
 
+    @property
+    def needs_every_step(self) -> bool:
+        """Whether something is so thin that every step must be looked at."""
+        return self._any_thin and not self.only_films
+
+    @property
+    def speeds(self) -> tuple[NDArray[np.int64], Array]:
+        """Degrees of freedom (n,) that are not the sensors', and the speeds (n,) at which they are
+        too fast for the step."""
+        return self._movers, self._hurry
+
     def built(self) -> Flags:
         """Flags of the scene as it was built."""
         flags: Flags = {}
@@ -96,8 +108,12 @@ class SceneMonitor:
         stop = None
         if all(sensor.is_asleep for sensor in self._sensors):
             return flags, stop
-        places = self._geoms_in(self._sensors)
         self._looks += 1
+        if self.only_films and self._looks % _RARELY:  # which see by themselves what goes through
+            for number in range(len(self._sensors)):
+                flags |= self._frame(number)
+            return flags, stop
+        places = self._geoms_in(self._sensors)
         for number, sensor in enumerate(self._sensors):
             if sensor.is_asleep:
                 continue
@@ -206,7 +222,7 @@ class SceneMonitor:
         Args:
             every: Look at all that may touch, else only at what is thin, which a step suffices for.
         """
-        if not every and not self._any_thin:
+        if not every and not self.needs_every_step:
             return None
         for number, sensor in enumerate(self._sensors):
             if sensor.is_asleep:

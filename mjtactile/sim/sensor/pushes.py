@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.kernels import bound
+from mjtactile.kernels import bound, words
 
 HOLD = 43
 """Numbers that say how a free body is held: its joint, stiffness (6, 6) and velocity (6,)."""
@@ -56,6 +56,15 @@ class Pushes:
         self._holds[number] = hold
         assert self._add is not None
         self._add()
+
+    def words(self) -> Array:
+        """(12,) What `film_add` is called with; good until another joins."""
+        assert self._add is not None
+        return words(self._add)
+
+    def addresses(self, number: int) -> list[int]:
+        """Of what a row adds: its force and its hold."""
+        return [rows[number].ctypes.data for rows in (self._forces, self._holds)]
 
     def _bind(self) -> None:
         model = self._model

@@ -51,6 +51,7 @@ class Effect(StrEnum):
     SHADOWS = "shadows"
     LATENCY = "latency"
     IMAGES = "images"
+    CHAIN = "chain"
     PLASTICITY = "plasticity"
     VOLUMETRIC_SOFTNESS = "volumetric softness"
 
@@ -74,6 +75,7 @@ CAMERA = frozenset(
         Effect.REFRACTION,
         Effect.LED_SHADING,
         Effect.IMAGES,
+        Effect.CHAIN,
     }
 )
 """What a camera shows when nobody says otherwise."""

@@ -1,0 +1,133 @@
+"""A hand that grips random things with forces that wander, and lifts them: touches as they come in
+grasps, of all loads, for whoever compares what is felt with what is true."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjtactile.core.errors import SimulationError
+from mjtactile.core.scenario import Scenario
+from mjtactile.core.types import Array, Command, Observation, Touch
+from mjtactile.recording.observer import Observer
+from mjtactile.run.cycle import Cycle
+from mjtactile.run.session import Session, open_session
+from mjtactile.sim.sensor.film_sensor import FilmSensor
+
+_LEAST, _MOST = 0.05, 1.5  # N that it grips with
+_CHANGE_EVERY = 0.4  # s
+_CLOSING = 0.04  # m/s
+_GAIN = 0.04  # m/s for each N that is missing
+_FASTEST = 0.02  # m/s of that
+_RISE = 0.03  # m/s
+_TIME = 3.0  # s from the first touch of both
+
+
+class Squeezer:
+    """Its goals are drawn from `seed`: a force that changes every now and then, and heights."""
+
+    path = Path("squeeze.py")
+
+    def __init__(self, seed: int):
+        self._rng = np.random.default_rng([seed, 7])
+        self._begun: float | None = None
+        self._next = 0.0
+        self._goal = 0.0
+        self._height = 0.0
+
+    def step(self, observation: Observation) -> Command:
+        last = observation.command
+        felt = [touch.force_normal for touch in observation.touch]
+        limit = replace(last, force_limit=8.0)
+        if not np.isfinite(felt).all():
+            return limit
+        now = observation.time
+        if self._begun is None:
+            if min(felt) > _LEAST:
+                self._begun = now
+            opening = last.opening - _CLOSING * observation.period
+            return replace(limit, opening=max(opening, 0.0), phase="close")
+        if now - self._begun > _TIME:
+            return replace(limit, phase="done", lift_height=0.0)
+        if now >= self._next:
+            self._next = now + _CHANGE_EVERY
+            self._goal = float(np.exp(self._rng.uniform(np.log(_LEAST), np.log(_MOST))))
+            self._height = float(self._rng.choice([0.0, 0.02, 0.04]))
+        speed = float(np.clip(_GAIN * (np.mean(felt) - self._goal), -_FASTEST, _FASTEST))
+        step = _RISE * observation.period
+        height = last.lift_height + float(np.clip(self._height - last.lift_height, -step, step))
+        opening = max(last.opening + speed * observation.period, 0.0)
+        return replace(limit, opening=opening, lift_height=max(height, 0.0), phase="hold")
+
+
+@dataclass
+class Compared(Observer):
+    """Rows of what was true when an image was taken, and what was felt of it."""
+
+    rows: list[dict[str, Any]] = field(default_factory=list)
+
+    def begin(self, session: Session) -> None:
+        self._sensors = session.rig.scene.sensors
+
+    def on_images(self) -> None:
+        self._true = [_true(sensor) for sensor in self._sensors]
+
+    def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
+        for finger, (true, touch) in enumerate(zip(self._true, cycle.touch, strict=True)):
+            self.rows.append({"finger": finger, "time": cycle.time, **true, **_felt(touch)})
+
+
+def _true(sensor: FilmSensor) -> dict[str, Any]:
+    return {
+        "wrench": sensor.look(),
+        "area": sensor.contact_area,
+        "centroid": sensor.middle[:2],
+        "depth": sensor.depth,
+        "slid": sensor.slid,
+    }
+
+
+def _felt(touch: Touch) -> dict[str, Any]:
+    traction = touch.traction
+    contact = touch.contact
+    slip = touch.slip
+    return {
+        "status": str(touch.status.code.value),
+        "touching": touch.touching,
+        "felt": np.full(6, np.nan) if traction is None else traction.wrench,
+        "cov": np.full((6, 6), np.nan) if traction is None else traction.wrench_cov,
+        "felt_area": np.nan if contact is None else contact.area,
+        "felt_centroid": np.full(2, np.nan) if contact is None else contact.centroid,
+        "felt_depth": np.nan if contact is None else contact.depth,
+        "slip": "unknown" if slip is None else slip.state,
+    }
+
+
+def squeeze(scenario: Scenario) -> dict[str, Array]:
+    """Grip the scenario's object, and compare.
+
+    Args:
+        scenario: Its seed also draws the goals.
+
+    Returns:
+        By name, one row for each image of each finger, in order of time; `seed` is among them. Up
+        to where the simulation failed, if it did: a film is no sensor for everything.
+
+    Raises:
+        MjtactileError: It failed at once.
+    """
+    compared = Compared()
+    with open_session(scenario, workers=0) as session:
+        compared.begin(session)
+        session.take_references()
+        try:
+            session.run(Squeezer(scenario.seed), time_limit=20.0, observer=compared)
+        except SimulationError:
+            if not compared.rows:
+                raise
+    names = compared.rows[0]
+    found = {name: np.array([row[name] for row in compared.rows]) for name in names}
+    return found | {"seed": np.full(len(compared.rows), scenario.seed)}

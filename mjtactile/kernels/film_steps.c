@@ -1,0 +1,92 @@
+/* Several steps of a scene whose sensors are films, without going back to Python: films, their pushes, the goals of jaws and lift,
+   and MuJoCo's own step, which is called by its address. sim/film_stepper.py says what each array is. */
+#include <math.h>
+#include <string.h>
+
+#include "kernels.h"
+
+typedef void (*OfMuJoCo)(const void *model, void *data);
+enum { FOLLOW = 34, PUSH = 19, HOLD = 43, TOLD = 4 };
+enum { RAN, UNSOLVED, HURRIES, BROKE };
+enum { OPENING_GOAL, OPENING, LIFT_GOAL, LIFT, JAW_STEP, REACH, LIFT_STEP, OFFSET };
+
+/* Arguments of another kernel, as 64 bits each: numbers, or addresses. */
+static double number(int64_t word) {
+    double value;
+    memcpy(&value, &word, sizeof value);
+    return value;
+}
+#define AT(type, k) ((type *)(intptr_t)w[k])
+
+static int64_t follow(const int64_t *w) {
+    return film_follow(AT(double, 0), AT(double, 1), w[2], w[3], w[4], AT(float, 5), AT(double, 6), w[7], AT(double, 8), AT(double, 9),
+                       w[10], AT(double, 11), w[12], AT(double, 13), AT(double, 14), AT(double, 15), AT(double, 16), AT(double, 17),
+                       AT(double, 18), AT(double, 19), w[20], w[21], AT(double, 22), AT(double, 23), w[24], AT(double, 25),
+                       AT(double, 26), AT(int64_t, 27), AT(int64_t, 28), AT(double, 29), AT(double, 30), AT(uint8_t, 31),
+                       AT(double, 32));
+}
+static int64_t push(const int64_t *w) {
+    return film_push(AT(double, 0), AT(double, 1), w[2], w[3], AT(int32_t, 4), AT(int32_t, 5), AT(int32_t, 6), w[7], AT(int32_t, 8),
+                     AT(int32_t, 9), AT(double, 10), AT(double, 11), AT(double, 12), AT(double, 13), w[14], AT(double, 15),
+                     AT(double, 16));
+}
+static int64_t add(const int64_t *w) {
+    return film_add(w[0], w[1], AT(double, 2), AT(double, 3), number(w[4]), AT(double, 5), AT(double, 6), AT(double, 7), AT(double, 8),
+                    AT(double, 9), AT(double, 10), AT(double, 11));
+}
+
+static double nearer(double start, double goal, double most) { return start + fmin(fmax(goal - start, -most), most); }
+
+static void drive(double *goals, int64_t reads, const int64_t *read, const double *per, const double *qpos, int64_t drives,
+                  const int64_t *control, const double *affine, double *ctrl) {
+    double opening = goals[OFFSET];
+    for (int64_t k = 0; k < reads; k++) opening += per[k] * qpos[read[k]];
+    const double goal = nearer(goals[OPENING_GOAL], goals[OPENING], goals[JAW_STEP]);
+    goals[OPENING_GOAL] = nearer(opening, goal, goals[REACH]);
+    goals[LIFT_GOAL] = nearer(goals[LIFT_GOAL], goals[LIFT], goals[LIFT_STEP]);
+    for (int64_t k = 0; k < drives; k++)
+        ctrl[control[k]] = affine[3 * k] + affine[3 * k + 1] * goals[OPENING_GOAL] + affine[3 * k + 2] * goals[LIFT_GOAL];
+}
+
+int64_t film_steps(int64_t count, const int64_t *mujoco, double time, double step, int64_t films, const int64_t *follows,
+                   const int64_t *pushes, const int64_t *adds, double *goals, int64_t reads, const int64_t *read, const double *per,
+                   int64_t nq, const double *qpos, int64_t drives, const int64_t *control, const double *affine, int64_t nu,
+                   double *ctrl, int64_t nv, const double *qvel, int64_t movers, const int64_t *mover, const double *hurry,
+                   int64_t iterations, const int32_t *solver_iterations, double *wrenches, int64_t *told) {
+    void *const model = (void *)(intptr_t)mujoco[2], *const data = (void *)(intptr_t)mujoco[3];
+    const OfMuJoCo kinematics = (OfMuJoCo)(intptr_t)mujoco[0], advance = (OfMuJoCo)(intptr_t)mujoco[1];
+    memset(told, 0, TOLD * sizeof *told);
+    (void)nu;
+    for (int64_t i = 0; i < count; i++) {
+        drive(goals, reads, read, per, qpos, drives, control, affine, ctrl);
+        kinematics(model, data);
+        int64_t adding = 0;
+        for (int64_t f = 0; f < films; f++) {
+            const int64_t *w = follows + FOLLOW * f;
+            const int64_t *p = pushes + PUSH * f;
+            ((double *)(intptr_t)w[18])[6] = time; /* given */
+            const int64_t code = follow(w);
+            if (code < 0) return code;
+            const double *memory = (const double *)(intptr_t)w[30];
+            memcpy(wrenches + 6 * (films * i + f), memory + 1, 6 * sizeof *wrenches);
+            if (memory[20] > 0) told[BROKE] = 1;
+            const int64_t now = push(p);
+            int64_t *const pushing = AT(int64_t, 33);
+            if (now || *pushing) adding = 1;
+            *pushing = now;
+            memcpy((double *)(intptr_t)p[17], (const double *)(intptr_t)p[15], nv * sizeof(double));
+            memcpy((double *)(intptr_t)p[18], (const double *)(intptr_t)p[16], HOLD * sizeof(double));
+        }
+        if (adding) add(adds);
+        advance(model, data);
+        time += step;
+        told[RAN] = i + 1;
+        told[UNSOLVED] += solver_iterations[0] >= iterations;
+        double sum = 0;
+        for (int64_t k = 0; k < nq; k++) sum += qpos[k] * qpos[k];
+        for (int64_t k = 0; k < nv; k++) sum += qvel[k] * qvel[k];
+        for (int64_t k = 0; k < movers; k++) told[HURRIES] |= fabs(qvel[mover[k]]) > hurry[k];
+        if (!isfinite(sum) || told[BROKE] || told[HURRIES]) break;
+    }
+    return 0;
+}

@@ -1,0 +1,179 @@
+"""What the sensing chain of a sensor errs by, as `mjtactile bench drawn` has measured it: what
+`--effects -sheet,-chain` draws touch with.
+
+A felt wrench is w + G w + b(n) + e, with w the true one (6,), n the force that presses, G the mean
+error as a share of each part, b the mean of what is left at that load. Of e, whose standard
+deviations go with n and whose correlations do not, a share is slow: it fades with the time
+constant `slow_time`; the rest is new in each image.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjtactile.core import resources
+from mjtactile.core.calibration import fingerprint
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Array
+
+FOLDER = "models/fidelity/chain"
+
+
+@dataclass(frozen=True, eq=False)
+class ChainErrors:
+    """Errors of one design's chain. SI units, frame S; k loads, six parts of a wrench.
+
+    Attributes:
+        loads: (k,) N that press, increasing; between them all below is linear.
+        gain: (6, 6) mean error of the wrench by the true one.
+        mean: (k, 6) N and N m, mean of what is left.
+        sd: (k, 6) standard deviations of what is left then.
+        correlation: (6, 6) of that.
+        said: (k, 6) standard deviations that the chain says of its wrench.
+        said_correlation: (6, 6).
+        slow: Share of the variance that lasts.
+        slow_time: s, time constant of that.
+        outliers: (k,) share of images whose error is `outlier_size` times as large.
+        outlier_size: See there.
+        unknown: (k,) share of images in which the chain says that it does not know.
+        touch_force: N, above which there is a touch.
+        release: Share of that, below which it ends.
+        area: (k,) mean logarithm of the felt area over the true one.
+        area_sd: (k,) its standard deviation.
+        centroid_sd: (k,) m.
+        depth: Share of the true depth that is felt.
+        slip_way: m that is slid before it is called so.
+        incipient: Share of friction's limit from which on a slip is near.
+    """
+
+    loads: Array
+    gain: Array
+    mean: Array
+    sd: Array
+    correlation: Array
+    said: Array
+    said_correlation: Array
+    slow: float
+    slow_time: float
+    outliers: Array
+    outlier_size: float
+    unknown: Array
+    touch_force: float
+    release: float
+    area: Array
+    area_sd: Array
+    centroid_sd: Array
+    depth: float
+    slip_way: float
+    incipient: float
+
+    def __post_init__(self) -> None:
+        at_loads = np.column_stack(
+            [
+                self.mean,
+                self.sd,
+                self.said,
+                self.outliers,
+                self.unknown,
+                self.area,
+                self.area_sd,
+                self.centroid_sd,
+            ]
+        )
+        object.__setattr__(self, "_at_loads", at_loads)
+
+    def at(self, load: float) -> AtLoad:
+        """All that goes with the load, at `load` N; beyond the last one as there."""
+        loads = self.loads
+        right = min(max(int(np.searchsorted(loads, load)), 1), len(loads) - 1)
+        share = min(max((load - loads[right - 1]) / (loads[right] - loads[right - 1]), 0.0), 1.0)
+        rows: Array = self._at_loads  # type: ignore[attr-defined]
+        row = rows[right - 1] + share * (rows[right] - rows[right - 1])
+        return AtLoad(row[:6], row[6:12], row[12:18], *row[18:].tolist())
+
+    def table(self) -> dict[str, Any]:
+        """As JSON has it; the inverse of `errors_from`."""
+        return {
+            name: getattr(self, name).tolist() if name in _ARRAYS else getattr(self, name)
+            for name in self.__dataclass_fields__
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class AtLoad:
+    """`ChainErrors` at one load."""
+
+    mean: Array
+    sd: Array
+    said: Array
+    outliers: float
+    unknown: float
+    area: float
+    area_sd: float
+    centroid_sd: float
+
+
+_ARRAYS = frozenset(
+    name for name, field in ChainErrors.__dataclass_fields__.items() if field.type == "Array"
+)
+
+
+def errors_from(table: Mapping[str, Any]) -> ChainErrors:
+    """Read what `ChainErrors.table` wrote. Raises KeyError, TypeError or ValueError."""
+    values: dict[str, Any] = {
+        name: np.array(table[name], float) if name in _ARRAYS else float(table[name])
+        for name in ChainErrors.__dataclass_fields__
+    }
+    return ChainErrors(**values)
+
+
+def path_of(design: SensorDesign) -> Path:
+    """Where the errors of a design's chain are kept."""
+    return resources.folder(FOLDER) / f"{design.name}.json"
+
+
+def load_errors(design: SensorDesign, varied: bool = False) -> ChainErrors:
+    """The errors of a design's chain.
+
+    Args:
+        design: As its file says, without anything left out.
+        varied: Whether the sensor is not as its file says (`--vary`): then they are larger.
+
+    Returns:
+        The errors.
+
+    Raises:
+        InputError: They were never measured, or of another design of that name.
+    """
+    found = _load(path_of(design), fingerprint(design), design.name)
+    return found["varied" if varied else "errors"]
+
+
+@cache
+def _load(path: Path, wanted: str, name: str) -> dict[str, ChainErrors]:
+    how = f"mjtactile bench drawn --sensor {name}"
+    try:
+        table = json.loads(path.read_text(encoding="utf-8"))
+        measured_of = table["fingerprint"]
+        errors = {name: errors_from(table[name]) for name in ("errors", "varied")}
+    except FileNotFoundError:
+        raise InputError(
+            f"the errors of its chain were never measured: {how}", source=name, field="--effects"
+        ) from None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"no errors of a chain: {error!r}", source=path) from error
+    if measured_of != wanted:
+        raise InputError(
+            f"the errors of its chain were measured of another design of that name: {how}",
+            source=name,
+            field="--effects",
+        )
+    return errors

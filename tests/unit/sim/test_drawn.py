@@ -1,0 +1,84 @@
+"""Touch that is drawn has the errors that its model says, and says so."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mjtactile.core.design import load_sensor
+from mjtactile.core.errors import InputError
+from mjtactile.core.scenario import Scenario
+from mjtactile.run.controller import Controller
+from mjtactile.run.grasp import run_grasp
+from mjtactile.run.session import open_session
+from mjtactile.sim.camera import SimCamera
+from mjtactile.sim.chain_errors import errors_from, load_errors
+from mjtactile.sim.drawn import Erring
+from mjtactile.sim.effects.catalog import choose
+from mjtactile.sim.sensor.switches import Effect
+
+DENSE = load_sensor("dense")
+PERIOD = 1 / 30
+DRAWN = "-sheet,-chain"
+
+
+def test_errors_have_the_mean_spread_and_memory_that_the_model_says():
+    """Of 20000 images at one load; bounds are four standard errors, with the memory counted in."""
+    errors = dataclasses.replace(load_errors(DENSE), outliers=np.zeros(7), slow=0.6, slow_time=0.5)
+    true = np.array([0.1, -0.2, -0.7, 1e-3, 2e-3, 1e-4])
+    here = errors.at(0.7)
+    rng = np.random.default_rng(0)
+    erring = Erring(errors)
+    erring.begin(rng)
+    count = 20000
+    felt = np.array([erring.felt(true, here, PERIOD, rng) for _ in range(count)])
+    z = (felt - true - errors.gain @ true - here.mean) / here.sd
+    alone = count / (1 + 2 * errors.slow * errors.slow_time / PERIOD)
+    assert np.abs(z.mean(axis=0)).max() < 4 / np.sqrt(alone)
+    assert np.abs(z.T @ z / count - errors.correlation).max() < 4 * np.sqrt(2 / alone)
+    for lag in (1, 15, 60):
+        said = errors.slow * np.exp(-lag * PERIOD / errors.slow_time)
+        assert (z[lag:] * z[:-lag]).mean() == pytest.approx(said, abs=4 / np.sqrt(6 * alone))
+
+
+def test_between_loads_errors_are_linear_and_beyond_the_last_as_there():
+    errors = load_errors(DENSE)
+    low, high = errors.loads[2:4]
+    middle = errors.at((low + high) / 2)
+    np.testing.assert_allclose(middle.sd, (errors.sd[2] + errors.sd[3]) / 2, rtol=1e-12)
+    np.testing.assert_array_equal(errors.at(99.0).sd, errors.sd[-1])
+    assert errors_from(errors.table()).table() == errors.table()
+
+
+def test_a_grasp_with_drawn_touch_is_held_says_its_level_and_is_the_same_again():
+    results = [run_grasp(Scenario(object="egg", effects=DRAWN, seed=5)) for _ in range(2)]
+    first, again = (result.summary() for result in results)
+    assert first["outcome"] == "held"
+    assert not (first["sheet"] or first["chain"] or first["images"])
+    assert first["hold_force_true_N"] == again["hold_force_true_N"]
+    assert first["hold_force_N"] != first["hold_force_true_N"]  # a measurement
+
+
+def test_without_a_chain_there_are_no_images_and_no_mesh():
+    on = choose(DENSE, overrides=DRAWN).on
+    assert not on & {Effect.SHEET, Effect.CHAIN, Effect.IMAGES}
+    for refused, says in (("-chain", "of a film"), ("-sheet,-chain,+images", "looks at images")):
+        with pytest.raises(InputError, match=says):
+            choose(DENSE, overrides=refused)
+
+
+def test_who_needs_the_chain_is_told():
+    reads = Controller(Path("mine.py"), lambda _: None, reads=("shape",))
+    with (
+        open_session(Scenario(effects=DRAWN)) as session,
+        pytest.raises(InputError, match=r"mine.py: .*reads shapes needs the chain"),
+    ):
+        session.run(reads, time_limit=1.0)
+    with pytest.raises(InputError, match="in grasps only"):
+        SimCamera(None, 0, frozenset({Effect.IMAGES}))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"paper16: .*bench drawn --sensor paper16"):
+        load_errors(load_sensor("paper16"))
+    other = dataclasses.replace(DENSE, membrane=dataclasses.replace(DENSE.membrane, thickness=4e-4))
+    with pytest.raises(InputError, match="of another design"):
+        load_errors(other)
