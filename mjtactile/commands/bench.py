@@ -40,6 +40,7 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   fiducials   the same with circles that do not move: knocks, zoom, focus, levels; their price
   attacks     everything bad that the tests do, counted by what must come of it
   settings    what half and twice of each number of the sensing chain do to what is felt
+  relaxation  holds of ten minutes on rubber that relaxes: felt less true, and the price
   tasks       what touch buys: tasks that ask for it, with and without, over the same episodes
   numbers     measures nothing: all numbers on one page, from the pages of the others
   headline    measures nothing: the few of them that the README shows"""
@@ -80,6 +81,7 @@ BENCHMARKS = {
     "fiducials": "trust.fiducials",
     "attacks": "attacks",
     "settings": "sensitivity",
+    "relaxation": "relaxation",
     "tasks": "tasks.run",
     "numbers": "numbers",
     "headline": "headline",

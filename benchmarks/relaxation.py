@@ -1,0 +1,174 @@
+"""`mjtactile bench relaxation`: holds of ten minutes on rubber that relaxes: what is felt less what
+is true, by sensors that know of it and by sensors that do not.
+
+A ball of 8 mm stands pressed into `dense` while the sheet's stress fades; pressure is read by a
+gauge with its noise. Terms are a decade apart, their shares those of `RUBBERS`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjtactile.core.design import SensorDesign, load_sensor
+from mjtactile.core.relaxation import Relaxation, decades
+from mjtactile.core.types import PressureReading
+from mjtactile.experiments.station import View, take_references
+from mjtactile.recording.files import write_json
+from mjtactile.report.figures import new_figure
+from mjtactile.sim import truth
+from mjtactile.sim.scenes.indentation import Indenter, PressWorld
+
+RUBBERS = {"latex": 0.02, "five times latex": 0.1}
+"""Share of the lasting stress that fades in each decade from 1 to 1000 s."""
+DEPTH = 3.3e-3  # m: 0.6 N
+HOLD = 600.0
+HOLD_QUICK = 20.0
+AFTER = 10.0  # s after the release
+_EVERY = 20.0  # s from look to look
+_IMAGES = 5  # of a look, 0.1 s: their mean, since one image alone has a noise of 5 mN
+_GAUGE_SD = 5.0  # Pa
+_TIMED = 400  # steps
+_TURNS = 6
+
+
+def run(
+    out: Path, *, quick: bool = False, say: Callable[[str], None] = lambda _: None
+) -> dict[str, Any]:
+    """One row a rubber. What was measured so far is kept in `out`/relaxation.json."""
+    rows: list[dict[str, Any]] = []
+    for name, rate in RUBBERS.items():
+        row = hold(rate, HOLD_QUICK if quick else HOLD)
+        rows.append({"rubber": name, "rate": rate, **row})
+        say(
+            f"{name}: worst {1e3 * row['worst_N'][0]:.0f} mN, without the section "
+            f"{1e3 * row['worst_N'][1]:.0f} mN"
+        )
+        write_json(out / "relaxation.json", {"rows": rows})
+    price = _price()
+    say(f"a step costs {100 * (price - 1):+.0f} %")
+    result = {"rows": rows, "price": price, "seconds": HOLD_QUICK if quick else HOLD}
+    write_json(out / "relaxation.json", result)
+    _plot(out, rows)
+    return result
+
+
+def hold(rate: float, seconds: float, seed: int = 0) -> dict[str, Any]:
+    """A hold of `seconds` on rubber that fades by `rate` a decade; errors are pairs, of a sensor
+    that knows and of one that does not."""
+    elastic = load_sensor("dense")
+    relaxing = _relaxing(elastic, rate)
+    rng = np.random.default_rng(seed)
+    world = PressWorld(relaxing, Indenter.parse("sphere:8"))
+    views = [View(world, design, seed=seed) for design in (relaxing, elastic)]
+    take_references(world, views, relaxing.chamber.supply_gauge)
+    world.step(_steps(world, 1.0))
+    world.drive(DEPTH)
+    looks = [_look(world, views, rng)]
+    while looks[-1][0] - looks[0][0] < seconds:
+        world.step(_steps(world, _EVERY))
+        looks.append(_look(world, views, rng))
+    world.drive(-DEPTH)
+    world.step(_steps(world, AFTER))
+    _, left, *felt_after = _look(world, views, rng)
+    held = np.array(looks)
+    errors = held[:, 2:] - held[:, 1:2]
+    return {
+        "true_N": [float(held[0, 1]), float(held[-1, 1])],
+        "worst_N": np.abs(errors).max(axis=0).tolist(),
+        "drift_N": (errors[-1] - errors[0]).tolist(),
+        "after_N": [float(felt - left) for felt in felt_after],
+        "time_s": (held[:, 0] - held[0, 0]).tolist(),
+        "error_N": errors.tolist(),
+    }
+
+
+def _relaxing(design: SensorDesign, rate: float) -> SensorDesign:
+    return replace(design, relaxation=Relaxation(decades(rate, 1.0, 1e3)))
+
+
+def _steps(world: PressWorld, seconds: float) -> int:
+    return round(seconds / world.timestep)
+
+
+def _look(
+    world: PressWorld, views: Sequence[View], rng: np.random.Generator
+) -> tuple[float, float, float, float]:
+    """Time, true normal force, and what both feel, the mean of some images."""
+    seen = []
+    for _ in range(_IMAGES):
+        world.step(_steps(world, 0.02))
+        pressure = world.sensors[0].pressure_gauge + float(rng.normal(0.0, _GAUGE_SD))
+        reading = PressureReading(pressure, _GAUGE_SD, world.time)
+        felt = [
+            view.perception.perceive(view.image(), world.time, reading).force_normal
+            for view in views
+        ]
+        seen.append([-float(truth.contact_force(world, 0)[2]), *felt])
+    true, knowing, unknowing = np.mean(seen, axis=0)
+    return world.time, float(true), float(knowing), float(unknowing)
+
+
+def _price() -> float:
+    """Processor time of a step with rubber that relaxes over one without, a ball pressed in; the
+    median of turns."""
+    worlds = []
+    for design in (_relaxing(load_sensor("dense"), 0.05), load_sensor("dense")):
+        world = PressWorld(design, Indenter.parse("sphere:8"))
+        world.sensors[0].sleepy = False
+        world.inflate(design.chamber.supply_gauge, seal=True)
+        world.drive(DEPTH)
+        worlds.append(world)
+    ratios = []
+    for _ in range(_TURNS):
+        spent = []
+        for world in worlds:
+            begin = time.process_time()
+            world.step(_TIMED)
+            spent.append(time.process_time() - begin)
+        ratios.append(spent[0] / spent[1])
+    return float(np.median(ratios))
+
+
+def table(result: Mapping[str, Any]) -> str:
+    """The result as Markdown."""
+    lines = [
+        "| rubber | fades a decade | true force, N | felt less true, worst, mN | the same, sensor "
+        "does not know | felt 10 s after the release, mN |",
+        "|---|---|---|---|---|---|",
+    ]
+    for row in result["rows"]:
+        begin, end = row["true_N"]
+        knows, does_not = (1e3 * error for error in row["worst_N"])
+        after, after_not = (1e3 * error for error in row["after_N"])
+        lines.append(
+            f"| {row['rubber']} | {row['rate']:.0%} | {begin:.3f} to {end:.3f} | {knows:.0f} | "
+            f"{does_not:.0f} | {after:+.0f} ({after_not:+.0f}) |"
+        )
+    price = 100 * (result["price"] - 1)
+    note = (
+        f"Holds of {result['seconds']:.0f} s, looked at every {_EVERY:.0f} s, means of {_IMAGES} "
+        f"images. 30 mN at most are wanted, 15 aimed at. A step of the simulation costs "
+        f"{price:+.0f} % (10 wanted)."
+    )
+    return "\n".join(lines) + f"\n\n{note}\n"
+
+
+def _plot(out: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """`relaxation.png`: felt less true over the time held."""
+    if (figure := new_figure("relaxation.png", (6.4, 3.8))) is None:
+        return
+    axes = figure.add_subplot()
+    for k, row in enumerate(rows):
+        errors = 1e3 * np.array(row["error_N"])
+        axes.plot(row["time_s"], errors[:, 0], f"C{k}-", label=row["rubber"])
+        axes.plot(row["time_s"], errors[:, 1], f"C{k}:", label=f"{row['rubber']}, not known")
+    axes.axhline(0.0, color="k", lw=0.8)
+    axes.set(xlabel="held for, s", ylabel="felt less true, mN")
+    axes.legend(fontsize=8, ncols=2)
+    figure.savefig(out / "relaxation.png")
