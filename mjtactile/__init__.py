@@ -62,6 +62,9 @@ if TYPE_CHECKING:
     from mjtactile.run.session import Session as Session
     from mjtactile.run.session import open_session as open_session
     from mjtactile.sensing.chain import Chain as Chain
+    from mjtactile.sensing.force.of_surface import RestSurface as RestSurface
+    from mjtactile.sensing.force.of_surface import SurfaceForce as SurfaceForce
+    from mjtactile.sensing.force.of_surface import force_of_surface as force_of_surface
     from mjtactile.sensing.perception import Perception as Perception
     from mjtactile.sensing.pose.locate import find_circles as find_circles
     from mjtactile.sensing.pose.locate import marker_records as marker_records
@@ -104,6 +107,7 @@ _HOMES = {
     "run.controller": ("load_controller",),
     "run.session": ("Session", "open_session"),
     "sensing.chain": ("Chain",),
+    "sensing.force.of_surface": ("RestSurface", "SurfaceForce", "force_of_surface"),
     "sensing.perception": ("Perception",),
     "sensing.pose.locate": ("find_circles", "marker_records"),
     "sim.attach": ("recommend_options",),

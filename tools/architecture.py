@@ -21,6 +21,7 @@ ROOMS = {
     "commands": "a module a command",
     "studio": "a session, watched live",
     "explore": "whole objects by touch",
+    "study": "what a sensor file reaches, predicted",
     "experiments": "the paper's figures",
     "evaluate": "many grasps, statistics",
     "gym": "Gymnasium",
@@ -56,7 +57,7 @@ INSIDE = (
 
 COLOURS = {
     "cli commands studio": "#fde8cf",
-    "explore experiments evaluate gym make calibrate plugin doctor fit export report": "#fdf6d8",
+    "explore study experiments evaluate gym make calibrate plugin doctor fit export report": "#fdf6d8",
     "run": "#fbd9d9",
     "sim devices emulator replay": "#d8e8fb",
     "sensing": "#dcf3dd",

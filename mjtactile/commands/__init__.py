@@ -21,6 +21,8 @@ COMMANDS = {
     "light",
     "make": "from a sensor file to a sensor on the bench: patterns, CAD, bill of materials, "
     "assembly",
+    "design": "predict what a sensor file reaches before it is built, and which file would reach "
+    "what is wanted",
     "bench": "measure accuracy and speed; writes a table, a JSON and plots",
     "effects": "list the effects that a sensor and an object call for, and their price",
     "emulate": "start emulated hardware on serial ports and streams, until stopped",

@@ -76,6 +76,7 @@ BENCHMARKS = {
     "sensors": "sensors",
     "explore": "explore",
     "fit": "fit",
+    "design": "design",
     "studio": "studio.run",
     "trust": "trust.run",
     "fiducials": "trust.fiducials",
@@ -83,6 +84,7 @@ BENCHMARKS = {
     "settings": "sensitivity",
     "relaxation": "relaxation",
     "tasks": "tasks.run",
+    "bubble": "real.bubble",
     "numbers": "numbers",
     "headline": "headline",
 }
@@ -94,6 +96,7 @@ OPTIONS = {
     "parts": ("rig",),
     "soak": ("rig",),
     "cases": ("truth",),
+    "data": ("bubble",),
     "against": ("speed",),
     "pairs": ("cheap",),
     "episodes": ("tasks", "slip"),
@@ -129,6 +132,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--parts",
         metavar="A,B,…",
         help="rig: only these of loop, bus, fuzz, killed, stopped, stuck, outcomes, faults, soak",
+    )
+    parser.add_argument(
+        "--data", type=Path, metavar="DIR", help="bubble: the recording, which is not in here"
     )
     parser.add_argument("--cases", type=Path, metavar="DIR", help="truth: the cases of this folder")
     parser.add_argument(

@@ -44,7 +44,7 @@ def words(
     Returns:
         The shape.
     """
-    cov = _said_cov(found, scale, s)
+    cov = said_cov(found, scale, s)
     if found.family.parts:
         return _several(forward, found, cov, probabilities, interval, s)
     force = s.friction * found.state.force_normal
@@ -53,7 +53,7 @@ def words(
     return _body(found.family, found.theta, found.hint, cov, kind, probabilities, whole, outline, s)
 
 
-def _said_cov(found: Fit, scale: float, s: BodySettings) -> Array:
+def said_cov(found: Fit, scale: float, s: BodySettings) -> Array:
     """Covariance of a body's numbers, with what the film has wrong."""
     shares = {"k": s.curvature_share, "radius": s.size_share, "half": s.size_share}
     share = np.array([shares.get(name.split("_")[0], 0.0) for name in found.family.names])

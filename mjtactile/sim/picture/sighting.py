@@ -64,9 +64,10 @@ class Sighter:
         """Draw the errors to come from another generator."""
         self._rng = np.random.default_rng(seed)
 
-    def sight(self, p_SM: Array, n_S: Array, time: float = 0.0) -> Sighting:
+    def sight(self, p_SM: Array, n_S: Array, time: float = 0.0, *, errors: bool = True) -> Sighting:
         """The ellipses of the markers with centres `p_SM` (N, 3) m and normals `n_S` (N, 3) in S
-        that are wholly in the image, and of the fiducials."""
+        that are wholly in the image, and of the fiducials; without `errors` they are exact, and say
+        the covariance of those that have some."""
         if self._fixed is not None:
             p_SM = np.concatenate([p_SM, self._fixed.p_SF])
             n_S = np.concatenate([n_S, self._fixed.n_S])
@@ -79,10 +80,10 @@ class Sighter:
             + LOSS_BY_BLUR * (self.design.camera.blur_px**2 / (shape[:, 0] * shape[:, 2]))[:, None]
         )
         spread = loss[:, :, None] * loss[:, None] * self._bound(shape, p_SM[keep])
-        error = np.einsum(
-            "nij,nj->ni", np.linalg.cholesky(spread), self._rng.standard_normal((len(center), 5))
-        )
-        found = np.concatenate([center, shape], axis=1) + error
+        found = np.concatenate([center, shape], axis=1)
+        if errors:
+            drawn = self._rng.standard_normal((len(center), 5))
+            found += np.einsum("nij,nj->ni", np.linalg.cholesky(spread), drawn)
         n = len(found)
         shape = np.ascontiguousarray(found[:, 2:])
         axes = np.empty((n, 2))

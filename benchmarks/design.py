@@ -1,0 +1,53 @@
+"""`mjtactile bench design`: what `mjtactile design` predicts of the shipped sensors beside full
+simulation: a ball pressed at random places to random depths, felt from drawn images. Seeds that
+nothing was tuned on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from mjtactile.core.design import load_sensor
+from mjtactile.recording.files import write_json
+from mjtactile.study.check import check, verdict
+
+SENSORS = ("paper16", "dense", "fine")
+SEED = 100
+PLACES = 4
+
+
+def run(
+    out: Path, *, quick: bool = False, say: Callable[[str], None] = lambda _: None
+) -> dict[str, Any]:
+    """Press into each sensor; one row each, kept in `out`/design.json as they come."""
+    rows: list[dict[str, Any]] = []
+    for name in SENSORS:
+        say(name)
+        design = load_sensor(name)
+        presses = check(design, places=1 if quick else PLACES, seed=SEED, say=say)
+        rows.append({"sensor": name} | asdict(verdict(presses)))
+        write_json(Path(out) / "design.json", {"rows": rows, "quick": quick})
+    return {"rows": rows, "quick": quick}
+
+
+def table(result: Mapping[str, Any]) -> str:
+    """The rows in Markdown."""
+    rows = result["rows"]
+
+    def line(words: str, value: Callable[[Mapping[str, Any]], str]) -> str:
+        return f"| {words} | " + " | ".join(value(row) for row in rows) + " |"
+
+    return "\n".join(
+        [
+            "|  | " + " | ".join(row["sensor"] for row in rows) + " |",
+            "|---" * (len(rows) + 1) + "|",
+            line("presses", lambda row: str(row["count"])),
+            line("force, rms error, mN", lambda row: f"{1e3 * row['force_rms']:.1f}"),
+            line("over the predicted sd", lambda row: f"{row['force_ratio']:.2f}"),
+            line("over what the chain said then", lambda row: f"{row['said_ratio']:.2f}"),
+            line("where it acts, rms error, mm", lambda row: f"{1e3 * row['place_rms']:.2f}"),
+            line("over the predicted sd", lambda row: f"{row['place_ratio']:.2f}"),
+        ]
+    )

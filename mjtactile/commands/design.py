@@ -1,0 +1,265 @@
+"""`mjtactile design`: what a sensor file reaches before it is built, and which file would reach
+what is wanted."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from mjtactile import InputError, SensorDesign, load_sensor
+from mjtactile.commands import plots, ranges
+from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
+from mjtactile.recording.files import write_json
+from mjtactile.run.progress import Progress
+
+DESCRIPTION = """\
+Predict what a sensor file reaches, without building or simulating it: the smallest touch, the
+sd of force, of where it acts and of an edge's place, over the face, the largest force, and what
+more pressure, markers or focal length would buy. With a wish (--feel-mN, --range-N, --edge-mm,
+--radius-mm), draw designs around the file, predict each, show those that none is better than,
+and write the best as sensor files.
+
+The film says where markers stand on what presses, the camera's bound how well they are seen, and
+the sensing chain's own covariance what is felt of it."""
+EPILOG = """\
+examples:
+  mjtactile design --sensor dense                      what does this file reach?
+  mjtactile design --sensor my_sensor.toml --force-N 0.2 --out runs/mine
+  mjtactile design --feel-mN 10 --edge-mm 0.15 --range-N 3 --out runs/wanted
+      what do I need to feel 10 mN and to know where an edge is to 0.15 mm?
+  mjtactile design --sensor paper16 --feel-mN 10 --frame-mm 24,20 --camera-px 320,240
+  mjtactile design --feel-mN 10 --check 3 --out runs/wanted       and three of them simulated
+
+Read it so: an sd is what the chain would say of itself; two thirds of touches are within it. A
+touch by noise is what pixels alone allow; the chain calls nothing below 20 mN a touch, since
+weather and a warming camera do as much. An edge is rounded by 2.5 mm, goes across the face, and
+presses with --force-N, as does a ball of 4 mm. "-": the film does not carry the force there.
+
+JSON, of a file: {"sensor", "force_N", "reaches": {"touch_mN", "touch_by_noise_mN", "force_sd_mN",
+"force_noise_mN", "place_sd_mm", "edge_sd_mm", "smallest_radius_mm", "force_most_N"}, "picture":
+{"width_used", "height_used", "longest_lens"}, "face": [{"x_mm", "y_mm", ...}], "changes":
+[{"what", "reaches", "why_not"}]}; of a wish: {"sensor", "force_N", "wish", "begun_from", "tried":
+[{"reaches", "missed", "meets", "on_front", "rows", "columns", ...}], "best": [{"file", ...}],
+"checked": [...]}. More: `mjtactile docs design`."""
+_WISHES = {
+    "feel_mN": (0.1, 1e4),
+    "range_N": (0.01, 1e3),
+    "edge_mm": (1e-3, 10),
+    "radius_mm": (0.5, 50),
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--sensor",
+        default="dense",
+        metavar="NAME|FILE.toml",
+        help="the sensor, or what designs begin from (default: dense)",
+    )
+    parser.add_argument(
+        "--force-N",
+        type=ranges.finite,
+        default=0.5,
+        metavar="F",
+        help="what presses where force, place, edge and radius are asked for (default: 0.5)",
+    )
+    wish = parser.add_argument_group("what is wanted (each may be left out)")
+    for name, letter, text in (
+        ("feel_mN", "F", "smallest touch that pixels' noise must allow"),
+        ("range_N", "F", "largest force"),
+        ("edge_mm", "S", "sd of an edge's place"),
+        ("radius_mm", "R", "smallest ball whose radius is told to a quarter"),
+    ):
+        option = f"--{name.replace('_', '-')}"
+        wish.add_argument(option, type=ranges.finite, metavar=letter, help=text)
+    wish.add_argument(
+        "--frame-mm", type=ranges.pair, metavar="X,Y", help="opening (default: the sensor's)"
+    )
+    wish.add_argument(
+        "--camera-px",
+        type=ranges.pair,
+        metavar="W,H",
+        help="picture (default: the sensor's); the view stays the same",
+    )
+    parser.add_argument(
+        "--count", type=int, default=48, metavar="N", help="designs to draw (default: 48)"
+    )
+    parser.add_argument(
+        "--check",
+        type=int,
+        default=0,
+        metavar="N",
+        help="press N of the best, or the file, in full simulation and compare (default: 0; some "
+        "minutes each)",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="of the draws (default: 0)"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="design.json, and face.png and design.html of a file, or front.png and best_1.toml, "
+        "… of a wish",
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    from mjtactile.study import wanted
+
+    design = _begun_from(options)
+    wish = _wish(options)
+    names = (
+        ("design.json", "face.png", "design.html")
+        if wish is None
+        else ("design.json", "front.png", "best_1.toml")
+    )
+    with optional_folder(options.out, *names) as out:
+        with stdout_to_stderr():
+            progress = Progress(quiet=options.json)
+            if wish is None:
+                result = wanted.of_file(
+                    design, options.force_N, check=options.check, say=progress.message
+                )
+            else:
+                result, files = wanted.of_wish(
+                    design,
+                    options.force_N,
+                    wish,
+                    count=options.count,
+                    seed=options.seed,
+                    check=options.check,
+                    say=progress.message,
+                )
+            progress.close()
+        if out is not None:
+            write_json(out / "design.json", result)
+            if wish is None:
+                _write_file_pictures(out, result)
+            else:
+                _write_wish(out, result, files)  # pyright: ignore[reportPossiblyUnboundVariable]
+    if options.json:
+        print_json(result)
+    elif wish is None:
+        _print_file(result)
+    else:
+        _print_wish(result, options.out)
+    return 0
+
+
+def _begun_from(options: argparse.Namespace) -> SensorDesign:
+    """The sensor, with the frame and the camera that are wanted."""
+    from mjtactile.study import files
+
+    if not 0.01 <= options.force_N <= 100:
+        raise InputError(f"{options.force_N:g} is outside 0.01 to 100", field="--force-N")
+    design = load_sensor(options.sensor)
+    design.require_rectangle("the study")
+    if options.frame_mm is not None:
+        design = files.with_frame(design, *(1e-3 * side for side in options.frame_mm))
+    if options.camera_px is not None:
+        design = files.with_picture(design, *(round(side) for side in options.camera_px))
+    return files.rebuilt(design)
+
+
+def _wish(options: argparse.Namespace) -> Any:
+    """What is wanted; None: nothing is, it is the file that is asked about."""
+    from mjtactile.study.sweep import Wish
+
+    for name, (low, high) in _WISHES.items():
+        value = getattr(options, name)
+        if value is not None and not low <= value <= high:
+            field = f"--{name.replace('_', '-')}"
+            raise InputError(f"{value:g} is outside {low:g} to {high:g}", field=field)
+    for name, (low, high) in (("count", (1, 2000)), ("check", (0, 20))):
+        value = getattr(options, name)
+        if not low <= value <= high:
+            raise InputError(f"{value} is outside {low} to {high}", field=f"--{name}")
+    if all(getattr(options, name) is None for name in _WISHES):
+        return None
+
+    def metres(value: float | None) -> float | None:
+        return None if value is None else 1e-3 * value
+
+    return Wish(
+        touch=metres(options.feel_mN),  # mN to N
+        most=options.range_N,
+        edge=metres(options.edge_mm),
+        radius=metres(options.radius_mm),
+    )
+
+
+def _write_file_pictures(out: Path, result: dict[str, Any]) -> None:
+    from mjtactile.study import pictures
+
+    path = out / "face.png"
+    plots.save(path, lambda figure: pictures.draw_face(figure, result), size=(13.0, 3.3))
+    picture = path.read_bytes() if path.exists() else None
+    (out / "design.html").write_text(pictures.page(result, picture), encoding="utf-8")
+
+
+def _write_wish(out: Path, result: dict[str, Any], files: dict[str, str]) -> None:
+    from mjtactile.study import pictures
+
+    for name, text in files.items():
+        (out / name).write_text(text, encoding="utf-8")
+    plots.save(out / "front.png", lambda figure: pictures.draw_front(figure, result))
+
+
+def _print_file(result: dict[str, Any]) -> None:
+    from mjtactile.study import pictures
+
+    print(f"sensor {result['sensor']}, where {result['force_N']:g} N press, predicted:")
+    for key, (words, unit) in pictures.WORDS.items():
+        print(f"  {words:50s} {pictures.number(result['reaches'][key]):>7s} {unit}")
+    print(f"  {pictures.picture_words(result['picture'])}")
+    print("What changes would buy, times what it reaches now:")
+    print(f"  {'':58s}" + "".join(f"{words:>15s}" for words in pictures.CHANGED.values()))
+    for what, *factors in pictures.change_rows(result):
+        print(f"  {what:58s}" + "".join(f"{factor:>15s}" for factor in factors))
+    _print_checked(result.get("checked", []))
+
+
+def _print_wish(result: dict[str, Any], out: Path | None) -> None:
+    from mjtactile.study import pictures
+
+    rows = [{"file": result["sensor"], "meets": not result["begun_from"]["missed"]}]
+    rows[0] |= result["begun_from"]
+    meeting = sum(one["meets"] for one in result["tried"])
+    count = len(result["tried"])
+    print(f"{meeting} of {count} designs meet the wish. Where {result['force_N']:g} N press:")
+    print(
+        "file          markers  radius mm  fx px  sheet mm  stretch    kPa   touch mN  force mN  "
+        "edge mm  range N  misses"
+    )
+    for one in rows + result["best"]:
+        reached = one["reaches"]
+        made = (
+            " " * 51
+            if "rows" not in one
+            else f"{one['columns']:3d} x {one['rows']:2d} {one['marker_radius_mm']:10.2f} "
+            f"{one['fx_px']:6.0f} {one['thickness_mm']:9.2f} {one['pre_stretch']:8.2f} "
+            f"{one['supply_gauge_kPa']:6.2f}"
+        )
+        values = (
+            f"{pictures.number(reached[key]):>9s}"
+            for key in ("touch_by_noise_mN", "force_sd_mN", "edge_sd_mm", "force_most_N")
+        )
+        print(f"{one['file']:13s} {made} {' '.join(values)}  {', '.join(one['missed']) or '-'}")
+    _print_checked(result["checked"])
+    if out is not None:
+        print(f"design.json, front.png and the files are in {out}")
+
+
+def _print_checked(checked: list[dict[str, Any]]) -> None:
+    from mjtactile.study.pictures import number
+
+    for one in checked:
+        error, times, placed = (
+            number(one[key]) for key in ("force_error_rms_mN", "force_ratio", "place_ratio")
+        )
+        print(
+            f"full simulation of {one['sensor']}: {one['presses']} presses, force off by "
+            f"{error} mN rms, {times} times the predicted sd; place {placed} times"
+        )

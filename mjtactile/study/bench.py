@@ -1,0 +1,259 @@
+"""A sensor file on the bench: its film, its camera's exact view, and its sensing chain at rest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+from scipy.linalg import block_diag, cho_solve
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import InputError
+from mjtactile.core.status import OK
+from mjtactile.core.types import Array, Markers, Sighting, Touch
+from mjtactile.film import Film, FilmState, Obstacle
+from mjtactile.sensing.chain import Chain
+from mjtactile.sensing.force.inverse import InverseMembrane, Shape
+from mjtactile.sensing.state import ChainState, Reference
+from mjtactile.sim.picture.sighting import Sighter
+
+_SPACING = 1.3e-3  # m between the film's nodes, as the shape's films have
+_STEP = 2.5e-4  # m by which a body comes down until it presses with the force asked for
+_SHORTEST = 8  # of these in one, where the film does not follow
+_HALVINGS = 12
+_OFF = 0.02  # of the force, that may be left where it does not follow
+_DEEPEST = 0.05  # m
+_IMAGE = 1 / 30  # s
+
+
+@dataclass(frozen=True, eq=False)
+class Pressed:
+    """A film `state` at rest on a body, and the `height` m of the body's place."""
+
+    state: FilmState
+    height: float
+
+
+Coming = Callable[[float], Obstacle]
+"""The body whose place is so high, m in S."""
+
+
+@dataclass(frozen=True, eq=False)
+class Felt:
+    """What the chain makes of a film: the `touch` of an image of what is at rest, and the `state`
+    of the chain after it."""
+
+    touch: Touch
+    state: ChainState
+
+    @property
+    def shape(self) -> Shape:
+        """The shape that was found; only where the touch is "ok"."""
+        assert self.state.shape is not None
+        return self.state.shape
+
+    @property
+    def ok(self) -> bool:
+        """Whether the chain felt it."""
+        return self.touch.status == OK and self.touch.traction is not None
+
+
+class Bench:
+    """One sensor at rest, with exact references.
+
+    Args:
+        design: The sensor; rectangles only.
+
+    Raises:
+        InputError: The sheet finds no rest, markers are out of the picture, or the chain refuses
+            the sensor.
+    """
+
+    def __init__(self, design: SensorDesign):
+        self.design = design
+        sides = (design.frame.length, design.frame.width)
+        columns, rows = (max(round(side / _SPACING) + 1, 9) for side in sides)
+        self.film = Film(design, (columns, rows))
+        self.chain = Chain(design)
+        material = design.markers.p_SM
+        splines = [make_interp_spline(at, np.eye(len(at))) for at in (self.film.x, self.film.y)]
+        self._at, self._slope = (
+            tuple(spline(material[:, axis], order) for axis, spline in enumerate(splines))
+            for order in (0, 1)
+        )
+        self._sighter = Sighter(design)
+        flat = self._sighter.sight(*self.poses(np.zeros_like(self.film.rest.x)), errors=False)
+        self._require_all(flat, "flat")
+        rest = self.sight(self.film.rest)
+        self._require_all(rest, "inflated")
+        state = self.chain.take_flat(self.chain.begin(), [flat])
+        self.state = self.chain.take_rest(state, [rest], self.film.pressure_gauge)
+
+    def _require_all(self, seen: Sighting, how: str) -> None:
+        """Raise InputError where not all markers are in the picture."""
+        found = 0 if seen.ellipses is None else len(seen.ellipses)
+        if found < self.circles:
+            raise InputError(
+                f"only {found} of {self.circles} circles lie whole in the picture while the "
+                f"membrane is {how}",
+                source=self.design.name,
+                field="camera.fx_px",
+            )
+
+    @property
+    def circles(self) -> int:
+        """How many the camera sees: markers and fiducials."""
+        fixed = self.design.fiducials
+        return self.design.markers.count + (0 if fixed is None else fixed.count)
+
+    @property
+    def reference(self) -> Reference:
+        """What the chain measured at rest."""
+        assert self.state.reference is not None
+        return self.state.reference
+
+    # -- what presses
+    # --------------------------------------------------------------------------------
+
+    def press(self, body: Coming, force: float) -> Pressed | None:
+        """Let a body come down until it presses with a force.
+
+        Args:
+            body: Made for a height of its place, m in S.
+            force: N.
+
+        Returns:
+            The film on it; None: it does not carry so much.
+        """
+        low = high = self._first_touch(body)
+        state = None
+        step = _STEP
+        while state is None or state.force_normal < force:
+            further = self._solve(body(low - step), state)
+            if further is None:
+                step /= 2
+                if step < _STEP / _SHORTEST:
+                    return None
+                continue
+            low, high, state = low - step, low, further
+            if low < -_DEEPEST:
+                return None
+        above = None
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2
+            found = self._solve(body(middle), state if above is None else above)
+            if found is None:
+                break
+            if found.force_normal < force:
+                high, above = middle, found
+            else:
+                low, state = middle, found
+        off = abs(state.force_normal - force)
+        return Pressed(state, low) if off < _OFF * force else None
+
+    def _solve(self, body: Obstacle, start: FilmState | None) -> FilmState | None:
+        """The film on a body, from a state near it, without what it did on the way there, or from
+        rest; None: it finds no rest there."""
+        starts = [start] if start is None else [start, replace(start, trend=None), None]
+        for one in starts:
+            try:
+                state = self.film.solve(body, one)
+            except InputError:  # the rim, the glass, a sheet inside out
+                continue
+            if state.converged:
+                return state
+        return None
+
+    def _first_touch(self, body: Coming) -> float:
+        """How high, m, its place is when it touches the sheet at rest."""
+        x, y = np.meshgrid(self.film.x, self.film.y, indexing="ij")
+        places = np.column_stack([x.ravel(), y.ravel()])
+        under = self.film.heights_of(body(0.0), places)
+        return float((self.film.rest.heights.ravel() - under).max())
+
+    # -- what is seen and felt of it
+    # --------------------------------------------------------------------------------
+
+    def poses(self, x: Array) -> tuple[Array, Array]:
+        """Where the markers are on a film displaced by `x` (3, nx, ny) m, and its normals there,
+        each (N, 3) in S."""
+        (a, b), (da, db) = self._at, self._slope
+
+        def at(rows: Array, columns: Array) -> Array:
+            return np.einsum("ni,cij,nj->nc", rows, x, columns)
+
+        along = at(da, b) + [1.0, 0.0, 0.0]
+        across = at(a, db) + [0.0, 1.0, 0.0]
+        normal = np.cross(along, across)
+        p_SM = self.design.markers.p_SM + at(a, b)
+        return p_SM, normal / np.linalg.norm(normal, axis=1)[:, None]
+
+    def heights(self, x: Array) -> Array:
+        """How high (n, N) m the markers stand, of films displaced by `x` (n, 3, nx, ny)."""
+        a, b = self._at
+        return ((a @ x[:, 2]) * b).sum(axis=2)
+
+    def sight(self, film: FilmState, time: float = 0.0) -> Sighting:
+        """The exact ellipses that the camera would see of a film."""
+        return self._sighter.sight(*self.poses(film.x), time, errors=False)
+
+    def see(self, film: FilmState) -> Markers:
+        """The markers that the chain would find, with their covariance."""
+        return self.chain.see(self.state, self.sight(film))[0]
+
+    def feel(self, film: FilmState) -> Felt:
+        """What the chain says of a film at rest: of a second image, since what has just come is
+        doubted.
+
+        Args:
+            film: At rest.
+
+        Returns:
+            The touch and the chain's state.
+        """
+        state = self.state
+        for number in (1, 2):
+            time = number * _IMAGE
+            touch, state = self.chain.step(state, self.sight(film, time), time)
+        return Felt(touch, state)  # pyright: ignore[reportPossiblyUnboundVariable] the loop runs
+
+    def noise(self, felt: Felt) -> Array:
+        """Covariance (3, 3) N^2 of the felt force by the pixels' noise alone, from image to image.
+
+        The chain's tractions are linear in the whitened markers, traction = P^(1/2) half^T
+        innovation^-1 y (docs/equations.md, Eq. F12); y has the covariance that the camera's bound
+        gives the markers, whitened as the chain does.
+
+        Args:
+            felt: An image that was felt.
+
+        Returns:
+            The covariance.
+        """
+        assert felt.touch.markers is not None
+        gain = felt.shape.gain
+        to_force = net_force(self.chain.inverse, gain.prior) @ gain.half.T
+        by_marker = cho_solve((gain.innovation, True), to_force.T).T
+        seen = gain.weights @ felt.touch.markers.cov_p @ gain.weights.transpose(0, 2, 1)
+        slopes = len(gain.half) - 3 * len(seen)  # whitened: unit variances
+        noise = block_diag(*seen, np.eye(slopes)) if slopes else block_diag(*seen)
+        return by_marker @ noise @ by_marker.T
+
+    def level_noise(self) -> float:
+        """Sd, N, of the running level that a light touch is told from, while nothing touches."""
+        blend = self.chain.settings.zero.blend
+        one = math.sqrt(self.noise(self.feel(self.film.rest))[2, 2])
+        return one * math.sqrt(blend / (2 - blend))
+
+
+def net_force(inverse: InverseMembrane, prior: Array) -> Array:
+    """Net force by the nodes' tractions over the root of their prior, (3, 3 J)."""
+    root = np.kron(*inverse.prior.root)
+    nodes = len(inverse.node_area)
+    one = (inverse.node_area * prior.reshape(3, nodes)) @ root
+    rows = np.zeros((3, 3, nodes))
+    rows[range(3), range(3)] = one
+    return rows.reshape(3, -1)

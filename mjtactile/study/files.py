@@ -1,0 +1,157 @@
+"""A sensor file written from its values, and the changes that a study makes to them."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from mjtactile.core.design import SensorDesign, sensor_from_table
+from mjtactile.core.errors import InputError
+from mjtactile.core.fields import write_fields
+
+
+def sensor_text(design: SensorDesign, head: str = "") -> str:
+    """A sensor as a file has it.
+
+    Args:
+        design: The sensor.
+        head: What stands on top, as a comment.
+
+    Returns:
+        TOML that `load_sensor` reads.
+    """
+    table = {key: value for key, value in write_fields(design).items() if value is not None}
+    table.pop("calibration", None)  # of a specimen; this is a design
+    lines = [f"# {line}" for line in head.splitlines()]
+    lines.append("# Units are in the key names.")
+    lines += [f"{key} = {_value(value)}" for key, value in table.items() if not _is_table(value)]
+    for section, values in table.items():
+        if _is_table(values):
+            lines += ["", f"[{section}]"]
+            lines += [f"{key} = {_value(value)}" for key, value in values.items()]
+    return "\n".join(lines) + "\n"
+
+
+def rebuilt(design: SensorDesign) -> SensorDesign:
+    """A changed design, refused where its file would be.
+
+    Args:
+        design: With whatever values.
+
+    Returns:
+        The sensor of its file.
+
+    Raises:
+        InputError: As `load_sensor`.
+    """
+    table = tomllib.loads(sensor_text(design))
+    return sensor_from_table(table, name=design.name, source=design.name)
+
+
+def with_markers(
+    design: SensorDesign, rows: int, columns: int, extent: tuple[float, float], share: float
+) -> SensorDesign:
+    """The same sensor with other markers.
+
+    Args:
+        design: The sensor.
+        rows: Along y.
+        columns: Along x.
+        extent: From outermost centre to outermost centre along x and y, m.
+        share: Of the smaller pitch, that a marker's radius is.
+
+    Returns:
+        The sensor.
+    """
+    pitch_x = extent[0] / (columns - 1)
+    pitch_y = extent[1] / (rows - 1)
+    radius = share * min(pitch_x, pitch_y)
+    markers = replace(
+        design.markers, rows=rows, columns=columns, pitch_x=pitch_x, pitch_y=pitch_y, radius=radius
+    )
+    return replace(design, markers=markers)
+
+
+def extent_of(design: SensorDesign) -> tuple[float, float]:
+    """From outermost marker to outermost marker along x and y, m."""
+    markers = design.markers
+    return (markers.columns - 1) * markers.pitch_x, (markers.rows - 1) * markers.pitch_y
+
+
+def radius_share(design: SensorDesign) -> float:
+    """A marker's radius as a share of the smaller pitch."""
+    return design.markers.radius / min(design.markers.pitch_x, design.markers.pitch_y)
+
+
+def scaled_lens(design: SensorDesign, factor: float) -> SensorDesign:
+    """The same sensor with a longer or shorter lens: focal lengths times `factor`."""
+    camera = design.camera
+    return replace(design, camera=replace(camera, fx=factor * camera.fx, fy=factor * camera.fy))
+
+
+def scaled_pixels(design: SensorDesign, factor: float) -> SensorDesign:
+    """The same view with `factor` times the pixels along each side; blur and noise of a pixel
+    stay."""
+    camera = design.camera
+    width, height = (round(factor * side) for side in (camera.width, camera.height))
+    by_x, by_y = width / camera.width, height / camera.height
+    return replace(
+        design,
+        camera=replace(
+            camera,
+            width=width,
+            height=height,
+            fx=by_x * camera.fx,
+            fy=by_y * camera.fy,
+            cx=by_x * (camera.cx + 0.5) - 0.5,
+            cy=by_y * (camera.cy + 0.5) - 0.5,
+        ),
+    )
+
+
+def with_frame(design: SensorDesign, length: float, width: float) -> SensorDesign:
+    """The same sensor with another opening, m, and its markers as far from the rim; as many a
+    millimetre, as far as whole rows go."""
+    frame, markers = design.frame, design.markers
+    extent = extent_of(design)
+    wider = (length - frame.length, width - frame.width)
+    counts = (
+        max(2, round(more / pitch) + many)
+        for more, pitch, many in zip(
+            wider, (markers.pitch_x, markers.pitch_y), (markers.columns, markers.rows), strict=True
+        )
+    )
+    columns, rows = counts
+    wanted = (extent[0] + wider[0], extent[1] + wider[1])
+    if min(wanted) <= 0:
+        raise InputError("leaves no room for the markers", source=design.name, field="--frame-mm")
+    changed = replace(design, frame=replace(frame, length=length, width=width))
+    return with_markers(changed, rows, columns, wanted, radius_share(design))
+
+
+def with_picture(design: SensorDesign, width: int, height: int) -> SensorDesign:
+    """The same lens before a picture of other pixels: what is seen along x stays."""
+    camera = design.camera
+    scaled = scaled_pixels(design, width / camera.width).camera
+    middle = height / camera.height * (camera.cy + 0.5) - 0.5
+    return replace(design, camera=replace(scaled, width=width, height=height, cy=middle))
+
+
+def _is_table(value: Any) -> bool:
+    return isinstance(value, Mapping)
+
+
+def _value(value: Any) -> str:
+    """A TOML value; floats to ten digits, which read back as what they are written as."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float):
+        digits = f"{value:.10g}"
+        return digits if any(mark in digits for mark in ".en") else f"{digits}.0"
+    if isinstance(value, str):
+        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    return "[" + ", ".join(_value(one) for one in value) + "]"

@@ -1,0 +1,248 @@
+"""What a given sensor file reaches: in a few numbers, over its face, and what changes of it would
+buy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import InputError, MjtactileError
+from mjtactile.core.optics import Camera, project
+from mjtactile.core.types import Array
+from mjtactile.sim.picture.sighting import Sighter
+from mjtactile.study.bench import Bench
+from mjtactile.study.files import (
+    extent_of,
+    radius_share,
+    rebuilt,
+    scaled_lens,
+    scaled_pixels,
+    with_markers,
+)
+from mjtactile.study.reach import Reach, Reacher
+from mjtactile.study.score import Score, score
+
+_MARGIN = 5e-3  # m from the frame to the outermost places of the map
+_SPACING = 5e-3  # m between them, about
+_LONGEST = 3.0  # times the focal length, that are tried
+_HALVINGS = 12
+_MORE = 1.25
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """How the camera's picture is used: shares of its width and height that the opening takes up,
+    and by how much longer the lens could be until a marker leaves the picture, flat or inflated."""
+
+    width_used: float
+    height_used: float
+    longest_lens: float
+
+
+@dataclass(frozen=True)
+class Change:
+    """What a change of the sensor file would buy: `what`, and the score then; None: it cannot be
+    built, or not be felt with."""
+
+    what: str
+    score: Score | None
+    why_not: str = ""
+
+
+@dataclass(frozen=True)
+class Given:
+    """The study of a file: its `score` where `force` N presses, the map of its face, its picture,
+    and changes."""
+
+    design: SensorDesign
+    force: float
+    score: Score
+    face: tuple[Reach, ...]
+    picture: Picture
+    changes: tuple[Change, ...]
+
+
+def study(design: SensorDesign, force: float, *, say: Say = lambda _: None) -> Given:
+    """Predict what a sensor file reaches.
+
+    Args:
+        design: The sensor.
+        force: N, that presses.
+        say: Told what is being done.
+
+    Returns:
+        The study.
+
+    Raises:
+        InputError: The sheet finds no rest, or markers are out of the picture.
+    """
+    bench = Bench(design)
+    say("what it reaches")
+    own = score(design, force, bench=bench)
+    reacher = Reacher(bench)
+    places = face_places(design)
+    face = []
+    for number, place in enumerate(places):
+        if number % 10 == 0:
+            say(f"its face: {number} of {len(places)} places")
+        face.append(reacher.at(place, force))
+    picture = picture_of(bench)
+    changes = []
+    for what, changed in variants(design, picture.longest_lens):
+        say(f"what would it buy: {what}")
+        changes.append(_changed(what, changed, force))
+    return Given(design, force, own, tuple(face), picture, tuple(changes))
+
+
+def face_places(design: SensorDesign) -> list[Array]:
+    """Places of the map, (2,) m each, row by row."""
+    lines = []
+    for side in (design.frame.length, design.frame.width):
+        half = max(side / 2 - _MARGIN, 0.0)
+        lines.append(np.linspace(-half, half, max(3, 2 * round(half / _SPACING) + 1)))
+    return [np.array([x, y]) for y in lines[1] for x in lines[0]]
+
+
+def picture_of(bench: Bench) -> Picture:
+    """How the picture is used.
+
+    Args:
+        bench: The sensor.
+
+    Returns:
+        Shares of width and height, and the longest lens.
+    """
+    design = bench.design
+    camera = Camera.from_design(design.camera, design.glass)
+    sides = np.array([design.frame.length, design.frame.width]) / 2
+    corners = sides * [[-1, -1], [-1, 1], [1, -1], [1, 1]]
+    middles = sides * [[-1, 0], [1, 0], [0, -1], [0, 1]]
+    p_SP = np.pad(np.concatenate([corners, middles]), ((0, 0), (0, 1)))
+    uv = project(camera, p_SP - design.camera.p_SC)
+    size = np.array([design.camera.width, design.camera.height])
+    inside = np.clip(uv, -0.5, size - 0.5)
+    used = np.ptp(inside, axis=0) / size
+    return Picture(float(used[0]), float(used[1]), _longest_lens(bench))
+
+
+def _longest_lens(bench: Bench) -> float:
+    flat = np.zeros_like(bench.film.rest.x)
+    low, high = 1.0, _LONGEST
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        sighter = Sighter(scaled_lens(bench.design, middle))
+        seen = [
+            sighter.sight(*bench.poses(x), errors=False).ellipses for x in (flat, bench.film.rest.x)
+        ]
+        whole = all(one is not None and len(one) == bench.circles for one in seen)
+        low, high = (middle, high) if whole else (low, middle)
+    return low
+
+
+def variants(design: SensorDesign, longest_lens: float) -> list[tuple[str, SensorDesign]]:
+    """Changes of a sensor, one at a time, with their words.
+
+    Args:
+        design: The sensor.
+        longest_lens: Times its focal length, that its picture has room for.
+
+    Returns:
+        Words and sensor of each.
+    """
+    chamber, membrane, camera = design.chamber, design.membrane, design.camera
+    markers = design.markers
+    rows, columns = (round(_MORE * count) for count in (markers.rows, markers.columns))
+    lens = min(_MORE, longest_lens)
+    stretch = membrane.pre_stretch + 0.05
+    return [
+        (
+            f"pressure {1e-3 * _MORE * chamber.supply_gauge:.3g} kPa (a quarter more)",
+            replace(design, chamber=replace(chamber, supply_gauge=_MORE * chamber.supply_gauge)),
+        ),
+        (
+            f"{columns} x {rows} markers (a quarter more each way, as much smaller)",
+            with_markers(design, rows, columns, extent_of(design), radius_share(design)),
+        ),
+        (
+            f"focal length {lens * camera.fx:.0f} px ({_percent(lens)}, what the picture has room "
+            "for)"
+            if lens < _MORE
+            else f"focal length {lens * camera.fx:.0f} px (a quarter more)",
+            scaled_lens(design, lens),
+        ),
+        (
+            f"{round(_MORE * camera.width)} x {round(_MORE * camera.height)} pixels of the same "
+            "view (a quarter more each way)",
+            scaled_pixels(design, _MORE),
+        ),
+        (
+            f"pixel noise {camera.noise_dn / 2:g} DN (half: the mean of four images)",
+            replace(design, camera=replace(camera, noise_dn=camera.noise_dn / 2)),
+        ),
+        (
+            f"a sheet of {1e3 * membrane.thickness / _MORE:.2f} mm (a fifth less)",
+            replace(design, membrane=replace(membrane, thickness=membrane.thickness / _MORE)),
+        ),
+        (
+            f"pre-stretch {stretch:.2f} (0.05 more)",
+            replace(design, membrane=replace(membrane, pre_stretch=stretch)),
+        ),
+    ]
+
+
+def _changed(what: str, design: SensorDesign, force: float) -> Change:
+    try:
+        return Change(what, score(rebuilt(design), force))
+    except (InputError, MjtactileError) as error:
+        return Change(what, None, str(error))
+
+
+def _percent(factor: float) -> str:
+    return f"{100 * (factor - 1):+.0f} %"
+
+
+def as_table(given: Given) -> dict[str, Any]:
+    """The study as `mjtactile design --json` has it, lengths in mm, forces in N and mN.
+
+    Args:
+        given: The study.
+
+    Returns:
+        The JSON's object.
+    """
+    return {
+        "sensor": given.design.name,
+        "force_N": given.force,
+        "reaches": given.score.table(),
+        "picture": {
+            "width_used": given.picture.width_used,
+            "height_used": given.picture.height_used,
+            "longest_lens": given.picture.longest_lens,
+        },
+        "face": [
+            {
+                "x_mm": 1e3 * one.x,
+                "y_mm": 1e3 * one.y,
+                "felt_N": one.felt,
+                "force_sd_mN": 1e3 * one.force_sd,
+                "force_noise_mN": 1e3 * one.noise,
+                "place_sd_mm": 1e3 * one.place_sd,
+                "edge_sd_mm": 1e3 * one.edge_sd,
+            }
+            for one in given.face
+        ],
+        "changes": [
+            {
+                "what": one.what,
+                "reaches": None if one.score is None else one.score.table(),
+                "why_not": one.why_not,
+            }
+            for one in given.changes
+        ],
+    }

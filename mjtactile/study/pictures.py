@@ -1,0 +1,177 @@
+"""What a study found, to look at: maps of the face, the Pareto front, and a page of one file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from mjtactile.report import html
+
+# key of a place, words, unit
+MAPS = (
+    ("force_sd_mN", "sd of the force", "mN"),
+    ("place_sd_mm", "sd of where it acts", "mm"),
+    ("edge_sd_mm", "sd of an edge's place", "mm"),
+)
+WORDS = {
+    "touch_mN": ("smallest touch that the chain calls one", "mN"),
+    "touch_by_noise_mN": ("smallest touch that the pixels' noise allows", "mN"),
+    "force_sd_mN": ("sd of the force, all doubts included", "mN"),
+    "force_noise_mN": ("sd of the force from image to image", "mN"),
+    "place_sd_mm": ("sd of where the force acts", "mm"),
+    "edge_sd_mm": ("sd of an edge's place", "mm"),
+    "smallest_radius_mm": ("smallest ball whose radius is told to 25 %", "mm"),
+    "force_most_N": ("largest force, of a ball of 10 mm", "N"),
+}
+
+
+def number(value: float | None) -> str:
+    """Three digits; "-" for what is not known."""
+    return "-" if value is None or not np.isfinite(value) else f"{value:.3g}"
+
+
+def draw_face(figure: Any, given: Mapping[str, Any]) -> None:
+    """Maps of the face.
+
+    Args:
+        figure: Empty, of matplotlib.
+        given: The JSON's object of a study.
+    """
+    places = given["face"]
+    x = sorted({one["x_mm"] for one in places})
+    y = sorted({one["y_mm"] for one in places})
+    for axes, (key, words, unit) in zip(figure.subplots(1, len(MAPS)), MAPS, strict=True):
+        values = np.array([one[key] for one in places], float).reshape(len(y), len(x))
+        drawn = axes.pcolormesh(x, y, values, shading="nearest", cmap="viridis_r", vmin=0)
+        dark = 0.55 * np.nanmax(values, initial=0.0)
+        for row, values_there in zip(y, values, strict=True):
+            for column, value in zip(x, values_there, strict=True):
+                colour = "w" if value > dark else "k"
+                axes.text(
+                    column, row, number(value), ha="center", va="center", fontsize=7, color=colour
+                )
+        axes.set(title=f"{words}, {unit}", xlabel="x, mm", aspect="equal")
+        figure.colorbar(drawn, ax=axes, shrink=0.6)
+    figure.axes[0].set_ylabel("y, mm")
+    figure.suptitle(f"sensor {given['sensor']}: what it reaches where {given['force_N']:g} N press")
+
+
+def page(given: Mapping[str, Any], picture: bytes | None) -> str:
+    """A page of one file.
+
+    Args:
+        given: The JSON's object of a study.
+        picture: The maps, PNG; None: there are none.
+
+    Returns:
+        HTML.
+    """
+    title = f"What the sensor {given['sensor']} reaches"
+    body = [f"<h1>{title}</h1>", f"<p>Where {given['force_N']:g} N press, predicted.</p>"]
+    own = given["reaches"]
+    body.append(
+        html.table(
+            ("", "reached"),
+            [(words, f"{number(own[key])} {unit}") for key, (words, unit) in WORDS.items()],
+        )
+    )
+    if picture is not None:
+        body.append(f'<img alt="maps of the face" src="{html.data_uri("image/png", picture)}">')
+    body.append(f"<p>{picture_words(given['picture'])}</p>")
+    body.append("<h2>What changes would buy</h2><p>Times what it reaches now.</p>")
+    body.append(html.table(("change", *CHANGED.values()), change_rows(given)))
+    return html.document(title, body)
+
+
+CHANGED = {
+    "touch_by_noise_mN": "touch by noise",
+    "force_sd_mN": "force sd",
+    "force_noise_mN": "its noise",
+    "place_sd_mm": "place sd",
+    "edge_sd_mm": "edge sd",
+    "force_most_N": "largest force",
+}
+
+
+def change_rows(given: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Each change with its factors on what is reached.
+
+    Args:
+        given: The JSON's object of a study.
+
+    Returns:
+        Rows of words.
+    """
+    rows = []
+    for change in given["changes"]:
+        if change["reaches"] is None:
+            rows.append((change["what"], change["why_not"], *("" for _ in list(CHANGED)[1:])))
+            continue
+        factors = [change["reaches"][key] / given["reaches"][key] for key in CHANGED]
+        known = ["-" if not np.isfinite(factor) else f"{factor:.2f}" for factor in factors]
+        rows.append((change["what"], *known))
+    return rows
+
+
+def picture_words(picture: Mapping[str, float]) -> str:
+    """How the camera's picture is used, in a sentence."""
+    width, height = (100 * (1 - picture[key]) for key in ("width_used", "height_used"))
+    lens = picture["longest_lens"]
+    room = (
+        f"a lens {100 * (lens - 1):.0f} % longer would still see every marker, flat and inflated"
+        if lens > 1.01
+        else "a longer lens would lose markers"
+    )
+    return (
+        f"{width:.0f} % of the picture's width and {height:.0f} % of its height lie beside the "
+        f"membrane; {room}."
+    )
+
+
+def draw_front(figure: Any, swept: Mapping[str, Any]) -> None:
+    """All designs of a sweep, and those that none is better than.
+
+    Args:
+        figure: Empty, of matplotlib.
+        swept: The JSON's object of a sweep.
+    """
+    axes = figure.subplots()
+    tried = [one for one in swept["tried"] if np.isfinite(one["reaches"]["edge_sd_mm"])]
+    x, y, markers = (
+        np.array([value(one) for one in tried], float)
+        for value in (
+            lambda one: one["reaches"]["force_sd_mN"],
+            lambda one: one["reaches"]["edge_sd_mm"],
+            lambda one: one["rows"] * one["columns"],
+        )
+    )
+    meets = np.array([one["meets"] for one in tried], bool)
+    for those, marker, label in ((meets, "o", "meets all"), (~meets, "x", "misses a wish")):
+        if those.any():
+            drawn = axes.scatter(
+                x[those], y[those], c=markers[those], marker=marker, s=28, label=label,
+                vmin=0, vmax=markers.max(), cmap="viridis",
+            )  # fmt: skip
+    figure.colorbar(drawn, ax=axes, label="markers")  # pyright: ignore[reportPossiblyUnboundVariable]
+    front = sorted(
+        (one["reaches"]["force_sd_mN"], one["reaches"]["edge_sd_mm"])
+        for one in tried
+        if one["on_front"]
+    )
+    axes.plot(*zip(*front, strict=True), "k-", lw=1, label="none is better in all")
+    begun = swept["begun_from"]["reaches"]
+    axes.plot(begun["force_sd_mN"], begun["edge_sd_mm"], "r*", ms=14, label=swept["sensor"])
+    wish = swept["wish"]["edge_mm"]
+    if wish is not None:
+        axes.axhline(wish, color="0.6", ls=":", label="edge asked for")
+    axes.set(
+        xlabel=f"sd of a force of {swept['force_N']:g} N, mN",
+        ylabel="sd of an edge's place, mm",
+        xscale="log",
+        yscale="log",
+        title=f"{len(tried)} designs, predicted",
+    )
+    axes.grid(alpha=0.3, which="both")
+    axes.legend(fontsize=8)

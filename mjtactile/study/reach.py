@@ -1,0 +1,195 @@
+"""What a sensor reaches at one place of its face: standard deviations of the force, of where it
+acts, of an edge's place and of a ball's radius."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Array, Touch
+from mjtactile.film import obstacle
+from mjtactile.sensing.body import fit
+from mjtactile.sensing.body.families import FAMILIES, Family, Hint
+from mjtactile.sensing.body.fit import Data, Prior
+from mjtactile.sensing.body.forward import Forward
+from mjtactile.sensing.body.words import said_cov
+from mjtactile.study.bench import Bench, Coming
+
+EDGE_RADIUS = 2.5e-3
+"""m: what an edge is rounded by; the sheet leaves what is sharper before its faces begin."""
+BALL_RADIUS = 4e-3
+"""m, of the ball that presses."""
+_ROUNDING = 0.5  # of the spacing between the film's nodes
+_FRAME = 1.5e-3  # m from the frame, where bodies that go on end
+
+
+@dataclass(frozen=True)
+class Reach:
+    """What is reached at one place; NaN: not to be said there.
+
+    Attributes:
+        x: m in S.
+        y: m in S.
+        force: N that presses there.
+        felt: N that the chain feels of it.
+        force_sd: N, as the chain says it, everything that it doubts included.
+        noise: N, of the felt force from image to image, by pixels alone.
+        place_sd: m, of where the force acts, the larger of both directions.
+        edge_sd: m, of where an edge along y or x lies, the larger of both.
+        height: m in S, of the ball's middle, through which a ball's forces go.
+    """
+
+    x: float
+    y: float
+    force: float
+    felt: float
+    force_sd: float
+    noise: float
+    place_sd: float
+    edge_sd: float
+    height: float
+
+
+class Reacher:
+    """Says what a sensor on the `bench` reaches."""
+
+    def __init__(self, bench: Bench):
+        self.bench = bench
+        self._settings = bench.chain.settings
+        rest = bench.reference.first
+        self._forward = Forward(bench.design, rest, self._settings.body.spacing)
+        self._by_gas = self._forward.by_gas()
+        frame = bench.design.frame
+        self._sides = np.array([frame.length, frame.width]) / 2 - _FRAME
+
+    def at(self, place: Array, force: float, *, edges: bool = True) -> Reach:
+        """What is reached where a ball, or an edge, presses with a force.
+
+        Args:
+            place: (2,) m in S.
+            force: N.
+            edges: Whether the edge's place is asked for.
+
+        Returns:
+            What is reached; NaN of what the sensor does not carry or does not feel there.
+        """
+        x, y = (float(v) for v in place)
+        edge_sd = self.edge_sd(place, force) if edges else math.nan
+        pressed = self.bench.press(ball(place, BALL_RADIUS), force)
+        felt = None if pressed is None else self.bench.feel(pressed.state)
+        if pressed is None or felt is None or felt.touch.traction is None or not felt.ok:
+            return Reach(x, y, force, *(4 * [math.nan]), edge_sd, math.nan)
+        wrench = felt.touch.traction.wrench
+        cov = felt.touch.traction.wrench_cov
+        noise = math.sqrt(self.bench.noise(felt)[2, 2])
+        height = pressed.height + BALL_RADIUS
+        acts = place_sd(wrench, cov, height)
+        sd = math.sqrt(cov[2, 2])
+        return Reach(x, y, force, -float(wrench[2]), sd, noise, acts, edge_sd, height)
+
+    def edge_sd(self, place: Array, force: float) -> float:
+        """Sd, m, of the place of an edge across the face, the larger of those along x and along y.
+
+        Args:
+            place: (2,) m in S, that it goes through.
+            force: N.
+
+        Returns:
+            The standard deviation; NaN where the sensor does not carry the force.
+        """
+        sds = []
+        for across, direction in ((1, 0.0), (0, math.pi / 2)):
+            theta = np.array([0.0, 0.0, 0.0, 1 / EDGE_RADIUS, direction, 0.0])
+            cov = self._numbers_cov(FAMILIES["cylinder"], theta, place, force)
+            if cov is None:
+                return math.nan
+            sds.append(1e-3 * math.sqrt(cov[across, across]))
+        return max(sds)
+
+    def radius_sd(self, radius: float, place: Array, force: float) -> float:
+        """Share of a ball's radius to which it is known, as sd.
+
+        Args:
+            radius: m.
+            place: (2,) m in S.
+            force: N.
+
+        Returns:
+            The share; NaN where the sensor does not carry the force.
+        """
+        theta = np.array([0.0, 0.0, 0.0, 1 / radius])
+        cov = self._numbers_cov(FAMILIES["ball"], theta, place, force)
+        return math.nan if cov is None else radius * math.sqrt(cov[3, 3])
+
+    def _numbers_cov(
+        self, family: Family, theta: Array, place: Array, force: float
+    ) -> Array | None:
+        """Covariance (k, k) of the numbers of a body that presses with a force, as the chain says
+        it of an image in which all fits: by how its markers' heights go with them
+        (docs/equations.md, Eq. F18-F20)."""
+        over = self._hint(place, force)
+        pressed = self.bench.press(
+            lambda height: family.build(theta, replace(over, height=height))[0], force
+        )
+        if pressed is None:
+            return None
+        hint = replace(over, height=pressed.height)
+        data = self._data(Touch(0.0, 0.0, force, 0.0, True, markers=self.bench.see(pressed.state)))
+        believed = Prior(theta / family.sd, np.eye(len(theta)))
+        try:
+            at = fit.begin(self._forward, family, hint, theta, data, believed, pressed.state)
+            if at is None:
+                return None
+            slopes = fit.find_slopes(self._forward, family, hint, at)
+        except InputError:  # a step of a number goes to the rim
+            return None
+        J = data.root @ slopes.heights[data.ids]
+        found = fit.Fit(family, hint, at, believed, J.T @ J, slopes)
+        return said_cov(found, self._settings.body.noise_least, self._settings.body)
+
+    def _data(self, touch: Touch) -> Data:
+        inverse = self._settings.inverse
+        drift = (inverse.drift_gas, inverse.drift_camera)
+        raised = np.zeros(self.bench.design.markers.count)
+        return Data.of(touch, raised, self._by_gas, self._settings.body, drift)
+
+    def _hint(self, place: Array, force: float) -> Hint:
+        """What a body's numbers count from, but for its height."""
+        rounding = _ROUNDING * self._forward.spacing
+        return Hint(place, 0.0, 0.0, 0.0, self._sides, self._forward.nodes, rounding, force)
+
+
+def ball(at: Array, radius: float) -> Coming:
+    """A ball over a place, by how high its lowest point is.
+
+    Args:
+        at: (2,) m in S.
+        radius: m.
+
+    Returns:
+        The body at a height.
+    """
+    return lambda height: obstacle("sphere", (radius,), (*at, height + radius))
+
+
+def place_sd(wrench: Array, cov: Array, height: float) -> float:
+    """Sd, m, of where a wrench acts on the plane z = `height` m, x = (z Fx - My) / Fz and
+    y = (z Fy + Mx) / Fz, the larger of both.
+
+    Args:
+        wrench: (6,) N, N m about the origin of S.
+        cov: (6, 6) of it.
+        height: m.
+
+    Returns:
+        The standard deviation.
+    """
+    normal = wrench[2]
+    x = (height * wrench[0] - wrench[4]) / normal
+    y = (height * wrench[1] + wrench[3]) / normal
+    of_x = np.array([height, 0.0, -x, 0.0, -1.0, 0.0]) / normal
+    of_y = np.array([0.0, height, -y, 1.0, 0.0, 0.0]) / normal
+    return math.sqrt(max(of_x @ cov @ of_x, of_y @ cov @ of_y))

@@ -1,0 +1,125 @@
+"""A whole sensor in a few numbers, to compare one with another by."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.types import Array
+from mjtactile.study.bench import Bench
+from mjtactile.study.reach import Reacher, ball
+
+RADII = (2e-3, 3e-3, 4e-3, 6e-3, 8e-3, 12e-3, 16e-3)  # m, that are tried
+TOLD = 0.25
+"""Of a radius, its sd at most where it counts as told."""
+RANGE_RADIUS = 10e-3
+"""m, of the ball that presses as hard as the sensor carries."""
+_LEAST, _MORE, _STEPS = 0.25, 1.25, 20  # N, from which on the range is tried, by a factor, so often
+_FELT_RIGHT = 0.1  # of the largest force, that it may be felt wrong by
+# of half the opening: three places that lie anyhow over markers and the film's nodes
+_PLACES = ((0.05, 0.08), (0.31, -0.22), (-0.27, 0.36))
+
+
+def _number(key: str, unit: float, about: str, digits: int) -> Any:
+    return field(metadata={"key": key, "unit": unit, "about": about, "digits": digits})
+
+
+@dataclass(frozen=True)
+class Score:
+    """What a sensor reaches, SI; NaN: not to be said. Of all but `most` less is better; the means
+    are root mean squares over three places about the middle."""
+
+    touch: float = _number("touch_mN", 1e-3, "smallest touch that the chain calls one", 1)
+    seen: float = _number(
+        "touch_by_noise_mN", 1e-3, "five sd of the running level: what pixels alone allow", 1
+    )
+    force_sd: float = _number("force_sd_mN", 1e-3, "sd of the force, as the chain says it", 1)
+    noise: float = _number("force_noise_mN", 1e-3, "of that, from image to image", 2)
+    place_sd: float = _number("place_sd_mm", 1e-3, "sd of where the force acts", 3)
+    edge_sd: float = _number("edge_sd_mm", 1e-3, "sd of where an edge lies", 3)
+    radius: float = _number(
+        "smallest_radius_mm", 1e-3, "smallest ball whose radius is told to a quarter", 1
+    )
+    most: float = _number("force_most_N", 1.0, "largest force, of a ball of 10 mm", 2)
+
+    def table(self) -> dict[str, float]:
+        """By key, in the key's unit."""
+        return {
+            one.metadata["key"]: getattr(self, one.name) / one.metadata["unit"]
+            for one in fields(self)
+        }
+
+
+def score(design: SensorDesign, force: float, *, bench: Bench | None = None) -> Score:
+    """Predict what a sensor reaches.
+
+    Args:
+        design: The sensor.
+        force: N, that presses where force, place, edge and radius are asked for.
+        bench: Of that design, where there is one.
+
+    Returns:
+        The numbers.
+
+    Raises:
+        InputError: The sheet finds no rest, or markers are out of the picture.
+    """
+    bench = bench or Bench(design)
+    reacher = Reacher(bench)
+    half = np.array([design.frame.length, design.frame.width]) / 2
+    places = [half * share for share in _PLACES]
+    reaches = [reacher.at(place, force) for place in places]
+    zero = bench.chain.settings.zero
+    seen = zero.touch_sd * bench.level_noise()
+    return Score(
+        touch=max(zero.touch_least, seen),
+        seen=seen,
+        force_sd=_rms([one.force_sd for one in reaches]),
+        noise=_rms([one.noise for one in reaches]),
+        place_sd=_rms([one.place_sd for one in reaches]),
+        edge_sd=_rms([one.edge_sd for one in reaches]),
+        radius=smallest_radius(reacher, places, force),
+        most=largest_force(bench),
+    )
+
+
+def smallest_radius(reacher: Reacher, places: list[Array], force: float) -> float:
+    """The smallest radius, m, from which on all that are tried are told; NaN: none is."""
+    smallest = math.nan
+    for radius in reversed(RADII):
+        sd = _rms([reacher.radius_sd(radius, place, force) for place in places])
+        if not sd <= TOLD:
+            break
+        smallest = radius
+    return smallest
+
+
+def largest_force(bench: Bench) -> float:
+    """The largest force, N, of a ball in the middle that the film carries and the chain feels
+    within a tenth, in steps of a quarter; NaN: not even a quarter of a newton."""
+    held, lost = -1, _STEPS
+    while lost - held > 1:
+        middle = (held + lost) // 2
+        if _felt_right(bench, _LEAST * _MORE**middle):
+            held = middle
+        else:
+            lost = middle
+    return math.nan if held < 0 else _LEAST * _MORE**held
+
+
+def _felt_right(bench: Bench, force: float) -> bool:
+    pressed = bench.press(ball(np.zeros(2), RANGE_RADIUS), force)
+    if pressed is None:
+        return False
+    felt = bench.feel(pressed.state)
+    if not felt.ok or felt.touch.traction is None:
+        return False
+    return bool(abs(-felt.touch.traction.wrench[2] - force) < _FELT_RIGHT * force)
+
+
+def _rms(values: list[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

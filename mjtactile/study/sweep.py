@@ -1,0 +1,229 @@
+"""Designs drawn around a sensor file, and those of them that none is better than."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import qmc
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import InputError, MjtactileError
+from mjtactile.core.types import Array
+from mjtactile.study.bench import Bench
+from mjtactile.study.files import rebuilt, scaled_lens, with_markers
+from mjtactile.study.score import Score, score
+
+# What is drawn, with its range: markers a millimetre along the longer side, their radius over their
+# pitch, the lens as a share of the longest, thickness and pressure times the file's (evenly in
+# their logarithm), and the pre-stretch.
+_RANGES = np.array(
+    [
+        (0.1, 0.5),
+        (0.2, 0.36),
+        (0.7, 1.0),
+        (math.log(0.5), math.log(2.0)),
+        (math.log(0.4), math.log(3.0)),
+        (1.0, 1.2),
+    ]
+)
+_EDGE = 2.0e-3  # m from the frame to the outermost markers' rims
+_FEWEST_PX = 6.0
+"""px, a marker's radius on the flat membrane: smaller ones are fitted by all their pixels."""
+_MOST_MARKERS = 400
+_TRIES = 40  # designs drawn for one that can be built
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What is wanted; None: whatever comes of it.
+
+    Attributes:
+        touch: N, the smallest touch that pixels' noise must allow.
+        most: N, the largest force.
+        edge: m, sd of an edge's place.
+        radius: m, the smallest ball whose radius is to be told.
+    """
+
+    touch: float | None = None
+    most: float | None = None
+    edge: float | None = None
+    radius: float | None = None
+
+    def missed(self, reached: Score) -> list[str]:
+        """What a sensor does not reach of it, in words."""
+        missed = []
+        for wanted, have, words in (
+            (self.touch, reached.seen, "touch"),
+            (self.edge, reached.edge_sd, "edge"),
+            (self.radius, reached.radius, "radius"),
+        ):
+            if wanted is not None and not have <= wanted * (1 + 1e-9):
+                missed.append(words)
+        if self.most is not None and not reached.most >= self.most:
+            missed.append("range")
+        return missed
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A design, what it reaches, what it misses of the wish, and whether no other that misses as
+    little is better in force, edge and markers at once."""
+
+    design: SensorDesign
+    score: Score
+    missed: tuple[str, ...]
+    on_front: bool = False
+
+
+def sweep(
+    design: SensorDesign,
+    force: float,
+    wish: Wish,
+    *,
+    count: int = 48,
+    seed: int = 0,
+    say: Say = lambda _: None,
+) -> list[Tried]:
+    """Draw designs, and predict what each reaches.
+
+    Args:
+        design: What they begin from: frame, camera, chamber and glass are its own.
+        force: N, that presses.
+        wish: What is wanted.
+        count: How many designs.
+        seed: Of the draws, which fill their ranges evenly (Sobol).
+        say: Told what is being done.
+
+    Returns:
+        The designs that could be built and felt with, the front marked.
+
+    Raises:
+        InputError: None could.
+    """
+    drawn = qmc.Sobol(len(_RANGES), seed=seed)
+    tried: list[Tried] = []
+    for _ in range(_TRIES * count):
+        if len(tried) == count:
+            break
+        unit = drawn.random(1)[0]
+        one = _tried(design, _RANGES[:, 0] + unit * np.ptp(_RANGES, axis=1), force, wish)
+        if one is not None:
+            tried.append(one)
+            if len(tried) % 8 == 0:
+                say(f"{len(tried)} of {count} designs")
+    if not tried:
+        raise InputError(
+            f"no design of {_TRIES * count} drawn could be built and felt with",
+            source=design.name,
+            field="--sensor",
+        )
+    return with_front(tried)
+
+
+def _tried(design: SensorDesign, numbers: Array, force: float, wish: Wish) -> Tried | None:
+    try:
+        made = rebuilt(made_of(design, numbers))
+        if made.markers.count > _MOST_MARKERS or radius_px(made) < _FEWEST_PX:
+            return None
+        reached = score(made, force, bench=Bench(made))
+    except (InputError, MjtactileError):  # it cannot be built, or not be felt with
+        return None
+    if not math.isfinite(reached.force_sd):
+        return None
+    return Tried(made, reached, tuple(wish.missed(reached)))
+
+
+def made_of(design: SensorDesign, numbers: Array) -> SensorDesign:
+    """The design of drawn numbers.
+
+    Args:
+        design: What it begins from.
+        numbers: (6,) as `_RANGES` has them.
+
+    Returns:
+        The design; whether it can be built is not looked at.
+    """
+    density, share, lens, thicker, higher, stretch = numbers.tolist()
+    frame, membrane, chamber = design.frame, design.membrane, design.chamber
+    sides = np.array([frame.length, frame.width])
+    columns, rows = (max(3, round(1e3 * density * side)) for side in sides)
+    # the outermost rims stay clear of the frame: extent + 2 share pitch = side - 2 edge
+    extent = tuple(
+        (side - 2 * _EDGE) * (many - 1) / (many - 1 + 2 * share)
+        for side, many in zip(sides, (columns, rows), strict=True)
+    )
+    membrane = replace(
+        membrane, thickness=math.exp(thicker) * membrane.thickness, pre_stretch=stretch
+    )
+    chamber = replace(chamber, supply_gauge=math.exp(higher) * chamber.supply_gauge)
+    made = with_markers(
+        replace(design, membrane=membrane, chamber=chamber), rows, columns, extent, share
+    )
+    return scaled_lens(made, lens * longest_lens(made))
+
+
+def longest_lens(design: SensorDesign) -> float:
+    """By how much longer the lens may be until a flat marker reaches the picture's rim, as a
+    pinhole has it."""
+    markers, camera = design.markers, design.camera
+    reach = np.abs(markers.p_SM[:, :2]).max(axis=0) + markers.radius
+    depth = camera.distance - design.pane_thickness_apparent
+    room = np.array(
+        [
+            min(camera.cx, camera.width - 1 - camera.cx) / camera.fx,
+            min(camera.cy, camera.height - 1 - camera.cy) / camera.fy,
+        ]
+    )
+    return float((room * depth / reach).min())
+
+
+def radius_px(design: SensorDesign) -> float:
+    """A marker's radius on the flat membrane, px."""
+    return design.camera.fx * design.markers.radius / design.camera.distance
+
+
+def with_front(tried: Sequence[Tried]) -> list[Tried]:
+    """Mark those of the fewest missed wishes that no other of them beats in force sd, edge sd and
+    number of markers at once.
+
+    Args:
+        tried: Designs.
+
+    Returns:
+        The same, marked.
+    """
+    fewest = min(len(one.missed) for one in tried)
+    costs = np.array(
+        [(one.score.force_sd, _last(one.score.edge_sd), one.design.markers.count) for one in tried]
+    )
+    may = np.array([len(one.missed) == fewest for one in tried])
+    marked = []
+    for number, one in enumerate(tried):
+        as_good = (costs[may] <= costs[number]).all(axis=1)
+        better = as_good & (costs[may] < costs[number]).any(axis=1)
+        marked.append(replace(one, on_front=bool(may[number] and not better.any())))
+    return marked
+
+
+def best(tried: Sequence[Tried], count: int) -> list[Tried]:
+    """Some of the front, spread from the best force to the best edge.
+
+    Args:
+        tried: As `sweep` gives them.
+        count: At most so many.
+
+    Returns:
+        Designs, the best force first.
+    """
+    front = sorted((one for one in tried if one.on_front), key=lambda one: one.score.force_sd)
+    picked = np.unique(np.linspace(0, len(front) - 1, min(count, len(front))).round().astype(int))
+    return [front[number] for number in picked]
+
+
+def _last(value: float) -> float:
+    return value if math.isfinite(value) else math.inf

@@ -1,0 +1,132 @@
+"""The two questions of `mjtactile design`, answered as its JSON has them: what does this file
+reach, and which file reaches what is wanted?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from typing import Any
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.study import files, given
+from mjtactile.study.check import check, verdict
+from mjtactile.study.score import score
+from mjtactile.study.sweep import Tried, Wish, best, sweep
+
+_WRITTEN = 3
+
+Say = Callable[[str], None]
+
+
+def of_file(
+    design: SensorDesign, force: float, *, check: int = 0, seed: int = 0, say: Say
+) -> dict[str, Any]:
+    """What a file reaches.
+
+    Args:
+        design: The sensor.
+        force: N, that presses.
+        check: How many places are pressed in full simulation.
+        seed: Of these.
+        say: Told what is being done.
+
+    Returns:
+        The JSON's object.
+    """
+    result = given.as_table(given.study(design, force, say=say))
+    if check:
+        result["checked"] = [_checked(design, check, seed, say)]
+    return result
+
+
+def of_wish(
+    design: SensorDesign,
+    force: float,
+    wish: Wish,
+    *,
+    count: int,
+    check: int = 0,
+    seed: int = 0,
+    say: Say,
+) -> tuple[dict[str, Any], dict[str, str]]:
+    """Which files reach what is wanted.
+
+    Args:
+        design: What they begin from.
+        force: N, that presses.
+        wish: What is wanted.
+        count: How many designs are drawn.
+        check: How many of the best are pressed in full simulation.
+        seed: Of draws and presses.
+        say: Told what is being done.
+
+    Returns:
+        The JSON's object, and the best sensors' files by name.
+    """
+    say(f"what {design.name} reaches")
+    begun = score(design, force)
+    tried = sweep(design, force, wish, count=count, seed=seed, say=say)
+    picked = best(tried, max(_WRITTEN, check))
+    named = {f"best_{number}": one for number, one in enumerate(picked, 1)}
+    texts = {f"{name}.toml": _text(name, one, force) for name, one in named.items()}
+    result = {
+        "sensor": design.name,
+        "force_N": force,
+        "wish": {
+            "feel_mN": None if wish.touch is None else 1e3 * wish.touch,
+            "range_N": wish.most,
+            "edge_mm": None if wish.edge is None else 1e3 * wish.edge,
+            "radius_mm": None if wish.radius is None else 1e3 * wish.radius,
+        },
+        "begun_from": {"reaches": begun.table(), "missed": wish.missed(begun)},
+        "tried": [_row(one) for one in tried],
+        "best": [{"file": f"{name}.toml"} | _row(one) for name, one in named.items()],
+        "checked": [
+            _checked(replace(one.design, name=name), 4, seed, say)
+            for name, one in list(named.items())[:check]
+        ],
+    }
+    return result, texts
+
+
+def _row(one: Tried) -> dict[str, Any]:
+    design = one.design
+    return {
+        "reaches": one.score.table(),
+        "missed": list(one.missed),
+        "meets": not one.missed,
+        "on_front": one.on_front,
+        "rows": design.markers.rows,
+        "columns": design.markers.columns,
+        "marker_radius_mm": 1e3 * design.markers.radius,
+        "fx_px": design.camera.fx,
+        "thickness_mm": 1e3 * design.membrane.thickness,
+        "pre_stretch": design.membrane.pre_stretch,
+        "supply_gauge_kPa": 1e-3 * design.chamber.supply_gauge,
+    }
+
+
+def _text(name: str, one: Tried, force: float) -> str:
+    reached = one.score.table()
+    head = (
+        f"Written by `mjtactile design`. Predicted where {force:g} N press: sd of the force "
+        f"{reached['force_sd_mN']:.1f} mN,\nof an edge's place {reached['edge_sd_mm']:.3f} mm; "
+        f"touch by noise {reached['touch_by_noise_mN']:.1f} mN, largest force "
+        f"{reached['force_most_N']:.1f} N."
+    )
+    return files.sensor_text(replace(one.design, name=name), head)
+
+
+def _checked(design: SensorDesign, places: int, seed: int, say: Say) -> dict[str, Any]:
+    """Predicted sd beside the scatter of presses in full simulation."""
+    say(f"pressing {design.name} in full simulation")
+    presses = check(design, places=places, seed=seed, say=say)
+    found = {} if not presses else asdict(verdict(presses))
+    return {
+        "sensor": design.name,
+        "presses": len(presses),
+        "force_ratio": found.get("force_ratio"),
+        "place_ratio": found.get("place_ratio"),
+        "force_error_rms_mN": 1e3 * found["force_rms"] if found else None,
+        "place_error_rms_mm": 1e3 * found["place_rms"] if found else None,
+    }

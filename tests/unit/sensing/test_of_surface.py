@@ -1,0 +1,106 @@
+"""Force from surface and pressure against a film's own, which is found by other means, and against
+what scale, shift and turn must do."""
+
+import numpy as np
+import pytest
+
+from mjtactile import Film, InputError, RestSurface, force_of_surface, load_sensor
+
+SMOOTHING = 2e-3
+
+
+@pytest.fixture(scope="module")
+def film():
+    return Film(load_sensor("dense"), (61, 46))
+
+
+def points_of(film, state):
+    x, y = np.meshgrid(film.x, film.y, indexing="ij")
+    return np.stack([x + state.x[0], y + state.x[1], state.x[2]], axis=-1).reshape(-1, 3)
+
+
+def outline_of(film):
+    half = [film.x[-1], film.y[-1]]
+    return np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
+
+
+def rest_of(film):
+    return RestSurface(points_of(film, film.rest), film.rest.pressure_gauge)
+
+
+def pressed(film, at, radius, depth):
+    state = None
+    for down in np.linspace(0, depth, 12)[1:]:
+        height = film.rest.heights.max() + radius - down
+        state = film.solve(film.obstacle("sphere", (radius,), (*at, height)), state)
+    return state
+
+
+@pytest.mark.parametrize(
+    ("at", "radius", "depth"),
+    [((0, 0), 8e-3, 3e-3), ((0, 0), 20e-3, 2e-3), ((4e-3, 3e-3), 6e-3, 2.5e-3)],
+)
+def test_force_is_the_films(film, at, radius, depth):
+    state = pressed(film, at, radius, depth)
+    seen = points_of(film, state)
+    # a camera's errors: 10 um, as a depth camera would have of so small a thing
+    seen = seen + np.random.default_rng(1).normal(0, [0, 0, 1e-5], seen.shape)
+    found = force_of_surface(
+        seen, state.pressure_gauge, outline_of(film), rest_of(film), smoothing=SMOOTHING
+    )
+    # the film has a tension of its own at each place, of which one factor is followed: 3 %
+    assert found.force[2] == pytest.approx(state.wrench[2], rel=0.06)
+    # what acts through a ball's middle leans by where it touches
+    assert found.force[:2] == pytest.approx(state.wrench[:2], abs=5e-3)
+    # where it acts, over the place of the ball, less what it leans
+    assert found.place == pytest.approx(np.array(at), abs=6e-4)
+
+
+def test_nothing_touches(film):
+    found = force_of_surface(
+        points_of(film, film.rest), 1000.0, outline_of(film), rest_of(film), smoothing=SMOOTHING
+    )
+    assert np.abs(found.force).max() < 1e-9 and found.area == 0 and np.isnan(found.place).all()
+
+
+def test_shift_turn_and_pressure(film):
+    # statics: a quarter's turn and a shift of the frame take the force along; twice all pressures
+    # on the same shapes, twice the force
+    state = pressed(film, (4e-3, 3e-3), 6e-3, 2.5e-3)
+    given = [points_of(film, state), points_of(film, film.rest)]
+    corners = outline_of(film)
+    own = force_of_surface(
+        given[0], 1020.0, corners, RestSurface(given[1], 1000.0), smoothing=SMOOTHING
+    )
+    turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    shift = np.array([12e-3, -7e-3, 60e-3])
+    moved = [one @ turn.T + shift for one in given]
+    outline = corners @ turn[:2, :2].T + shift[:2]
+    found = force_of_surface(
+        moved[0], 2040.0, outline, RestSurface(moved[1], 2000.0), smoothing=SMOOTHING
+    )
+    # the turned grid lies elsewhere over the points, and cells at the rim of what counts come and go
+    assert found.force == pytest.approx(2 * turn @ own.force, rel=0.04, abs=2e-3)
+    assert found.place == pytest.approx(turn[:2, :2] @ own.place + shift[:2], abs=3e-4)
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"pressure": -5.0}, "pressure"),
+        ({"pressure": np.nan}, "pressure"),
+        ({"outline": [[0, 0], [1, 1]]}, "outline"),
+        ({"smoothing": 0.05}, "smoothing"),
+        ({"points": np.full((100, 3), np.nan)}, "points"),
+    ],
+)
+def test_what_cannot_be_is_refused(film, change, field):
+    given = {
+        "points": points_of(film, film.rest),
+        "pressure": 1000.0,
+        "outline": outline_of(film),
+        "membrane": rest_of(film),
+        "smoothing": SMOOTHING,
+    }
+    with pytest.raises(InputError, match=field):
+        force_of_surface(**(given | change))
