@@ -57,7 +57,8 @@ INSIDE = (
 
 COLOURS = {
     "cli commands studio": "#fde8cf",
-    "explore study experiments evaluate gym make calibrate plugin doctor fit export report": "#fdf6d8",
+    "explore study experiments evaluate gym make": "#fdf6d8",
+    "calibrate plugin doctor fit export report": "#fdf6d8",
     "run": "#fbd9d9",
     "sim devices emulator replay": "#d8e8fb",
     "sensing": "#dcf3dd",
