@@ -78,7 +78,9 @@ def check(
     for number in range(places):
         at = rng.uniform(-sides, sides)
         into = np.sort(rng.uniform(*_DEPTHS, depths))
-        plan = PressPlan(Indenter("sphere", BALL_RADIUS), into, (float(at[0]), float(at[1])))
+        plan = PressPlan(
+            Indenter("sphere", BALL_RADIUS), into.tolist(), (float(at[0]), float(at[1]))
+        )
         result = press(design, plan, mesh=mesh, seed=int(rng.integers(2**31)))
         found += [
             one for step in result["steps"] if (one := _compared(reacher, at, step)) is not None

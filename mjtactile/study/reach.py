@@ -81,7 +81,8 @@ class Reacher:
         pressed = self.bench.press(ball(place, BALL_RADIUS), force)
         felt = None if pressed is None else self.bench.feel(pressed.state)
         if pressed is None or felt is None or felt.touch.traction is None or not felt.ok:
-            return Reach(x, y, force, *(4 * [math.nan]), edge_sd, math.nan)
+            unknown = math.nan
+            return Reach(x, y, force, unknown, unknown, unknown, unknown, edge_sd, unknown)
         wrench = felt.touch.traction.wrench
         cov = felt.touch.traction.wrench_cov
         noise = math.sqrt(self.bench.noise(felt)[2, 2])

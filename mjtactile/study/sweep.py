@@ -105,7 +105,8 @@ def sweep(
     Raises:
         InputError: None could.
     """
-    drawn = qmc.Sobol(len(_RANGES), seed=seed)
+    # as scipy 1.14 calls it; newer ones take it, too
+    drawn = qmc.Sobol(len(_RANGES), seed=seed)  # pyright: ignore[reportCallIssue]
     tried: list[Tried] = []
     for _ in range(_TRIES * count):
         if len(tried) == count:

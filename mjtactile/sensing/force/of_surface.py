@@ -243,16 +243,9 @@ class _Grid:
         """The sum of squares of second differences, (nx ny, nx ny), sparse."""
         from scipy import sparse
 
-        bent, slope, same = [], [], []
-        for count in self.inside.shape:
-            one = np.ones(count)
-            bent.append(
-                sparse.diags_array(
-                    [one, -2 * one, one], offsets=[0, 1, 2], shape=(count - 2, count)
-                )
-            )
-            slope.append(sparse.diags_array([-one, one], offsets=[0, 1], shape=(count - 1, count)))
-            same.append(sparse.eye_array(count))
+        same = [sparse.eye_array(count) for count in self.inside.shape]
+        slope = [sparse.csr_array(np.diff(np.eye(count), axis=0)) for count in self.inside.shape]
+        bent = [sparse.csr_array(np.diff(np.eye(count), 2, axis=0)) for count in self.inside.shape]
         rows = sparse.vstack(
             [
                 sparse.kron(bent[0], same[1]),

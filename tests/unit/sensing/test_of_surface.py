@@ -33,6 +33,7 @@ def pressed(film, at, radius, depth):
     for down in np.linspace(0, depth, 12)[1:]:
         height = film.rest.heights.max() + radius - down
         state = film.solve(film.obstacle("sphere", (radius,), (*at, height)), state)
+    assert state is not None
     return state
 
 
