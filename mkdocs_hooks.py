@@ -141,7 +141,7 @@ def _api() -> str:
 
 
 def on_files(files: Any, config: Any) -> Any:
-    from mkdocs.structure.files import File
+    from mkdocs.structure.files import File  # pyright: ignore[reportMissingImports]
 
     for address, text in pages().items():
         files.append(File.generated(config, address, content=text))
