@@ -27,6 +27,7 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   speed       two membranes holding an object: against the clock, rigid pads, mesh size
   cheap       episodes without images against episodes with them: markers, forces, time
   drawn       what a sensor's chain errs by in grasps, for --effects=-sheet,-chain
+  learning    steps, episodes, outcomes and memory at each level of simulation, for learning
   effects     what each effect costs, and what leaving it out costs
   film        the film against an independent sheet, its scatter over places, and its time
   thin        blades, wires, pins and small faces, at random places and speeds: their force
@@ -71,6 +72,7 @@ BENCHMARKS = {
     "truth": "truth.run",
     "film": "film",
     "drawn": "learning.drawn",
+    "learning": "learning.run",
     "thin": "thin.run",
     "shape": "shape.run",
     "sensors": "sensors",
@@ -98,7 +100,7 @@ OPTIONS = {
     "cases": ("truth",),
     "data": ("bubble",),
     "against": ("speed",),
-    "pairs": ("cheap",),
+    "pairs": ("cheap", "learning"),
     "episodes": ("tasks", "slip"),
     "sensor": ("drawn",),
 }
@@ -151,7 +153,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "it recorded (--parts soak: only that, two hours)",
     )
     parser.add_argument(
-        "--pairs", type=int, metavar="N", help="cheap: so many pairs of episodes (default: 200)"
+        "--pairs", type=int, metavar="N", help="cheap, learning: so many pairs of episodes"
     )
     parser.add_argument(
         "--episodes", type=int, metavar="N", help="tasks, slip: so many of each (default: 200)"

@@ -16,4 +16,8 @@ except ModuleNotFoundError as missing:
 ID = "mjtactile/Grasp-v0"
 
 if ID not in gymnasium.registry:
-    gymnasium.register(ID, entry_point="mjtactile.gym.env:GraspEnv")
+    gymnasium.register(
+        ID,
+        entry_point="mjtactile.gym.env:GraspEnv",
+        vector_entry_point="mjtactile.gym.vector:ThreadedVectorEnv",
+    )

@@ -24,7 +24,7 @@ from mjtactile.run.flags import FlagNotes
 from mjtactile.run.loop import run_loop
 from mjtactile.run.perceive import DrawnPerception, Perceiver
 from mjtactile.run.perception_pool import PerceptionPool, default_count
-from mjtactile.run.references import Reference, take_references
+from mjtactile.run.references import Reference, inflate, take_references
 from mjtactile.run.supervisor import Supervisor
 from mjtactile.sensing.perception import Perception
 from mjtactile.sensing.settings import DEFAULTS, Settings
@@ -101,6 +101,9 @@ class Session:
             **simulated,
         )
         self._say_what_was_measured(observer)
+        if rig.touch_is_drawn:  # nobody looks at references
+            inflate(rig.fingers, rig.clock)
+            return
         for reference in take_references(rig.fingers, rig.clock, self._say):
             observer.add_reference(reference.stage, reference.images, reference.pressure_gauge)
             self._zero(reference)

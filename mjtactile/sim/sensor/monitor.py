@@ -23,6 +23,7 @@ _FAST = 0.5  # of its own size in a step
 _FRAMED = 0.2  # N on the frame for five looks
 _NEAR = 0.05  # m from the membrane's middle
 _LEAST_INDENTATION = 3e-4  # m; below it, shares of the indentation say nothing
+_RARELY_OF_FILMS = 10  # looks, of 0.1 s
 # looks: stretch and wrinkles come and go no faster than pressure does; speed is watched in every
 # step, too
 _RARELY = 5
@@ -109,7 +110,7 @@ class SceneMonitor:
         if all(sensor.is_asleep for sensor in self._sensors):
             return flags, stop
         self._looks += 1
-        if self.only_films and self._looks % _RARELY:  # which see by themselves what goes through
+        if self.only_films and self._looks % _RARELY_OF_FILMS:  # which see what goes through
             for number in range(len(self._sensors)):
                 flags |= self._frame(number)
             return flags, stop

@@ -5,6 +5,7 @@ import functools
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -44,7 +45,8 @@ def test_the_example_of_the_page(monkeypatch, capsys):
 def roll(env, seed, actions):
     """All that is shown from the beginning on, and the last step's values."""
     shown = [env.reset(seed=seed)[0]]
-    last = None
+    last: list[Any] = []
+    info: dict[str, Any] = {}
     for action in actions:
         *last, info = env.step(action)
         shown.append(last[0])
@@ -181,3 +183,38 @@ def test_a_world_that_varies_is_a_new_one():
 def test_wrong_names_are_said_in_one_line(how, text):
     with pytest.raises(InputError, match=text):
         make(**how)
+
+
+DRAWN = "-sheet,-chain"
+
+
+def episodes(count, seed, steps, **how):
+    """What the first of `count` environments shows over `steps`, through the end of an episode and
+    on."""
+    envs = gymnasium.make_vec(mjtactile.gym.ID, num_envs=count, effects=DRAWN, **how)
+    shown = [envs.reset(seed=seed)[0][0]]
+    rng = np.random.default_rng(1)
+    actions = rng.uniform(-1, 0.2, (steps, 3)).astype(np.float32)
+    for action in actions:
+        shown.append(envs.step(np.repeat(action[None], count, axis=0))[0][0])
+    envs.close()
+    return np.array(shown)
+
+
+@pytest.mark.parametrize("vary", ["none", pytest.param("default", marks=pytest.mark.slow)])
+def test_what_an_environment_does_is_the_same_however_many_there_are(vary):
+    """Bit for bit, in threads, over the end of an episode: the squeezed egg breaks."""
+    alone = episodes(1, 5, 60, vary=vary, threads=1)
+    np.testing.assert_array_equal(episodes(2, 5, 60, vary=vary, threads=2), alone)
+    assert len(np.unique(alone[:, FORCE])) > 10  # it was touched
+
+
+def test_drawn_touch_says_its_level_and_begins_again_as_in_a_new_world():
+    """After another episode; with what varies drawn anew."""
+    actions = [CLOSE] * 30
+    for vary in ("none", "default"):
+        with make(effects=DRAWN, vary=vary) as first, make(effects=DRAWN, vary=vary) as other:
+            shown, _, info = roll(first, 3, actions)
+            assert info["sheet"] is info["chain"] is info["images"] is False
+            roll(other, 4, actions[:20])
+            np.testing.assert_array_equal(roll(other, 3, actions)[0], shown)

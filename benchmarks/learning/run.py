@@ -1,0 +1,246 @@
+"""`mjtactile bench learning`: how fast touch is at each level of simulation, and what that costs.
+
+Steps of the environment by a fixed policy, in processor time of one core; several environments in
+threads against one thread, by the clock; episodes of `gentle` at each level, the same seeds: their
+outcomes, the force they held, and how many an hour of one core is; what is made once for a design;
+memory of many environments, in a process of their own.
+"""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+import mjtactile.gym
+from mjtactile import Film, load_sensor
+from mjtactile.core.scenario import Scenario
+from mjtactile.core.types import Array
+from mjtactile.evaluate.episodes import Episode, run_episode
+from mjtactile.film.live import Sticking
+from mjtactile.gym.env import GraspEnv
+from mjtactile.run.progress import Progress
+from mjtactile.sim.sensor.film_sensor import FILM_GRID
+
+LEVELS = {
+    "everything": "auto",
+    "without images": "-images",
+    "without the sheet's mesh": "-sheet",
+    "without mesh and images": "-sheet,-images",
+    "without mesh, touch drawn": "-sheet,-chain",
+}
+PAIRED = ("auto", "-sheet", "-sheet,-chain")
+DRAWN = "-sheet,-chain"
+PAIRS, PAIRS_QUICK = 100, 1
+EPISODES, EPISODES_QUICK = 4, 1
+TOGETHER = 8
+MANY = 64
+FIRST_SEED = 9000  # of pairs: nothing was fitted or tuned on these
+_STEPS = 100  # of those together
+_FORCE = 0.6  # N that the policy grips with
+
+Say = Callable[[str], None]
+
+
+def run(
+    out: Path, *, quick: bool = False, pairs: int | None = None, say: Say | None = None
+) -> dict[str, Any]:
+    """Measure everything; `pairs` of episodes."""
+    say = say or Progress().message
+    speeds = {}
+    for name, effects in LEVELS.items():
+        say(f"learning: steps, {name}")
+        speeds[name] = _speed(effects, EPISODES_QUICK if quick else EPISODES)
+    say("learning: environments together")
+    together = {str(threads): _together(threads) for threads in (1, 2)}
+    count = pairs or (PAIRS_QUICK if quick else PAIRS)
+    rows = [_pair(FIRST_SEED + k, k, count, say) for k in range(count)]
+    say("learning: design and memory")
+    return {
+        "speeds": speeds,
+        "together": together,
+        "pairs": _sums(rows),
+        "rows": rows,
+        "condense_s": _condense(),
+        "memory_MB": _memory(4 if quick else MANY),
+    }
+
+
+# -- speed
+
+
+def grip(shown: Array, phase: str) -> Array:
+    """An action of the fixed policy: close, grip with 0.6 N, lift, hold, set down.
+
+    Args:
+        shown: (30,) What the environment shows.
+        phase: Of the grasp.
+
+    Returns:
+        (3,).
+    """
+    least = min(shown[2], shown[10])
+    if phase == "approach":
+        return np.array([-0.5, -0.5, 0.0])
+    if phase == "release":
+        return np.array([0.5, 0.0, 0.0])
+    lift = {"lift": 0.6, "lower": -0.6}.get(phase, 0.6 * (least > 0.9 * _FORCE))
+    closing = -0.3 if phase == "close" else float(np.clip(least - _FORCE, -0.2, 0.2))
+    return np.array([closing, 0.0, lift])
+
+
+def _speed(effects: str, episodes: int) -> dict[str, float]:
+    """Steps in a second of processor, and processor seconds of a reset."""
+    env = GraspEnv(effects=effects)
+    steps = 0
+    spent = 0.0
+    resets = 0.0
+    for seed in range(episodes):
+        begin = time.process_time()
+        shown, info = env.reset(seed=seed)
+        resets += time.process_time() - begin
+        over = False
+        begin = time.process_time()
+        while not over:
+            shown, _, terminated, truncated, info = env.step(grip(shown, info["phase"]))
+            over = terminated or truncated
+            steps += 1
+        spent += time.process_time() - begin
+    env.close()
+    return {"steps_a_second": steps / spent, "reset_s": resets / episodes}
+
+
+def _together(threads: int) -> float:
+    """Steps a second by the clock, of all environments."""
+    envs = gymnasium.make_vec(mjtactile.gym.ID, num_envs=TOGETHER, effects=DRAWN, threads=threads)
+    envs.reset(seed=0)
+    action = np.tile(np.array([-0.4, -0.5, 0.0], np.float32), (TOGETHER, 1))
+    begin = time.perf_counter()
+    for _ in range(_STEPS):
+        envs.step(action)
+    spent = time.perf_counter() - begin
+    envs.close()
+    return TOGETHER * _STEPS / spent
+
+
+# -- pairs
+
+
+def _pair(seed: int, number: int, count: int, say: Say) -> dict[str, Any]:
+    """The same episode at three levels."""
+    row: dict[str, Any] = {"seed": seed}
+    for effects in PAIRED:
+        say(f"learning: episode {number + 1} of {count}, {effects}")
+        scenario = Scenario(object=f"random:{seed}", seed=seed, effects=effects, vary="default")
+        begin = time.process_time()
+        line = run_episode(Episode(number, scenario))
+        row[effects] = {
+            "outcome": line["outcome"],
+            "hold_force_N": line["hold_force_true_N"],
+            "core_s": time.process_time() - begin,
+        }
+    return row
+
+
+def _sums(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Of each cheap level against the dear one, and of the drawn one against the film's."""
+    against = [("-sheet", "auto"), (DRAWN, "auto"), (DRAWN, "-sheet")]
+    return {
+        "count": len(rows),
+        "compared": [
+            {"level": level, "against": other, **_compare(rows, level, other)}
+            for level, other in against
+        ],
+        "an_hour": {
+            level: 3600 * len(rows) / sum(row[level]["core_s"] for row in rows) for level in PAIRED
+        },
+    }
+
+
+def _compare(rows: list[dict[str, Any]], level: str, other: str) -> dict[str, Any]:
+    same = [row[level]["outcome"] == row[other]["outcome"] for row in rows]
+    apart = [
+        row[level]["hold_force_N"] - row[other]["hold_force_N"]
+        for row in rows
+        if row[level]["outcome"] == row[other]["outcome"] == "held"
+    ]
+    spread = float(np.std(apart, ddof=1)) if len(apart) > 1 else math.nan
+    return {
+        "same": int(sum(same)),
+        "held_both": len(apart),
+        "force_mN": 1e3 * float(np.mean(apart)) if apart else math.nan,
+        "force_interval_mN": 1e3 * 1.96 * spread / math.sqrt(max(len(apart), 1)),
+    }
+
+
+# -- what is made once
+
+
+def _condense() -> float:
+    """Processor seconds to make a design's film and what sticks to it."""
+    design = load_sensor("dense")
+    begin = time.process_time()
+    film = Film(design, FILM_GRID)
+    assert Sticking(film).compliance.size
+    return time.process_time() - begin
+
+
+_CODE = """
+import resource, sys
+import gymnasium, mjtactile.gym
+envs = gymnasium.make_vec(mjtactile.gym.ID, num_envs=int(sys.argv[1]), effects="-sheet,-chain")
+envs.reset(seed=0)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+"""
+
+
+def _memory(count: int) -> dict[str, float]:
+    """MB of a process with one environment, and with so many."""
+    taken = []
+    for environments in (1, count):
+        command = [sys.executable, "-c", _CODE, str(environments)]
+        ended = subprocess.run(command, capture_output=True, text=True, check=True)
+        taken.append(float(ended.stdout))
+    return {"count": count, "one": taken[0], "many": taken[1]}
+
+
+# -- table
+
+
+def table(result: dict[str, Any]) -> str:
+    """All of it as Markdown."""
+    lines = ["| level | `effects` | steps a second of one core | a reset, s |", "|---|---|---|---|"]
+    lines += [
+        f"| {name} | `{LEVELS[name]}` | {row['steps_a_second']:.0f} | {row['reset_s']:.2f} |"
+        for name, row in result["speeds"].items()
+    ]
+    together = result["together"]
+    lines += [
+        "",
+        f"{TOGETHER} environments with drawn touch in one process: {together['1']:.0f} steps a "
+        f"second by the clock in one thread, {together['2']:.0f} in two. A design's film is made "
+        f"in {result['condense_s']:.2f} s. A process with one environment takes "
+        f"{result['memory_MB']['one']:.0f} MB, with {result['memory_MB']['count']} "
+        f"{result['memory_MB']['many']:.0f} MB.",
+        "",
+        f"{result['pairs']['count']} episodes of random things (`gentle`, `--vary default`, seeds "
+        f"from {FIRST_SEED} on) at three levels:",
+        "",
+        "| level | against | the same outcome | held force, mN (95 %) | episodes an hour of one "
+        "core |",
+        "|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| `{row['level']}` | `{row['against']}` | {row['same']} of {result['pairs']['count']} "
+        f"| {row['force_mN']:+.1f} ± {row['force_interval_mN']:.1f} "
+        f"| {result['pairs']['an_hour'][row['level']]:.0f} |"
+        for row in result["pairs"]["compared"]
+    ]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,114 @@
+"""Many environments in one process, stepped in threads.
+
+A step of an environment whose touch is drawn is one kernel for the world, which lets go of Python,
+and some Python around it; threads do the one of some while the other of others is done. What an
+environment does depends on its own seed alone, however many there are and whatever steps them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any
+
+import gymnasium
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+from mjtactile.core import system
+from mjtactile.core.types import Array
+from mjtactile.gym.env import GraspEnv
+
+
+class ThreadedVectorEnv(SyncVectorEnv):
+    """`num_envs` of `GraspEnv`, which take the other arguments; seeds as `SyncVectorEnv` has them:
+    s, s + 1, ….
+
+    Args:
+        num_envs: How many.
+        threads: That step them (None: one for each processor).
+        autoreset_mode: When an environment whose episode is over begins the next.
+        **how: As for `GraspEnv`.
+    """
+
+    def __init__(
+        self,
+        num_envs: int,
+        threads: int | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        **how: Any,
+    ):
+        self._threads = min(threads or system.processors(), num_envs)
+        self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="environments")
+        super().__init__(
+            [lambda: _Ahead(GraspEnv(**how))] * num_envs, autoreset_mode=autoreset_mode
+        )
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin the episodes of `seed`, seed + 1, … (None: the next of each), or those of a
+        list."""
+        seeds = [seed + k for k in range(self.num_envs)] if isinstance(seed, int) else seed
+        chosen = [None] * self.num_envs if seeds is None else seeds
+        mask = (options or {}).get("reset_mask", [True] * self.num_envs)
+        self._together(
+            partial(env.reset_ahead, seed=one)
+            for env, one, wanted in zip(self.envs, chosen, mask, strict=True)
+            if wanted
+        )
+        return super().reset(seed=seed, options=options)
+
+    def step(self, actions: Array) -> tuple[Any, Array, Array, Array, dict[str, Any]]:
+        """A step of each, or the beginning of the next episode where one is over."""
+        mine = list(gymnasium.vector.utils.iterate(self.action_space, actions))
+        resets = self.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
+        self._together(
+            env.reset_ahead if over and resets else partial(env.step_ahead, action)
+            for env, action, over in zip(self.envs, mine, self._autoreset_envs, strict=True)
+        )
+        return super().step(actions)
+
+    def _together(self, jobs: Iterable[Callable[[], None]]) -> None:
+        """Do all of them, each thread its share in turn. Raises what one of them raised."""
+        every = list(jobs)
+        shares = [every[k :: self._threads] for k in range(self._threads)]
+        begun = [self._pool.submit(_in_turn, share) for share in shares[1:]]
+        _in_turn(shares[0])
+        for one in begun:
+            one.result()
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Let go of all simulations."""
+        super().close_extras(**kwargs)
+        self._pool.shutdown()
+
+
+def _in_turn(jobs: Iterable[Callable[[], None]]) -> None:
+    for job in jobs:
+        job()
+
+
+class _Ahead(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Hands over what was done before, in a thread."""
+
+    def __init__(self, env: GraspEnv):
+        super().__init__(env)
+        self._done: Any = None
+
+    def reset_ahead(self, seed: int | None = None) -> None:
+        self._done = self.env.reset(seed=seed)
+
+    def step_ahead(self, action: Array) -> None:
+        self._done = self.env.step(action)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        return self._take() or self.env.reset(seed=seed, options=options)
+
+    def step(self, action: Any) -> Any:
+        return self._take() or self.env.step(action)
+
+    def _take(self) -> Any:
+        done = self._done
+        self._done = None
+        return done
