@@ -2,9 +2,9 @@
 
 - **Load.** A finger feels along its membrane what it carries. The grip follows the largest shear of
   the last second, and what may be pushed carries that as well, from any side.
-- **Friction.** Coulomb: a finger holds as long as shear < mu * normal force. It begins with a low
-  `mu`. A hold at a ratio shows that mu is at least that; a slip at a ratio shows what mu is. Signs
-  of slip may be wrong: shear that does not grow with the grip is carried by what sticks.
+- **Friction.** Coulomb: a finger holds as long as shear < mu * normal force. Close over the table
+  it loosens until the shear goes with the grip: there mu is. Later a hold at a ratio shows that mu
+  is at least that, and a slip what it is: unless the shear does not grow with the grip.
 - **Margin.** The grip is MARGIN times what load and friction ask for. While nothing slips the
   belief in friction grows slowly, so that the grip loosens. The jaws go at once to where a larger
   grip is, by a stiffness that is measured; what is left after DELAY is regulated.
@@ -21,43 +21,38 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.hold import Belief, Load, Spring, weigh
+from mjtactile.hold import Belief, Load, Spring, Trial, weigh
 from mjtactile.types import Command, Observation
 
-# N on each finger: the most that it ever asks for, and the least, which it closes to
-FORCE_MOST = 2.2
-FORCE_LEAST = 0.25
-TOUCH_FORCE = 0.08  # N: several times the noise of the estimate
+FORCE_MOST, FORCE_LEAST = 2.2, 0.18  # N on each finger that it asks for; it closes to the least
+TOUCH_FORCE, PUSH_MOST = 0.08, 0.5  # N: well over the noise; to push it until both fingers touch
 SERVO_FORCE_LIMIT = 5.0  # N: the most that the servo may push, whatever is felt
 MARGIN = 1.3  # grip over what load and friction ask for
-FRICTION_FIRST = 0.55  # a slip at lift-off costs nothing, and teaches
+FRICTION_FIRST = 0.6  # then it is tried, close over the table
 SLIP_WAIT, GRIP_WAIT = 0.3, 1.0  # s that the hand waits after a slip, and for its grip
-DELAY = 0.12  # s from a command to its force in an image
-SETTLING = 0.3  # s in which what is left of an error goes: longer than twice DELAY
+DELAY, SETTLING = 0.12, 0.3  # s to a command's force in an image; in which an error goes
 CLOSING_SPEED, OPENING_SPEED = 0.020, 0.060  # m/s, as all speeds
 LIFT_SPEED, WEIGH_SPEED, PLACE_SPEED = 0.030, 0.003, 0.010
-WEIGH_HEIGHT = 0.003  # m, over which it lifts slowly: what hangs on the fingers comes on by itself
-# m/s, faster where it must hold than to spare
-TIGHTEN_SPEED = 0.015
-LOOSEN_SPEED = 0.003
+WEIGH_HEIGHT = 0.003  # m, over which it lifts slowly: the load comes on by itself
+TIGHTEN_SPEED, LOOSEN_SPEED = 0.015, 0.003  # faster where it must hold than to spare
 FORCE_TOLERANCE = 0.06  # N around the target that counts as settled
-SETTLE_TIME = 0.25
-GRIP_TIMEOUT = 6.0
-STOP_TIME = 0.3  # s that the rig lets the jaws close no further: they are at their own stop
-BLIND_TIME_MAX = 0.5  # s without a usable image before giving up
-LOST_TIME = 0.3  # s without a touch: the object stays behind
+# s; STOP_TIME that the rig lets the jaws close no further: they are at their own stop
+SETTLE_TIME, GRIP_TIMEOUT, STOP_TIME = 0.25, 6.0, 0.3
+BLIND_TIME_MAX, LOST_TIME = 0.5, 0.3  # s without a usable image, or a touch, before giving up
 TABLE_FORCE = 0.03  # N, upward, over all fingers, beside half of the weight: it stands
 SEARCH = 0.030  # m below where it shall be set down that the table is looked for
-PULL_FORCE, PULL_TIME = 0.20, 0.13  # N over all fingers, s: who pulls; a bump is shorter
+PULL_FORCE, PULL_TIME = 0.20, 0.09  # N over all fingers, s: who pulls; a bump is shorter
 RELEASE_OPENING = 0.012  # m to open beyond the grip before the run ends
 CLOCKS = ("phase", "settled", "blind", "lost", "stuck", "pull", "behind")
 START = {f"{clock}_time": 0.0 for clock in CLOCKS} | {
     "narrowest": 1.0,
+    "low": WEIGH_HEIGHT,
     "target": FORCE_LEAST,
     "due": FORCE_LEAST,
     "load": asdict(Load()),
     "spring": asdict(Spring()),
     "belief": asdict(Belief(FRICTION_FIRST)),
+    "trial": asdict(Trial(FRICTION_FIRST)),
 }
 
 
@@ -101,36 +96,32 @@ def _remember(command: Command, **values) -> Command:
     return replace(command, memory={**command.memory, **values})
 
 
-def _belief(command: Command) -> Belief:
-    kept: Any = command.memory["belief"]
-    return Belief(**kept)
-
-
-def _load(command: Command) -> Load:
-    kept: Any = command.memory["load"]
-    return Load(**kept)
+def _kept(kind: Any, command: Command) -> Any:
+    """The `Belief`, `Load`, `Spring` or `Trial` of the image before."""
+    return kind(**command.memory[kind.__name__.lower()])
 
 
 def grip_as_needed(observation: Observation, command: Command) -> Command:
     """Learn load and friction from this moment, and ask for the grip that they need."""
     touch = observation.touch
-    load = _load(command).after(touch, observation.period)
-    belief = _belief(command).after(touch, observation.period)
+    load = _kept(Load, command).after(touch, observation.period)
+    belief = _kept(Belief, command).after(touch, observation.period)
     worst = hypot(load.worst, observation.told.push / len(touch))
-    target = min(FORCE_MOST, max(FORCE_LEAST, MARGIN * worst / belief.friction))
+    asked = min(FORCE_MOST, max(FORCE_LEAST, MARGIN * worst / belief.friction))
+    target = asked * _kept(Trial, command).grip
     found = {"target": target, "load": asdict(load), "belief": asdict(belief)}
     return _remember(command, **found, mass=load.mass, mass_sd=weigh(touch).sd)
 
 
 def _regulated(observation: Observation, command: Command, felt: list[float]) -> Command:
-    """Close at once by what a larger target takes; then move the opening so that the mean felt
-    force goes to the target of a delay ago. Stay within reach of the real opening."""
+    """Close at once by what a larger target takes, or open by what is tried; then move the opening
+    so that the mean felt force goes to the target of a delay ago, within reach of the real one."""
     memory = command.memory
     force = sum(felt) / len(felt)
-    kept: Any = memory["spring"]
-    spring = Spring(**kept).after(observation.gripper.opening, force, observation.period)
+    spring = _kept(Spring, command).after(observation.gripper.opening, force, observation.period)
     stiffness = spring.stiffness(force)
-    step = max(memory["target"] - observation.command.memory.get("target", FORCE_LEAST), 0.0)
+    step = memory["target"] - observation.command.memory.get("target", FORCE_LEAST)
+    step = step if _kept(Trial, command).is_on else max(step, 0.0)
     due = memory["due"] + min(1.0, observation.period / DELAY) * (memory["target"] - memory["due"])
     speed = (due - force) / (stiffness * SETTLING)
     speed = step / (stiffness * observation.period) + max(-LOOSEN_SPEED, min(TIGHTEN_SPEED, speed))
@@ -142,10 +133,9 @@ def _regulated(observation: Observation, command: Command, felt: list[float]) ->
 
 def _approach(observation: Observation, command: Command, felt: list[float]) -> Command:
     """Close at a steady speed until either finger feels something, slower until both do."""
-    if min(felt) > TOUCH_FORCE or max(felt) > 2 * command.memory["target"]:
+    if min(felt) > TOUCH_FORCE or max(felt) > PUSH_MOST:
         return _go(command, "regulate")
-    # what was sent is what the rig allows
-    gets_on = command.opening < command.memory["narrowest"] - 1e-4
+    gets_on = command.opening < command.memory["narrowest"] - 1e-4  # as the rig allows
     stuck_time = 0.0 if gets_on else command.memory["stuck_time"] + observation.period
     narrowest = min(command.opening, command.memory["narrowest"])
     command = _remember(command, stuck_time=stuck_time, narrowest=narrowest)
@@ -165,7 +155,8 @@ def _regulate(observation: Observation, command: Command, felt: list[float]) -> 
     settled = abs(sum(felt) / len(felt) - command.memory["target"]) < FORCE_TOLERANCE
     settled_time = command.memory["settled_time"] + observation.period if settled else 0.0
     if settled_time >= SETTLE_TIME:
-        return _go(command, "lift")
+        standing = _kept(Load, command).standing(observation.touch)
+        return _go(_remember(command, load=asdict(standing)), "lift")
     if command.memory["phase_time"] > GRIP_TIMEOUT:
         return _give_up(command, "the force did not settle")
     return _remember(command, settled_time=settled_time)
@@ -174,26 +165,38 @@ def _regulate(observation: Observation, command: Command, felt: list[float]) -> 
 def _lift(observation: Observation, command: Command, felt: list[float]) -> Command:
     """Slowly at first: the load comes onto the fingers, and the grip with it; then on."""
     command = _regulated(observation, command, felt)
-    behind = command.memory["target"] - sum(felt) / len(felt) > FORCE_TOLERANCE
+    target = command.memory["target"]
+    behind = target - sum(felt) / len(felt) > min(FORCE_TOLERANCE, 0.1 * target)
     behind_time = command.memory["behind_time"] + observation.period if behind else 0.0
     command = _remember(command, behind_time=behind_time)
-    if _belief(command).since_slip < SLIP_WAIT or 0.0 < behind_time < GRIP_WAIT:
+    is_low = command.lift_height < command.memory["low"]
+    if not is_low and not _kept(Trial, command).over:
+        return _try_friction(observation, command)
+    if _kept(Belief, command).since_slip < SLIP_WAIT or 0.0 < behind_time < GRIP_WAIT:
         return command  # grip first, as far as the jaws can
-    told = observation.told
-    load = _load(command)
-    if not load.down and command.lift_height >= WEIGH_HEIGHT:
+    told, load = observation.told, _kept(Load, command)
+    if not load.down and not is_low:
         command = _remember(command, load=asdict(load.hanging(observation.touch)))
     if observation.gripper.lift_height > told.lift_height - 0.001:
         return _go(command, "hold")
-    slow = command.lift_height < WEIGH_HEIGHT
-    rise = (WEIGH_SPEED if slow else LIFT_SPEED) * observation.period
+    rise = (WEIGH_SPEED if is_low else LIFT_SPEED) * observation.period
     return replace(command, lift_height=min(told.lift_height, command.lift_height + rise))
+
+
+def _try_friction(observation: Observation, command: Command) -> Command:
+    """Loosen, and see whether it slips, until friction is known or the least grip is enough."""
+    trial = _kept(Trial, command).after(observation.touch, observation.period)
+    belief = _kept(Belief, command)
+    proof = belief.used if trial.passed and not trial.slipped else belief.wrong
+    belief = replace(belief, friction=trial.friction, before=0.0, wrong=proof)
+    low = command.lift_height + trial.slipped * WEIGH_HEIGHT  # it may stand again
+    return _remember(command, trial=asdict(trial), belief=asdict(belief), low=low)
 
 
 def _hold(observation: Observation, command: Command, felt: list[float]) -> Command:
     """Hold; let go where somebody who was announced pulls for longer than a bump lasts."""
     command = _regulated(observation, command, felt)
-    now = _load(command).vector(observation.touch)
+    now = _kept(Load, command).vector(observation.touch)
     held = np.asarray(command.memory.get("held", now))
     pulls = float(np.linalg.norm(now - held)) > PULL_FORCE
     if observation.told.hand_over and pulls:
@@ -214,10 +217,9 @@ def _lower(observation: Observation, command: Command, felt: list[float]) -> Com
     speed = PLACE_SPEED if above < SEARCH else LIFT_SPEED
     height = max(goal, command.lift_height - speed * observation.period)
     weight = float(np.asarray(command.memory["held"])[0])
-    stands = float(_load(command).vector(observation.touch)[0]) < 0.5 * weight - TABLE_FORCE
+    stands = float(_kept(Load, command).vector(observation.touch)[0]) < 0.5 * weight - TABLE_FORCE
     if stands or (height == goal and observation.gripper.lift_height < goal + 0.001):
-        here = max(0.0, observation.gripper.lift_height)
-        return _release_now(replace(command, lift_height=here))
+        return _release_now(replace(command, lift_height=max(0.0, observation.gripper.lift_height)))
     return replace(command, lift_height=height)
 
 

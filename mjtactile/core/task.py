@@ -132,6 +132,12 @@ class Counts:
     let_go: float = number(
         "let_go_within_s", 0, 60, default=math.inf, about="of a pull; and not before it"
     )
+    fall: float = number(
+        "fall_mm", 0.1, 200, MM, default=0.015, about="when it is let go of, and no further"
+    )
+    bump: float = number(
+        "bump_N_s", 0, 10, default=math.inf, about="with which it is set down, at most"
+    )
 
 
 @dataclass(frozen=True)

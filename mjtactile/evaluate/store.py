@@ -65,7 +65,7 @@ def command(options: Mapping[str, Any]) -> str:
 
 class Store:
     """The folder of one evaluation, opened to add to it. With `resume` it must hold the same
-    evaluation, begun before.
+    evaluation, begun before, of as many episodes or fewer.
 
     Raises InputError where it holds another one, or one and `resume` is not asked for, or results
     and no manifest: nobody knows what these are of.
@@ -171,6 +171,9 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 def _same(path: Path, what: Mapping[str, Any]) -> None:
     before = read_manifest(path.parent)
     now = json.loads(json.dumps(what))
+    counts = [one.get("options", {}).get("count", 0) for one in (before, now)]
+    if counts[0] < counts[1]:  # more of the same
+        before["options"]["count"] = counts[1]
     for part in (name for name in now if name != "command"):  # the options say it, one by one
         if before.get(part) != now[part]:
             if isinstance(now[part], dict):

@@ -38,6 +38,7 @@ _LETTERS = {
     "error": "e",
 }
 _NONE = "."
+_ROUND = 5  # episodes of a task before the next one's turn
 _MEASURES = ("margin", "slip_mm", "bump_N_s", "let_go_s")
 
 
@@ -147,7 +148,8 @@ def run_suite(
     say: Say = lambda _: None,
     run_one: RunOne = run_episode,
 ) -> None:
-    """Run a suite's tasks, each into a folder of its own.
+    """Run a suite's tasks, each into a folder of its own; a few episodes of each at a time, so that
+    what is stopped has as many of all.
 
     Args:
         suite: What to run.
@@ -163,19 +165,22 @@ def run_suite(
         InputError: As `evaluate` does.
         DeviceError: As `evaluate` does.
     """
-    for task in suite.tasks:
-        say(task)
-        evaluate(
-            folder / task,
-            suite.scenario(task),
-            count=count,
-            controllers=controllers,
-            objects=suite.objects,
-            workers=workers,
-            resume=resume,
-            say=say,
-            run_one=run_one,
-        )
+    for most in [*range(_ROUND, count, _ROUND), count]:
+        for task in suite.tasks:
+            known = folder / task / store.MANIFEST
+            there = store.read_manifest(folder / task)["options"]["count"] if known.exists() else 0
+            say(f"{task}: {max(most, there)} episodes")
+            evaluate(
+                folder / task,
+                suite.scenario(task),
+                count=max(most, there),
+                controllers=controllers,
+                objects=suite.objects,
+                workers=workers,
+                resume=resume or most > _ROUND,
+                say=say,
+                run_one=run_one,
+            )
 
 
 def read(suite: Suite, folder: Path, task: str) -> list[dict[str, Any]]:

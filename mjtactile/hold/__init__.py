@@ -1,6 +1,6 @@
 """What a hand can know of the thing that it holds, from what its fingers feel; for any controller
 (`felt`: of one moment; `follow`: the test for slip; `belief`,
-`load` and `spring`: friction, load and stiffness, from image to image)."""
+`load`, `spring` and `trial`: friction, load and stiffness, from image to image)."""
 
 from mjtactile.hold.belief import Belief
 from mjtactile.hold.felt import (
@@ -20,6 +20,7 @@ from mjtactile.hold.felt import (
 from mjtactile.hold.follow import Following, follows
 from mjtactile.hold.load import Load
 from mjtactile.hold.spring import Spring
+from mjtactile.hold.trial import Trial
 
 __all__ = [
     "GAIN_SD",
@@ -29,6 +30,7 @@ __all__ = [
     "Friction",
     "Load",
     "Spring",
+    "Trial",
     "Weight",
     "downward",
     "follows",

@@ -27,12 +27,33 @@ class Load:
         past: N, what it carried a moment ago; negative: nothing is known of that.
         down: (n, 2) where the load drags each finger; empty until it hangs on the fingers alone.
         mass: kg, averaged; 0 until it hangs.
+        inner: (n, 2) of each newton of grip, what the fingers drag each other by; empty: unknown.
     """
 
     worst: float = 0.0
     past: float = -1.0
     down: Sequence[Sequence[float]] = ()
     mass: float = 0.0
+    inner: Sequence[Sequence[float]] = ()
+
+    def standing(self, touch: Sequence[Touch]) -> Load:
+        """It is gripped, and stands yet: what the fingers do to each other, they do already.
+
+        Faces that stand askew are dragged along by closing, and the more so the harder they are
+        gripped. What is pushed over its place drags, too, but then one finger presses harder than
+        the other, and that part goes when it is lifted.
+
+        Args:
+            touch: What is felt now.
+
+        Returns:
+            The load, which knows now what part of the shear is none.
+        """
+        press = np.array([one.force_normal for one in touch])
+        drag = shear(touch)
+        pushed = float(np.ptp(press))
+        trust = max(0.0, 1.0 - pushed / max(float(np.linalg.norm(drag, axis=1).mean()), 1e-9))
+        return replace(self, inner=(trust * drag / max(float(press.mean()), 1e-9)).tolist())
 
     def hanging(self, touch: Sequence[Touch]) -> Load:
         """From now on the fingers alone carry it.
@@ -43,7 +64,9 @@ class Load:
         Returns:
             The load, which knows now where down is.
         """
-        return replace(self, down=downward(touch).tolist())
+        press = float(np.mean([one.force_normal for one in touch]))
+        before = press * np.asarray(self.inner) if len(self.inner) else 0.0
+        return replace(self, down=downward(touch, before).tolist())
 
     def vector(self, touch: Sequence[Touch]) -> Array:
         """Say with how much the world pulls at what hangs.
@@ -81,4 +104,4 @@ class Load:
         past = now if self.past < 0 else self.past + min(1.0, period / _LEAD) * (now - self.past)
         ahead = now + max(now - past, 0.0) + _SPARE
         worst = max(ahead, self.worst * math.exp(-period / _KEPT))
-        return Load(worst, past, self.down, mass)
+        return Load(worst, past, self.down, mass, self.inner)

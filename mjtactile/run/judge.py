@@ -21,7 +21,7 @@ from mjtactile.rig.finger import Rig
 from mjtactile.sim import truth
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 
-VERSION = "1"
+VERSION = "2"
 """Goes up with every change of what counts or of how it is measured."""
 _EVERY = 0.02  # s between two looks at the need
 _IN_AIR = 0.01  # m of the hand, from where on the fingers alone carry the object
@@ -41,7 +41,7 @@ class Judge:
     pulls: float = math.nan
     margins: list[float] = field(default_factory=list)
     bump: float = math.nan
-    """N s with which the object was pressed onto its place, beyond its weight."""
+    """N s with which the object was pressed or fell onto its place, beyond its weight."""
     let_go_at: float = math.nan
     """s after the hand was up."""
     _next_look: float = -math.inf
@@ -70,7 +70,7 @@ class Judge:
                 self._up_since = time
         elif math.isnan(self.let_go_at) and max(forces) < _LET_GO:
             self.let_go_at = time - self._up_since
-        if phase == "lower" and not math.isnan(self._up_since):
+        if phase in ("lower", "release") and not math.isnan(self._up_since):
             pressed = max(truth.support_force(self.world, self._bodies) - self._weight(), 0.0)
             self.bump = np.nan_to_num(self.bump) + pressed * steps * self.world.timestep
         if phase in ("lift", "hold") and height > _IN_AIR and time >= self._next_look:
@@ -124,6 +124,8 @@ class Judge:
                 return f"it does not stand: tilted by {math.degrees(tilt):.0f} deg"
             if abs(height - self._start[1]) > _STANDS:
                 return f"it does not stand: {1e3 * (height - self._start[1]):+.0f} mm off its place"
+        if self.bump > counts.bump:
+            return f"it was set down with {self.bump:.2g} N s"
         return ""
 
     def measures(self) -> dict[str, float]:

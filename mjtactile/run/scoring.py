@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from mjtactile.core.task import Counts
 from mjtactile.core.types import Array, Touch
 from mjtactile.run.judge import Judge
 from mjtactile.sim import truth
@@ -21,10 +22,6 @@ _RISEN = 0.01  # m of the hand, from where on it can be told whether the object 
 _HELD_SHARE = 0.5
 # s between two looks at a soft object's strain, which changes no faster than the fingers
 _STRAIN_EVERY = 0.02
-# m that it falls when it is let go of: more than a tilted thing settles by; and where a task has
-# its own word on how it is set down
-_FALL = 0.015
-_FALL_OF_TASK = 0.025
 _HELD_SLACK = 1e-3  # m, less this: on a rig that does not lift, what it does not drop is held
 
 
@@ -139,9 +136,8 @@ class GraspScore:
         height = float(self._object_position()[2])
         if math.isnan(self._let_go_height):
             self._let_go_height = height
-        counts = self.judge is not None and math.isfinite(self.judge.task.counts.upright)
-        most = _FALL_OF_TASK if counts else _FALL
-        self.fell |= self._let_go_height - height > most
+        counts = Counts() if self.judge is None else self.judge.task.counts
+        self.fell |= self._let_go_height - height > counts.fall
 
     def _is_torn(self) -> bool:
         """Whether a soft object is strained beyond what its material stands."""

@@ -218,3 +218,23 @@ def test_what_the_table_pushes_up_is_no_load():
     heavier = [touch(0, -0.6, 1.0)] * 2
     # 0.6 N, on its way to more, and 0.02
     assert load.after(heavier, 1 / 30).worst == pytest.approx(0.6 + 0.3 * (1 - 1 / 4.5) + 0.02)
+
+
+def test_what_the_fingers_drag_each_other_by_is_no_weight():
+    """A box that stands askew: closing drags one finger to one side and the other to the other, by
+    0.2 N a newton, which seen from each is the same side; a load of 0.1 N hangs on each."""
+    stands = (touch(0.06, 0.0, 0.3), touch(0.06, 0.0, 0.3))
+    hangs = (touch(0.08, -0.1, 0.4), touch(0.08, -0.1, 0.4))
+    load = hold.Load().standing(stands).hanging(hangs).after(hangs, 1 / 30)
+    assert load.mass == pytest.approx(0.2 / 9.81)
+    # without it a quarter too heavy
+    askew = hold.Load().hanging(hangs).after(hangs, 1 / 30)
+    assert askew.mass == pytest.approx(2 * math.hypot(0.08, 0.1) / 9.81)
+
+
+def test_what_is_pushed_over_its_place_does_not_hide_the_load():
+    """One finger presses, the other hardly: that shear is the table's, and goes with it."""
+    stands = (touch(0.15, 0.0, 0.3), touch(0.0, 0.0, 0.05))
+    hangs = (touch(0.0, -0.1, 0.4), touch(0.0, -0.1, 0.4))
+    load = hold.Load().standing(stands).hanging(hangs).after(hangs, 1 / 30)
+    assert load.mass == pytest.approx(0.2 / 9.81)

@@ -54,6 +54,16 @@ def test_an_empty_folder_is_as_good_as_none(tmp_path):
     assert (tmp_path / "episodes.jsonl").read_text() == ""
 
 
+def test_what_is_gone_on_with_may_become_more_and_not_less(tmp_path):
+    write_part(tmp_path / "a", 1, 1)
+    what = store.read_manifest(tmp_path / "a")
+    more = what | {"options": what["options"] | {"count": 9}}
+    assert len(store.Store(tmp_path / "a", more, resume=True).lines) == 8
+    assert store.read_manifest(tmp_path / "a")["options"]["count"] == 9
+    with pytest.raises(InputError, match="was begun with another options: count"):
+        store.Store(tmp_path / "a", what, resume=True)
+
+
 def test_a_line_that_is_none_is_named_and_nothing_is_lost(tmp_path):
     write_part(tmp_path / "a", 1, 1)
     path = tmp_path / "a" / "episodes.jsonl"

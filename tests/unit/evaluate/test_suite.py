@@ -86,7 +86,7 @@ def test_nothing_is_compared_with_other_files_or_another_judge(new, tmp_path, mo
         suite.load_suite(path)
     new.write(path)
     monkeypatch.setattr(suite, "VERSION", "99")
-    with pytest.raises(InputError, match="was judged by version 1, this is 99"):
+    with pytest.raises(InputError, match="was judged by version 2, this is 99"):
         suite.load_suite(path)
     path.write_text("{}")
     with pytest.raises(InputError, match="no suite"):

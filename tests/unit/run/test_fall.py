@@ -1,8 +1,12 @@
 """What is let go of in the air and falls was not held, whatever was held before."""
 
+from types import SimpleNamespace
+from typing import Any, cast
+
 import numpy as np
 import pytest
 
+from mjtactile.core.task import Counts, Task
 from mjtactile.run.scoring import GraspScore
 
 
@@ -23,5 +27,13 @@ def test_what_falls_from_an_open_hand_was_dropped(monkeypatch, falls, outcome):
     for _ in range(5):
         score._watch_fall()
     assert score.outcome() == outcome
+    fragile = SimpleNamespace(task=Task("place", (), counts=Counts(fall=0.008)))
+    score.fell, score._let_go_height = False, float("nan")
+    score.judge = cast(Any, fragile)
+    heights = iter(0.07 - falls * np.linspace(0, 1, 5) ** 2)
+    for _ in range(5):
+        score._watch_fall()
+    assert score.fell == (falls > 0.008)  # a task's own word on it
+    score.judge = None
     if outcome == "dropped":
         assert score.reason() == "it was let go of in the air, and fell"
