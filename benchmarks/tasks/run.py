@@ -32,6 +32,9 @@ OBJECTS = ("vial", "egg", "random")
 DEVELOP = 60_000
 SEED = 70_000
 EPISODES = 200
+HARSH = ("weigh", "pour", "bump")
+"""Tasks that are also done in worlds of `--vary harsh`, by `adaptive` and by `touchless`: a quarter
+as many episodes."""
 QUICK = 3
 _WEIGHED_FROM = 0.02  # kg
 _WEIGHT_SD = (0.04, 1e-3)  # of the mass, and kg: what was asked
@@ -43,37 +46,50 @@ def run(
     """Evaluate each task; without images, whose errors the markers have drawn in their place.
 
     Args:
-        out: Gets tasks/TASK/episodes.jsonl, tasks/v1.json, what_touch_buys.png.
+        out: Gets tasks/TASK/episodes.jsonl, tasks/v1.json, tasks_harsh/TASK/episodes.jsonl,
+            what_touch_buys.png.
         quick: Three episodes each.
         resume: Go on with what is there.
         episodes: Of each task for each controller.
 
     Returns:
-        The summaries by task, and how well `adaptive` weighs.
+        The summaries by task, those of the harsh worlds, and how well `adaptive` weighs.
     """
     count = QUICK if quick else episodes
     suite = new_suite(NAME, TASKS, objects=OBJECTS, seed=SEED, develop=DEVELOP)
+    harsh = new_suite(NAME, HARSH, objects=OBJECTS, seed=SEED, develop=DEVELOP, vary="harsh")
     folder = out / "tasks"
-    run_suite(
-        suite,
-        folder,
-        controllers=(*CONTROLLERS, ORACLE),
-        count=count,
-        resume=resume,
-        say=Progress().message,
-        run_one=run_one,
-    )
+    for kind, where, who, most in (
+        (suite, folder, (*CONTROLLERS, ORACLE), count),
+        (harsh, out / "tasks_harsh", (CONTROLLERS[0], CONTROLLERS[-1]), max(count // 4, 1)),
+    ):
+        run_suite(
+            kind,
+            where,
+            controllers=who,
+            count=most,
+            resume=resume,
+            say=Progress().message,
+            run_one=run_one,
+        )
     suite.with_results(folder).write(folder / f"{NAME}.json")
-    lines = {task: read_lines(folder / task) for task in TASKS}
-    result = {
+    result = results(out, count)
+    draw(result, out / "what_touch_buys.png")
+    return result
+
+
+def results(out: Path, count: int) -> dict[str, Any]:
+    """What lies in `out`: the result of `run`."""
+    lines = {task: read_lines(out / "tasks" / task) for task in TASKS}
+    harsh = {task: read_lines(out / "tasks_harsh" / task) for task in HARSH}
+    return {
         "episodes": count,
         "seed": SEED,
         "objects": list(OBJECTS),
         "tasks": {task: summarise(own) for task, own in lines.items()},
+        "harsh": {task: summarise(own) for task, own in harsh.items()},
         "weighed": weighed(lines["weigh"]),
     }
-    draw(result, out / "what_touch_buys.png")
-    return result
 
 
 def run_one(episode: Episode) -> dict[str, Any]:
@@ -139,6 +155,9 @@ def table(result: Mapping[str, Any]) -> str:
     for task, summary in result["tasks"].items():
         cells = [_share(summary["controllers"].get(name)) for name in names]
         lines.append(f"| {task} | {' | '.join(cells)} | {_difference(summary)} |")
+    for task, summary in result["harsh"].items():
+        cells = [_share(summary["controllers"].get(name)) for name in names]
+        lines.append(f"| {task}, harsh worlds | {' | '.join(cells)} | {_difference(summary)} |")
     lines += ["", f"| crushed / dropped | {head} |", "|---" * (len(names) + 1) + "|"]
     for task, summary in result["tasks"].items():
         cells = [_failures(summary["controllers"].get(name)) for name in names]

@@ -36,11 +36,13 @@ def test_the_table_says_what_the_lines_say(tmp_path):
     result = {
         "episodes": 8,
         "tasks": dict.fromkeys(TASKS, summarise(own)),
+        "harsh": {"weigh": summarise(own[:8])},
         "weighed": {"things": 0},
     }
     text = table(result)
     # Wilson's interval of 8 of 8 is 67.6 to 100 %
     assert "| pour | 8 of 8 (68-100 %) |  |  | 4 of 8 (22-78 %) |  | +50 (" in text
+    assert "| weigh, harsh worlds | 8 of 8 (68-100 %) |  |  |  |  |  |" in text
     assert "| pour | 0 / 0 |  |  | 4 / 0 |  |" in text
     draw(result, tmp_path / "picture.png")
     assert (tmp_path / "picture.png").stat().st_size > 10_000
