@@ -25,7 +25,7 @@ class Number:
     row: str
     """How the row begins; "a / b": two rows, shown one after the other."""
     column: str
-    """Heading of the column."""
+    """Heading of the column; "a | b": two of them, likewise."""
     command: str
     """The command that measured it."""
     headline: bool = False
@@ -166,16 +166,19 @@ NUMBERS = (
     ),
     *(
         Number(
-            what=f"held and whole while {happens}, adaptive",
+            what=f"held and whole {happens}, by touch / by the servos' current alone",
             page="what_touch_buys",
-            row=task,
-            column="adaptive",
+            row=f"{task} |",
+            column="adaptive | touchless",
             command="bench tasks",
+            headline=headline,
         )
-        for task, happens in (
-            ("pour", "filled or emptied"),
-            ("shake", "shaken and turned"),
-            ("bump", "bumped"),
+        for task, happens, headline in (
+            ("weigh", "whatever it weighs", True),
+            ("pour", "while it is filled or emptied", True),
+            ("shake", "while it is shaken and turned", False),
+            ("bump", "while it is bumped", False),
+            ("place", "on a place of another height", True),
         )
     ),
     Number(
@@ -244,24 +247,25 @@ def cell(page: str, row: str, column: str, *, source: str) -> str:
     Args:
         page: The page's text, Markdown.
         row: How the row begins, without the first "|". "a / b" asks for two rows of one table.
-        column: The heading of the column.
+        column: The heading of the column. "a | b" asks for two columns of the row.
         source: Name of the page, for the error.
 
     Returns:
-        The cell's text, of the first table that has the column and the row; of two rows both,
-        joined by " / ".
+        The cell's text, of the first table that has the column and the row; of two both, joined by
+        " / ".
 
     Raises:
         InputError: No table has both.
     """
     beginnings = row.split(" / ")
+    columns = column.split(" | ")
     for heading, *rows in _tables(page):
-        if column not in heading:
+        if not set(columns) <= set(heading):
             continue
-        at = heading.index(column)
+        places = [heading.index(one) for one in columns]
         found = [_first(rows, beginning) for beginning in beginnings]
-        cells = [cells[at] for cells in found if cells is not None]
-        if len(cells) == len(beginnings):
+        cells = [cells[at] for cells in found if cells is not None for at in places]
+        if len(cells) == len(beginnings) * len(columns):
             return " / ".join(cells)
     raise InputError(
         f"has no table with a row {row!r} and a column {column!r}", source=f"docs/{source}.md"
