@@ -247,7 +247,7 @@ class Chain:
         """What the rubber remembers at the rest reference; None: it does not relax."""
         if self.inverse.rubber is None:
             return None
-        return self.inverse.rubber.begin(rest.c, rest.stiffness_scale, inflated_s, time)
+        return self.inverse.rubber.begin(rest.c, rest.young, inflated_s, time)
 
     def _check_rest(
         self, state: ChainState, markers: Markers, rest: InverseRest, pressure_gauge: float
@@ -487,7 +487,7 @@ class Chain:
             lost = slip.unknown(status.code, "shape not explained")
             return replace(unknown, slip=lost, status=status), state
         if self.inverse.rubber is not None and state.rubber is not None:
-            scale = estimate.rest.stiffness_scale
+            scale = estimate.rest.young
             rubber = self.inverse.rubber.after(state.rubber, estimate.shape.c, scale, time)
             estimate = replace(estimate, state=replace(estimate.state, rubber=rubber))
         moved = estimate.rest.pressure_gauge - reference.rest.pressure_gauge

@@ -33,7 +33,11 @@ class Forward:
     def __init__(
         self, design: SensorDesign, rest: InverseRest, spacing: float, gauge: float | None = None
     ):
-        sheet = replace(design.membrane, young=rest.stiffness_scale * design.membrane.young)
+        sheet = replace(
+            design.membrane,
+            young=rest.young * design.membrane.young,
+            pre_stretch=rest.stretch * design.membrane.pre_stretch,
+        )
         sides = (design.frame.length, design.frame.width)
         columns, rows = (max(round(side / spacing) + 1, 9) for side in sides)
         self.film = Film(

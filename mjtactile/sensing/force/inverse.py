@@ -55,19 +55,21 @@ _SD_RATIO = 1.3  # by which the gas's pressure may become better or worse known 
 _CAMERA_RATIO = 1.5  # the same of what fiducials leave in doubt of the camera
 _GAS_NEAR = 3.0  # Pa, over which the sheet at rest is kept
 _DARKER_NEAR = 0.03  # of darkness, over which the camera's modes are kept
+_REST_STEPS = 6  # the bulge goes with the stiffness to a power between -1 and -1/3
 REFINE = 5  # cells of the fine grid, for outlines, to a cell of the traction grid
 
 
 @dataclass(frozen=True, eq=False)
 class InverseRest:
-    """What the sensor measured of itself with nothing touching: the `gas`, the factor
-    `stiffness_scale` on Young's modulus that makes the model bulge as far as the markers do,
-    coefficients `c` (3, n) m of that model, and what then remains, `offset` (N, 3) m, measured less
-    modelled marker positions. Where a gauge measures the gas: the sd of its pressure, `gas_sd` Pa,
-    in a chamber of `gas_volume` m^3, and the pressure at rest, `pressure_gauge` Pa.
-    `darkness` (N,) is that of the markers then; NaN, or None: unknown. Of rubber that
-    relaxes the scale is that of its lasting modulus, and `faded` (3, qx, qy) N/m what is lost by
-    now of the stress that a quick deformation meets; None: it does not relax."""
+    """What the sensor measured of itself with nothing touching: the `gas`; how many times as stiff
+    as the sensor file's the sheet bulges, `stiffness_scale`, and the factors on Young's modulus,
+    `young`, and on the pre-stretch, `stretch`, that this is put down to (Eq. F25); coefficients
+    `c` (3, n) m of the model that bulges as far as the markers do, and what then remains, `offset`
+    (N, 3) m, measured less modelled marker positions. Where a gauge measures the gas: the sd of its
+    pressure, `gas_sd` Pa, in a chamber of `gas_volume` m^3, and the pressure at rest,
+    `pressure_gauge` Pa. `darkness` (N,) is that of the markers then; NaN, or None: unknown. Of
+    rubber that relaxes the scale is that of its lasting modulus, and `faded` (3, qx, qy) N/m what
+    is lost by now of the stress that a quick deformation meets; None: it does not relax."""
 
     gas: Gas
     stiffness_scale: float
@@ -78,6 +80,8 @@ class InverseRest:
     pressure_gauge: float = math.nan
     darkness: Array | None = None
     faded: Array | None = None
+    young: float = 1.0
+    stretch: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,26 +226,43 @@ class InverseMembrane:
         """Calibrate on a state with nothing touching and a known gauge pressure, Pa, in which the
         membrane has been for `inflated_s` s: see `InverseRest`."""
         valve = Gas(pressure_gauge)
-        scale = 1.0
+        scale = young = stretch = 1.0
         c = self.sheet.equilibrium(valve)
         height = markers.p_SM[:, 2]
         if pressure_gauge > self.settings.informative_pressure:
-            for _ in range(3):  # the bulge goes with the stiffness to a power between -1 and -1/3
+            for _ in range(_REST_STEPS):
                 modelled = self._at_markers[markers.ids] @ c[2]
                 # pressed in below the frame: no bulge
                 ratio = max(float(modelled @ height / (modelled @ modelled)), 0.01)
                 scale *= np.clip(1 / ratio**self.settings.rest_power, 0.5, 2.0)
-                faded = self._faded(c, scale, inflated_s)
-                c = self.sheet.equilibrium(valve, scale * self._quick, start=c, faded=faded)
-        faded = self._faded(c, scale, inflated_s)
-        state = self.sheet.state(c, scale * self._quick, faded)
+                young, stretch = self._apart(scale, c)
+                faded = self._faded(c, young, inflated_s)
+                quick = young * self._quick
+                c = self.sheet.equilibrium(valve, quick, start=c, faded=faded, stretch=stretch)
+        faded = self._faded(c, young, inflated_s)
+        state = self.sheet.state(c, young * self._quick, faded, stretch)
         gas = self.sheet.seal(state, pressure_gauge) if sealed else valve
         offset = np.zeros((self.design.markers.count, 3))
         offset[markers.ids] = markers.p_SM - self.positions(c)[markers.ids]
         darkness = np.full(self.design.markers.count, np.nan)
         if markers.darkness is not None:
             darkness[markers.ids] = markers.darkness
-        return InverseRest(gas, scale, c, offset, darkness=darkness, faded=faded)
+        return InverseRest(
+            gas, scale, c, offset, darkness=darkness, faded=faded, young=young, stretch=stretch
+        )
+
+    def _apart(self, scale: float, c: Array) -> tuple[float, float]:
+        """The factors on Young's modulus and pre-stretch that a sheet has which bulges, at `c`, as
+        if it were `scale` times as stiff as its file's (Eq. F25): each is off by a share that goes
+        with its variance, and the pre-stretch by three sd at most."""
+        s = self.settings
+        nominal = self.design.membrane.pre_stretch
+        strain = nominal - 1 + self.sheet.mean_strain(c)
+        off = s.pre_stretch_sd / max(strain, s.pre_stretch_sd)
+        share = off**2 / (off**2 + s.young_sd**2)
+        more = float(np.clip(strain * (scale**share - 1) / s.pre_stretch_sd, -3, 3))
+        more *= s.pre_stretch_sd
+        return scale / (1 + more / strain), 1 + more / nominal
 
     def volume(self, c: Array) -> float:
         """Gas volume, m^3, behind the sheet at coefficients `c`."""
@@ -261,14 +282,16 @@ class InverseMembrane:
         # what holds this bulge, as far as a pressure does
         held = float((state.elastic * state.gradient).sum() / (state.gradient**2).sum())
         if abs(self.sheet.gas_pressure(state, rest.gas)[0] - held) > _GAS_NEAR:
-            scale = rest.stiffness_scale * self._quick
-            c = self.sheet.equilibrium(rest.gas, scale, start=c, faded=rest.faded)
+            scale = rest.young * self._quick
+            c = self.sheet.equilibrium(
+                rest.gas, scale, start=c, faded=rest.faded, stretch=rest.stretch
+            )
             held = self.sheet.gas_pressure(self.sheet.state(c), rest.gas)[0]
         return replace(rest, c=c, pressure_gauge=held)
 
     def _state(self, c: Array, rest: InverseRest) -> State:
         """The sheet of this sensor at `c` (3, n) m."""
-        return self.sheet.state(c, rest.stiffness_scale * self._quick, rest.faded)
+        return self.sheet.state(c, rest.young * self._quick, rest.faded, rest.stretch)
 
     def _faded(self, c: Array, scale: float, inflated_s: float) -> Array | None:
         """What has faded (3, qx, qy) N/m of a sheet that has been at `c` for `inflated_s` s."""

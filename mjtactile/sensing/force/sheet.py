@@ -61,14 +61,15 @@ class Gas:
 @dataclass(frozen=True, eq=False)
 class State:
     """A deformation: its coefficients `c` (3, n) m, the factor `scale` on Young's modulus, the
-    bulge's `volume` m^3 and its `gradient` (3, n) m^2 by the coefficients, and the `elastic`
-    generalised forces (3, n) N."""
+    bulge's `volume` m^3 and its `gradient` (3, n) m^2 by the coefficients, the `elastic`
+    generalised forces (3, n) N, and the factor `stretch` on the sheet's pre-stretch."""
 
     c: Array
     scale: float
     volume: float
     gradient: Array
     elastic: Array
+    stretch: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +93,7 @@ class Stiffness:
 
 class Sheet:
     """Operators of one sensor's membrane on `spans` (x, y) spline intervals. `scale` multiplies
-    Young's modulus.
+    Young's modulus, `stretch` the pre-stretch.
 
     Raises InputError for too few intervals, or a frame that is no rectangle.
     """
@@ -121,7 +122,7 @@ class Sheet:
         numbers = np.array([ax.length, ay.length, sheet.pre_stretch**2, *law.numbers])
         # as kernels take them
         self.numbers = numbers
-        self._law = (numbers, law.table.shape[1], law.table)
+        self._table = (law.table.shape[1], law.table)
         self.width = 9 * ay.count + 11  # of the stiffness's band
 
     def basis(self, X: Array) -> Array:
@@ -132,16 +133,25 @@ class Sheet:
     # -- one state
     # --------------------------------------------------------------------------------
 
-    def state(self, c: Array, scale: float = 1.0, faded: Array | None = None) -> State:
+    def state(
+        self, c: Array, scale: float = 1.0, faded: Array | None = None, stretch: float = 1.0
+    ) -> State:
         """What coefficients `c` (3, n) m make of the sheet, of whose stress (3, qx, qy) N/m has
         `faded`."""
         elastic = np.empty_like(c)
         gradient = np.empty_like(c)
         volume = np.empty(1)
-        kernel("sheet_state")(*self.shape, *self._law, c, scale, elastic, gradient, volume)
+        law = self._law(stretch)
+        kernel("sheet_state")(*self.shape, *law, c, scale, elastic, gradient, volume)
         if faded is not None:
             elastic -= self.forces_of(c, faded)
-        return State(c, scale, float(volume[0]), gradient, elastic)
+        return State(c, scale, float(volume[0]), gradient, elastic, stretch)
+
+    def _law(self, stretch: float) -> tuple[Array, int, Array]:
+        """As kernels take it."""
+        numbers = self.numbers.copy()
+        numbers[2] *= stretch**2
+        return (numbers, *self._table)
 
     def stress(self, c: Array) -> Array:
         """Second Piola-Kirchhoff stress (3, qx, qy) N/m of the file's law at the Gauss points: S11,
@@ -173,6 +183,12 @@ class Sheet:
         g2[1] += 1
         return g1, g2
 
+    def mean_strain(self, c: Array) -> float:
+        """By how much the mounted sheet is stretched, in the mean over its area and both ways."""
+        g1, g2 = self._tangents(c)
+        longer = sum(float((np.linalg.norm(g, axis=0) * self.weights).sum()) for g in (g1, g2))
+        return longer / (2 * float(self.weights.sum())) - 1
+
     def area_vector(self, c: Array, weight: Array) -> Array:
         """The sum (3,) of the area vectors dx/dX cross dx/dY at the Gauss points, times `weight`
         (qx, qy)."""
@@ -190,7 +206,8 @@ class Sheet:
         """d(residual)/dc at constant pressure, N/m (Eq. F10): the lower band (3 n, stride) as
         kernels/band.h has it, with the three components of a spline together."""
         band = np.empty((3 * self.count, band_stride(self.width)))
-        kernel("sheet_tangent")(*self.shape, *self._law, state.c, state.scale, pressure_gauge, band)
+        law = self._law(state.stretch)
+        kernel("sheet_tangent")(*self.shape, *law, state.c, state.scale, pressure_gauge, band)
         return band
 
     # -- equilibrium
@@ -236,6 +253,7 @@ class Sheet:
         load: Array | None = None,
         start: Array | None = None,
         faded: Array | None = None,
+        stretch: float = 1.0,
     ) -> Array:
         """Coefficients (3, n) at rest under `gas` and generalised loads (3, n) N, by Newton steps
         from `start`; `faded` as for `state`.
@@ -245,7 +263,7 @@ class Sheet:
         """
         c: Array = np.zeros((3, self.count)) if start is None else start.copy()
         for _ in range(_NEWTON_STEPS):
-            residual, stiffness = self.linearise(self.state(c, scale, faded), gas)
+            residual, stiffness = self.linearise(self.state(c, scale, faded, stretch), gas)
             step = stiffness.solve(residual if load is None else residual - load.reshape(3, -1))
             largest = float(np.abs(step).max())
             c -= min(1.0, _STEP_MAX / max(largest, 1e-30)) * step

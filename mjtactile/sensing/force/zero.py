@@ -120,7 +120,7 @@ def _of_gas(estimator: InverseMembrane, rest: InverseRest, shape: Shape) -> Arra
     a valve keeps the pressure."""
     if rest.gas.constant is None and rest.gas_sd is None:
         return np.zeros_like(rest.c)
-    state = estimator.sheet.state(rest.c, rest.stiffness_scale)
+    state = estimator.sheet.state(rest.c, rest.young)
     chamber = estimator.design.chamber
     if rest.gas.constant is None:
         return shape.gain.stiffness.solve((chamber.ambient + rest.gas.gauge) * state.gradient)

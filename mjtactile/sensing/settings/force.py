@@ -102,6 +102,15 @@ class InverseSettings:
         "of the bulge's height, with which the stiffness is corrected at rest",
         "the height goes with the stiffness to a power between -1 and -1/3",
     )
+    young_sd: float = number(
+        0.06,
+        "sd of the sheet's stiffness, a share, by which a bulge that is not the file's is put down "
+        "to it or to the pre-stretch",
+        "mixed silicone from batch to batch, and its thickness (models/variations/default.toml)",
+    )
+    pre_stretch_sd: float = number(
+        0.005, "sd of the pre-stretch", "0.2 mm of a frame of 40 (models/variations/default.toml)"
+    )
     cold_load: float = number(
         0.3,
         "N found without a history, from which on the camera is taken to be as at the references",
