@@ -11,8 +11,7 @@
 - **The table and other hands.** Shear that goes, and comes again from the other side, is the
   table: the thing stands, let go. Shear that changes otherwise and stays so is somebody who pulls.
 
-`step` is pure: what it must remember it writes into `Command.memory` and finds again in
-`Observation.command.memory`. It knows no clock, simulator or device, nor which way is down.
+`step` is pure: its memory is `Command.memory`. It knows no clock, nor which way is down.
 """
 
 from dataclasses import asdict, replace
@@ -98,7 +97,8 @@ def _remember(command: Command, **values) -> Command:
 
 def _kept(kind: Any, command: Command) -> Any:
     """The `Belief`, `Load`, `Spring` or `Trial` of the image before."""
-    return kind(**command.memory[kind.__name__.lower()])
+    kept: Any = command.memory[kind.__name__.lower()]
+    return kind(**kept)
 
 
 def grip_as_needed(observation: Observation, command: Command) -> Command:
