@@ -91,7 +91,7 @@ class DenseInverse(InverseMembrane):
         """One Gauss-Newton step from `c`: the sheet relaxes, tractions and drift explain what
         markers show beyond that."""
         data = markers.p_SM - rest.offset[markers.ids] - self._material[markers.ids]
-        state = self._dense.state(c, rest.young)
+        state = self._dense.state(c, rest.stiffness_scale)
         pressure, _ = self._dense.gas_pressure(state, rest.gas)
         residual = self._dense.residual(state, pressure)
         # against the state without tractions, u - K^-1 r
@@ -141,7 +141,7 @@ class DenseInverse(InverseMembrane):
         knocked: bool,
         camera: None,
     ) -> _Gain:
-        state = self._dense.state(c, rest.young)
+        state = self._dense.state(c, rest.stiffness_scale)
         _, stiffness = self._dense.linearise(state, rest.gas)
         rows = self._at_markers[markers.ids]
         excess = np.zeros((2, len(rows))) if before is None else before.excess[:, markers.ids]

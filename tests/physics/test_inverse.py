@@ -239,6 +239,7 @@ def test_a_sheet_that_is_mounted_otherwise_feels_shear(young, tauter):
     shape = None
     for _ in range(4):
         shape = estimator.estimate(seen(pressed), rest, shape)
+    assert shape is not None
     force = estimator.force(shape)
     assert force[0] == pytest.approx(0.1, rel=0.065)
     assert force[2] == pytest.approx(-0.4, rel=0.01)

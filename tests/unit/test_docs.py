@@ -35,6 +35,13 @@ PAGES = [
 ]
 
 
+def found(pattern: str, text: str) -> str:
+    """The first group of what is there."""
+    match = re.search(pattern, text, re.DOTALL | re.MULTILINE)
+    assert match is not None, pattern
+    return match.group(1)
+
+
 def block(page: str, language: str, number: int = 0) -> str:
     return re.findall(rf"```{language}\n(.*?)```", (CHECKOUT / page).read_text(), re.DOTALL)[number]
 
@@ -119,7 +126,7 @@ def test_controller_of_the_tutorial(tmp_path):
 
 def test_the_page_of_controllers_has_every_field_of_touch():
     page = (CHECKOUT / "docs/controllers.md").read_text()
-    table = re.search(r"What a `Touch` holds.*?\n\n(.*?)\n\n", page, re.DOTALL).group(1)
+    table = found(r"What a `Touch` holds.*?\n\n(.*?)\n\n", page)
     firsts = {
         name
         for line in table.splitlines()[2:]
@@ -268,7 +275,7 @@ def test_links_of_the_pages_in_the_wheel_stay_in_the_wheel(page):
 )
 def test_numbers_are_those_of_the_pages_that_the_benchmarks_wrote(page, block, table):
     text = (CHECKOUT / page).read_text()
-    written = re.search(rf"<!-- bench:{block} -->\n(.*?)<!-- /bench -->", text, re.DOTALL).group(1)
+    written = found(rf"<!-- bench:{block} -->\n(.*?)<!-- /bench -->", text)
     # else: mjtactile bench BLOCK --readme PAGE
     assert written.strip() == table(numbers.run(Path())).strip()
 
@@ -308,7 +315,7 @@ def test_no_page_says_another_number(said, what):
 
 def test_the_readmes_short_list_of_limits_has_the_numbers_of_the_page():
     readme = (CHECKOUT / "README.md").read_text()
-    section = re.search(r"(?s)\n## Honest limits\n(.*?)\n## ", readme).group(1)
+    section = found(r"\n## Honest limits\n(.*?)\n## ", readme)
     number = r"\d[\d.-]* (?:%|mm|times)"
     page = (CHECKOUT / "docs/limits.md").read_text()
     assert set(re.findall(number, section)) <= set(re.findall(number, page))
@@ -346,14 +353,10 @@ SECTIONS = [name for name, entry in entries(SensorDesign).items() if isinstance(
 
 @pytest.mark.parametrize("section", SECTIONS)
 def test_the_page_of_sensor_files_has_every_field_with_its_range_and_default(section):
-    text = re.search(
-        rf"^## \[{section}\]$(.*?)^## ",
-        (CHECKOUT / "docs/sensors.md").read_text(),
-        re.DOTALL | re.MULTILINE,
-    )
+    text = found(rf"^## \[{section}\]$(.*?)^## ", (CHECKOUT / "docs/sensors.md").read_text())
     rows = [
         [cell.strip() for cell in line.strip("|").split("|")]
-        for line in text.group(1).splitlines()
+        for line in text.splitlines()
         if line.startswith("| `")
     ]
     kind = entries(SensorDesign)[section].kind
@@ -368,7 +371,7 @@ def test_the_page_of_sensor_files_has_every_field_with_its_range_and_default(sec
             whole = ", whole" if entry.whole else ""
             assert allowed == f"{entry.low:g} to {entry.high:g}{whole}", entry.key
         elif isinstance(entry, Text):
-            assert allowed == " or ".join(f'`"{word}"`' for word in entry.choices), entry.key
+            assert allowed == " or ".join(f'`"{word}"`' for word in entry.choices or ()), entry.key
         else:
             assert allowed == "list of pairs", entry.key
         said = special[default] if default in special else f"{default / entry.unit:g}"
@@ -380,7 +383,7 @@ def test_round_sensor_without_glass(tmp_path):
     dense = (CHECKOUT / "models/sensors/dense.toml").read_text()
     example = block("docs/sensors.md", "toml")
     for section in ("frame", "glass"):
-        new = re.search(rf"\[{section}\].*?(?=\n\n|\Z)", example, re.DOTALL).group(0)
+        new = found(rf"(\[{section}\].*?)(?=\n\n|\Z)", example)
         dense = re.sub(rf"\[{section}\].*?(?=\n\n)", new, dense, flags=re.DOTALL)
     (tmp_path / "round.toml").write_text(dense)
     design = load_sensor(tmp_path / "round.toml")

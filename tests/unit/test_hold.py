@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from mjtactile import hold
-from mjtactile.core.types import Slip, Touch, Traction
+from mjtactile.core.status import Status, StatusCode
+from mjtactile.core.types import Slip, SlipState, Touch, Traction
 
 NOISE = 0.003  # N, of each component
 GRID = np.linspace(-0.01, 0.01, 3)
 
 
-def touch(fx, fy, normal, state="sticking"):
+def touch(fx, fy, normal, state: SlipState = "sticking"):
     """A finger that feels this force on its membrane, N; `normal` positive for a press."""
     wrench = np.array([fx, fy, -normal, 0.0, 0.0, 0.0])
     cov = np.diag([NOISE**2] * 3 + [1e-8] * 3)
@@ -22,7 +23,7 @@ def touch(fx, fy, normal, state="sticking"):
     return Touch(0.0, 0.01, normal, NOISE, True, traction=traction, slip=slip)
 
 
-UNKNOWN = Touch(0.0, 0.01, math.nan, math.nan, False, status="too dark")
+UNKNOWN = Touch(0.0, 0.01, math.nan, math.nan, False, status=Status(StatusCode.OTHER, "too dark"))
 
 
 @pytest.mark.parametrize("mass", [0.005, 0.06, 0.3])

@@ -3,11 +3,21 @@ touches that are made up by statics."""
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from mjtactile.core.types import Command, GripperState, Observation, Slip, Told, Touch, Traction
+from mjtactile.core.types import (
+    Command,
+    GripperState,
+    Observation,
+    Slip,
+    SlipState,
+    Told,
+    Touch,
+    Traction,
+)
 from mjtactile.run.controller import load_controller
 
 PERIOD = 1 / 30
@@ -15,7 +25,7 @@ GRID = np.linspace(-0.01, 0.01, 3)
 step = load_controller("adaptive").step
 
 
-def finger(down, side=0.0, normal=0.4, state="sticking"):
+def finger(down, side=0.0, normal=0.4, state: SlipState = "sticking"):
     """A finger whose y points up: it carries `down` N, and `side` N along x."""
     wrench = np.array([side, -down, -normal, 0.0, 0.0, 0.0])
     traction = Traction(GRID, GRID, np.zeros((3, 3, 3)), wrench, np.eye(6) * 9e-6, 1e3, "made up")
@@ -101,7 +111,8 @@ def test_a_thing_that_leans_in_the_grip_is_no_load():
 
 def test_a_slip_that_all_fingers_say_teaches_friction():
     command, told = holding(0.2)
-    belief = {**command.memory["belief"], "proven": 0.0, "wrong": 0.0}  # nothing was tried
+    kept: Any = command.memory
+    belief = {**kept["belief"], "proven": 0.0, "wrong": 0.0}  # nothing was tried
     command = replace(command, memory={**command.memory, "belief": belief})
     assert believed(command) > 0.5
     grip = command.memory["target"]
@@ -117,7 +128,7 @@ def test_a_slip_that_all_fingers_say_teaches_friction():
     assert believed(told_once) == pytest.approx(0.8 * believed(command), rel=0.01)
     # it closes at once, by what a quarter more takes of two membranes
     more = told_once.memory["target"] - command.memory["target"]
-    stiffness = command.memory["spring"]["hardness"] * (110 + 260 * grip)
+    stiffness = kept["spring"]["hardness"] * (110 + 260 * grip)
     assert told_once.opening == pytest.approx(command.opening - more / stiffness, abs=1.2e-4)
     again = run(told_once, both, 5, told)
     assert believed(again) == believed(told_once)  # the same slip, not another
