@@ -22,6 +22,7 @@ ROOMS = {
     "studio": "a session, watched live",
     "explore": "whole objects by touch",
     "study": "what a sensor file reaches, predicted",
+    "shadow": "a run beside its simulation",
     "experiments": "the paper's figures",
     "evaluate": "many grasps, statistics",
     "gym": "Gymnasium",
@@ -57,7 +58,7 @@ INSIDE = (
 
 COLOURS = {
     "cli commands studio": "#fde8cf",
-    "explore study experiments evaluate gym make": "#fdf6d8",
+    "explore study experiments evaluate gym make shadow": "#fdf6d8",
     "calibrate plugin doctor fit export report": "#fdf6d8",
     "run": "#fbd9d9",
     "sim devices emulator replay": "#d8e8fb",

@@ -34,6 +34,7 @@ COMMANDS = {
     "studio": "watch a grasp live in the browser, and reach in",
     "summary": "the page of a recorded run: curves to zoom, images by a slider, membranes to turn",
     "video": "film a recorded run: images, ellipses, forces over time",
+    "shadow": "a recording beside the simulator that is told the same: where they part, and why",
     "export": "write recordings as a LeRobot data set, MCAP, Rerun's files or ROS 2 bags",
     "new": "start your own controller, sensor, object or rig from a commented copy",
     "docs": "the documentation's pages: list them, or print one",

@@ -25,6 +25,7 @@ from mjtactile.run.loop import run_loop
 from mjtactile.run.perceive import DrawnPerception, Perceiver
 from mjtactile.run.perception_pool import PerceptionPool, default_count
 from mjtactile.run.references import Reference, inflate, take_references
+from mjtactile.run.steps import Steps
 from mjtactile.run.supervisor import Supervisor
 from mjtactile.sensing.perception import Perception
 from mjtactile.sensing.settings import DEFAULTS, Settings
@@ -196,6 +197,19 @@ class Session:
                 threads=self._threads,
                 pool=self._pool,
             )
+
+    @contextlib.contextmanager
+    def steps(self) -> Iterator[Steps]:
+        """Give the rig out step by step, in place of `run`, to whoever has a loop of his own.
+
+        Yields:
+            The steps: `observe`, then `send`, again and again.
+        """
+        found = Steps(self.rig, self.perceptions, self._threads)
+        try:
+            yield found
+        finally:
+            found.close()
 
     def make_safe(self, reason: str) -> None:
         """From the next cycle of `run` on, lower and open the hand, whatever the controller says.

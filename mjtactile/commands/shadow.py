@@ -1,0 +1,111 @@
+"""`mjtactile shadow`: a recording beside the simulator that is driven by the same commands."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+from pathlib import Path
+
+from mjtactile import InputError
+from mjtactile.commands.output import output_folder, print_json, stdout_to_stderr
+from mjtactile.recording.files import write_json
+from mjtactile.run.progress import Progress
+from mjtactile.shadow.causes import CAUSES
+
+DESCRIPTION = """\
+Replay a recording of a real or emulated rig beside the simulator that is given the same
+commands at the same times (or the same moves of a stage), and say where the two part, in
+forces, markers and pressures, and which one cause would explain most of it: each is tried in
+the simulator. It is what to do on the first day with a real sensor."""
+EPILOG = f"""\
+examples:
+  mjtactile grasp --rig my_gripper.toml --object egg --out runs/real
+  mjtactile shadow runs/real --out runs/real_shadow
+  mjtactile shadow runs/real --rig my_sim_gripper.toml --until-s 4 --out runs/real_shadow
+  mjtactile shadow runs/press_3 --json                 a recording of `record --steps`
+
+Writes shadow.html (curves, a table of what was tried) and shadow.json. Causes that are tried:
+{", ".join(cause.name for cause in CAUSES)}.
+What it can tell and what not: docs/integrations.md.
+exit codes: 0 does as the simulator, 1 it parts from it, 2 bad input, 3 the simulation failed.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "recording", type=Path, metavar="RECORDING", help="a recording, or a run's folder"
+    )
+    parser.add_argument(
+        "--rig",
+        default="sim",
+        metavar="NAME|FILE.toml",
+        help="the simulated rig that stands for the recording's (default: sim)",
+    )
+    parser.add_argument(
+        "--object",
+        default="",
+        metavar="NAME|FILE.xml",
+        help="what was grasped (default: as the recording says)",
+    )
+    parser.add_argument(
+        "--until-s",
+        dest="until",
+        type=float,
+        default=math.inf,
+        metavar="S",
+        help="look at the first S seconds alone (default: all)",
+    )
+    parser.add_argument(
+        "--cause",
+        action="append",
+        default=[],
+        choices=[cause.name for cause in CAUSES],
+        help="try this one; may be given again (default: all)",
+    )
+    parser.add_argument(
+        "--workers",
+        type=int,
+        default=max(1, (os.cpu_count() or 1) // 2),
+        metavar="N",
+        help="processes that simulate (default: half of the processors)",
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder for the page and its numbers"
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    from mjtactile.shadow.page import numbers, page
+    from mjtactile.shadow.run import shadow_of
+
+    if not options.until > 0:
+        raise InputError(f"{options.until:g} is not above 0", field="--until-s")
+    if not 1 <= options.workers <= 64:
+        raise InputError(f"{options.workers} is outside 1 to 64", field="--workers")
+    progress = Progress(quiet=options.json)
+    with stdout_to_stderr():
+        shadow, episode = shadow_of(
+            options.recording,
+            rig=options.rig,
+            thing=options.object,
+            until=options.until,
+            causes=options.cause,
+            workers=options.workers,
+            say=progress.message,
+        )
+    result = numbers(shadow, episode.fingers) | {"recording": str(options.recording)}
+    if options.out is not None:
+        with output_folder(options.out, "shadow.html", "shadow.json") as out:
+            write_json(out / "shadow.json", result)
+            text = page(shadow, episode.fingers, f"{options.recording} and its simulation")
+            (out / "shadow.html").write_text(text, encoding="utf-8")
+    if options.json:
+        print_json(result)
+        return int(shadow.differs)
+    print(f"{options.recording}: {result['verdict']}")
+    if result["remedy"]:
+        print(f"  {result['remedy']}")
+    if options.out is not None:
+        print(f"  {options.out}/shadow.html")
+    return int(shadow.differs)

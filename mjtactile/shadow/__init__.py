@@ -1,0 +1,1 @@
+"""A recording beside the simulator that is driven by the same commands."""

@@ -1,0 +1,204 @@
+"""The simulator does again what a recording's rig was told to do: the same commands at the same
+times, or the same moves of a stage; and its sensing chain looks on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import InputError
+from mjtactile.core.scenario import Scenario
+from mjtactile.core.types import Array, Command, Image, PressureReading
+from mjtactile.experiments.stage import record_stage
+from mjtactile.export.episode import Episode
+from mjtactile.recording.observer import Observer
+from mjtactile.recording.reader import Recording
+from mjtactile.recording.stage import Stage, stage_from_note
+from mjtactile.rig.file import load_sim_rig
+from mjtactile.rig.specimen import NOMINAL, SpecimenConfig, true_design
+from mjtactile.rig.variation import UNCHANGED, Drawn
+from mjtactile.run.session import Session
+from mjtactile.sensing.perception import Perception
+from mjtactile.shadow.signals import Gathered, Signals, gauges
+from mjtactile.sim.rig import build_sim_rig, start_of
+
+Amounts = Mapping[str, Sequence[float]]
+"""Cause to its amount, SI, on each finger; of the hand or of the thing one number."""
+_NOT_DRAWN = "-images"  # markers with an image's errors in place of images: the same, sooner
+
+
+@dataclass(frozen=True)
+class HandAgain:
+    """A hand that is told what the hand of `folder` was told.
+
+    Attributes:
+        folder: The recording.
+        scenario: What is simulated: its rig, object, sensor and seed.
+        until: s from the first cycle, after which nothing is looked at.
+    """
+
+    folder: Path
+    scenario: Scenario
+    until: float = math.inf
+
+    def run(self, amounts: Amounts) -> Signals:
+        """Simulate it with so much of each cause.
+
+        Returns:
+            What the simulated rig says.
+
+        Raises:
+            InputError: The simulated rig has not as many fingers.
+        """
+        episode = Episode(self.folder)
+        count = len(episode.fingers)
+        file = load_sim_rig(self.scenario.rig)
+        if len(file.fingers) != count:
+            raise InputError(
+                f"the recording has {count} fingers, the simulated rig {len(file.fingers)}",
+                source=self.scenario.rig,
+                field="--rig",
+            )
+        names = [finger.name for finger in file.fingers]
+        rig = build_sim_rig(self.scenario, file=file, drawn=self._drawn(amounts, names))
+        try:
+            session = Session(rig, threads=0)
+            session.take_references()
+            offset = float(amounts.get("opening", (0.0,))[0])
+            return _follow(session, episode.recording, offset, self.until)
+        finally:
+            rig.close()
+
+    def _drawn(self, amounts: Amounts, names: Sequence[str]) -> Drawn:
+        pose, _ = start_of(self.scenario.seed)
+        along = float(amounts.get("along", (0.0,))[0])
+        mass = float(amounts.get("mass", (0.0,))[0])
+        thing = replace(UNCHANGED, place=(pose[0] + along, pose[1]), mass=mass)
+        specimens = tuple(
+            replace(_specimen(amounts, k), finger=name) for k, name in enumerate(names)
+        )
+        return Drawn(object=thing, specimens=specimens)
+
+
+@dataclass(frozen=True)
+class StageAgain:
+    """A sensor under a simulated stage that makes the moves of `folder`.
+
+    Attributes:
+        folder: The recording.
+        until: s from the first cycle, after which nothing is looked at.
+    """
+
+    folder: Path
+    until: float = math.inf
+
+    def run(self, amounts: Amounts) -> Signals:
+        """Simulate it with so much of each cause.
+
+        Returns:
+            What the simulated sensor says.
+        """
+        episode = Episode(self.folder)
+        stage = stage_from_note(episode.recording.notes["stage"], self.folder)
+        specimen = _specimen(amounts, 0)
+        true = true_design(episode.design, specimen)
+        leaking = replace(true.chamber, leak_conductance=true.chamber.leak_conductance)
+        leaking = replace(leaking, leak_conductance=leaking.leak_conductance + specimen.leak)
+        offset = float(amounts.get("touch", (0.0,))[0])
+        watch = _Watch(episode.design, specimen.valve_zero)
+        times = episode.recording.columns["time"]
+        seconds = min(float(times[-1] - times[0]), self.until) + 1 / episode.design.camera.rate
+        record_stage(
+            replace(true, chamber=leaking),
+            _deeper(stage, offset),
+            watch,  # type: ignore[arg-type]  # an observer is all that it needs
+            seconds=seconds,
+        )
+        return watch.gathered.signals()
+
+
+class _Watch(Observer):
+    """A sensing chain that looks on while a stage is recorded."""
+
+    def __init__(self, design: SensorDesign, zero: float):
+        self._perception = Perception.of(design, None)
+        self._zero = zero
+        self.gathered = Gathered([design.markers.count])
+
+    def add_reference(
+        self, stage: str, images: Sequence[Sequence[Image]], pressure_gauge: Sequence[Any]
+    ) -> None:
+        if stage == "flat":
+            self._perception.take_flat(list(images[0]))
+        else:
+            self._perception.take_rest(list(images[0]), pressure_gauge[0] + self._zero)
+
+    def add(self, cycle: Any, view: Any = None, **truth: Any) -> None:
+        valve = cycle.valves[0]
+        shown = valve.pressure_gauge + self._zero
+        reading = PressureReading(shown, 5.0, valve.time)
+        touch = self._perception.perceive(cycle.images[0], cycle.time, reading)
+        self.gathered.add(cycle.time, (touch,), (shown,))
+
+
+def _deeper(stage: Stage, offset: float) -> Stage:
+    moves = tuple(
+        replace(move, depth=move.depth + offset) if move.touches else move for move in stage.moves
+    )
+    return replace(stage, moves=moves)
+
+
+def _specimen(amounts: Amounts, finger: int) -> SpecimenConfig:
+    def own(name: str) -> float:
+        given = amounts.get(name, ())
+        return float(given[finger]) if finger < len(given) else 0.0
+
+    return replace(
+        NOMINAL,
+        leak=max(own("leak"), 0.0),
+        stiffness_share=own("stiffness"),
+        pre_stretch=own("pre_stretch"),
+        friction_share=own("friction"),
+        valve_zero=own("gauge"),
+        focal_share=own("focal"),
+    )
+
+
+def _follow(session: Session, recording: Recording, offset: float, until: float) -> Signals:
+    """Send the recorded commands at their times, jaws `offset` m farther apart than they say."""
+    times = recording.columns["time"] - recording.columns["time"][0]
+    last = min(float(times[-1]), until)
+    gathered = Gathered([finger.design.markers.count for finger in session.rig.fingers])
+    start = session.rig.clock.now()
+    with session.steps() as steps:
+        for _ in range(round(last / session.rig.period) + 1):
+            seen = steps.observe()
+            now = seen.time - start
+            gathered.add(now, seen.touch, gauges(seen.valves))
+            steps.send(_command(recording, times, now, offset))
+    return gathered.signals()
+
+
+def _command(recording: Recording, times: Array, now: float, offset: float) -> Command:
+    """What was sent in the cycle nearest to `now` s."""
+    k = int(np.abs(times - now).argmin())
+    columns = recording.columns
+    phase = str(columns["phase"][k])
+    return Command(
+        opening=max(float(columns["command_opening"][k]) + offset, 0.0),
+        force_limit=float(columns["command_force_limit"][k]),
+        lift_height=float(columns["command_lift_height"][k]),
+        phase=phase if phase not in ("done", "abort") else "release",
+        pressure_gauge=recording.command_pressure(k),
+    )
+
+
+def undrawn(effects: str) -> str:
+    """`effects` with no images: a simulation's own errors of ellipses stand for them."""
+    return _NOT_DRAWN if effects in ("", "auto") else f"{effects},{_NOT_DRAWN}"

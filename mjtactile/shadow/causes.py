@@ -1,0 +1,165 @@
+"""What may set a rig apart from its simulation, each one number that the simulator can be given.
+
+`CAUSES` is the whole list. A cause that belongs to one sensor is looked for on each finger; one of
+the hand or of the thing has one number. What a person cannot set exactly (where the thing stood,
+how far the jaws are from where they say) has a `spread`, and is allowed for beside every other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mjtactile.core.fields import ML_S_KPA
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One number in which a rig may differ.
+
+    Attributes:
+        name: Its key in results.
+        more: What it is called where the number is above zero; {amount} is with its unit.
+        less: The same below zero.
+        probe: SI, by how much the simulator is changed to see what it does.
+        scale: SI units in one `unit`.
+        unit: As it is said.
+        remedy: What to do about it.
+        spread: SI, sd of what is allowed for beside other causes; 0: nothing is.
+        low: SI, the least that it can be.
+        on: "sensor", "hand", "thing" or "stage": where it is.
+    """
+
+    name: str
+    more: str
+    less: str
+    probe: float
+    scale: float
+    unit: str
+    remedy: str
+    spread: float = 0.0
+    low: float = -float("inf")
+    on: str = "sensor"
+
+
+_FIT = "mjtactile fit --recording RECORDING finds it, from presses with a known indenter"
+CAUSES: tuple[Cause, ...] = (
+    Cause(
+        "leak",
+        "gas leaks, {amount}",
+        "",
+        1e-2 * ML_S_KPA,
+        ML_S_KPA,
+        "mL/(s kPa)",
+        "look for the hole; doctor measures a chamber's loss, and fit what it is",
+        low=0.0,
+    ),
+    Cause(
+        "stiffness",
+        "the rubber is stiffer by {amount}",
+        "the rubber is softer by {amount}",
+        0.15,
+        0.01,
+        "%",
+        _FIT,
+        low=-0.8,
+    ),
+    Cause(
+        "pre_stretch",
+        "the sheet is stretched more, by {amount}",
+        "the sheet is stretched less, by {amount}",
+        0.01,
+        1.0,
+        "of its length",
+        _FIT,
+    ),
+    Cause(
+        "friction",
+        "the membrane is rougher by {amount}",
+        "the membrane is slipperier by {amount}",
+        -0.3,
+        0.01,
+        "%",
+        "drag a pressed indenter (protocol drag), and fit",
+        low=-0.95,
+    ),
+    Cause(
+        "gauge",
+        "the pressure sensor shows {amount} more",
+        "the pressure sensor shows {amount} less",
+        40.0,
+        1.0,
+        "Pa",
+        "mjtactile calibrate valve measures its zero",
+    ),
+    Cause(
+        "focal",
+        "the lens is longer by {amount}",
+        "the lens is shorter by {amount}",
+        0.01,
+        0.01,
+        "%",
+        "mjtactile calibrate camera measures the lens",
+    ),
+    Cause(
+        "opening",
+        "the jaws stand {amount} farther apart than they say, or the thing is thinner",
+        "the jaws stand {amount} closer than they say, or the thing is thicker",
+        -3e-4,
+        1e-3,
+        "mm",
+        "mjtactile calibrate gripper measures the jaws",
+        spread=3e-4,
+        on="hand",
+    ),
+    Cause(
+        "along",
+        "the thing stands {amount} farther along the table's x",
+        "the thing stands {amount} less far along the table's x",
+        1.5e-3,
+        1e-3,
+        "mm",
+        "place it again; it is no fault of a sensor",
+        spread=2e-3,
+        on="thing",
+    ),
+    Cause(
+        "mass",
+        "the thing is heavier by {amount}",
+        "the thing is lighter by {amount}",
+        0.3,
+        0.01,
+        "%",
+        "weigh it, and say so in its file",
+        on="thing",
+        low=-0.9,
+    ),
+    Cause(
+        "touch",
+        "the indenter is {amount} deeper than said",
+        "the indenter is {amount} less deep than said",
+        1e-4,
+        1e-3,
+        "mm",
+        "look for first touch again",
+        spread=1e-4,
+        on="stage",
+    ),
+)
+ON_HAND = ("sensor", "hand", "thing")
+ON_STAGE = ("sensor", "stage")
+
+
+def causes_of(staged: bool, names: tuple[str, ...] = ()) -> tuple[Cause, ...]:
+    """Those that a recording of a stage, or of a hand, can have; of `names` alone, if there are
+    any."""
+    places = ON_STAGE if staged else ON_HAND
+    return tuple(
+        cause for cause in CAUSES if cause.on in places and (not names or cause.name in names)
+    )
+
+
+def words(cause: Cause, amount: float) -> str:
+    """What the number says."""
+    text = cause.more if amount >= 0 or not cause.less else cause.less
+    shown = abs(amount) / cause.scale
+    return text.format(amount=f"{shown:.2g} {cause.unit}")

@@ -1,0 +1,342 @@
+"""Which one cause explains most of a difference: each is tried in the simulator, and what it
+changes is fitted to the difference by least squares.
+
+The difference is counted in tolerances (`signals.TOLERANCE`), forces, markers and pressures alike:
+S = sum over these kinds of the mean of (difference / tolerance)^2. For cause j with columns J_j
+(what one unit of it on finger f changes there), and what is allowed for beside it with columns N
+and spreads s,
+
+    S_j = min over a, n of |d - J_j a - N n|^2_W + |n / s|^2 / m,
+
+m the number of kinds. The cause with the least S_j is named where it explains at least half of S
+and leaves a good deal less than what is allowed for alone does; the simulator is then run with it,
+and what is left is what that says, not the line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from mjtactile.core.errors import DeviceError, SimulationError
+from mjtactile.core.types import Array
+from mjtactile.shadow.causes import Cause
+from mjtactile.shadow.signals import KINDS, TOLERANCE, Signals, apart
+
+POINTS = 90
+"""Of time, at which rigs are compared."""
+_LEAST_EXPLAINED = 0.5
+_LESS_LEFT = 0.6
+"""Of what is left without a cause, at most so much may be left with one that is named."""
+
+_CONTENDERS = 3
+"""Causes that are tried in the simulator, if they explain about as much as the best by the line."""
+_NEAR = 0.08
+_ALIKE = 0.03
+"""Shares by which causes are said to explain about, and exactly, as much."""
+
+Simulate = Callable[[Mapping[str, Sequence[float]]], Signals]
+"""Raises DeviceError or SimulationError where a rig is so odd that nothing works on it."""
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A cause: its `amounts` on each finger, SI, their sd, and the share of the difference that it
+    explains, with what is allowed for."""
+
+    cause: Cause
+    amounts: tuple[float, ...]
+    sd: tuple[float, ...]
+    explains: float
+
+
+@dataclass(frozen=True, eq=False)
+class Shadow:
+    """A recording beside its simulation.
+
+    Attributes:
+        recorded: What the rig said, at the compared times.
+        simulated: What the simulator said.
+        explained: The same with what was named, None: nothing was.
+        apart: rms difference of each kind and finger, SI.
+        left: The same beside `explained`.
+        tried: All causes, the one that explains most first.
+        named: The one that is named; None: nothing differs, or no one cause explains it.
+        differs: Whether any kind is farther apart than its tolerance.
+        alike: Others that explain as much: the recording does not tell them apart.
+        allowed: Amounts of what is allowed for, by cause, SI.
+        explains: Share of the difference that is gone in the simulation with it.
+    """
+
+    recorded: Signals
+    simulated: Signals
+    explained: Signals | None
+    apart: Mapping[str, Array]
+    left: Mapping[str, Array]
+    tried: tuple[Tried, ...]
+    named: Tried | None
+    differs: bool
+    alike: tuple[Tried, ...] = ()
+    allowed: Mapping[str, float] = field(default_factory=dict)
+    explains: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Signals as numbers in tolerances: where each is, and how much it counts."""
+
+    time: Array
+    fingers: int
+    known: Mapping[str, Array]
+    weight: Mapping[str, Array]
+
+    @classmethod
+    def of(cls, signals: Sequence[Signals]) -> _Rows:
+        """What is known in all of `signals`."""
+        known = {}
+        weight = {}
+        for kind in KINDS:
+            is_known = np.all([np.isfinite(one.of(kind)) for one in signals], axis=0)
+            known[kind] = is_known
+            weight[kind] = np.sqrt(1.0 / max(int(is_known.sum()), 1)) / TOLERANCE[kind]
+        return cls(signals[0].time, signals[0].fingers, known, weight)
+
+    def vector(self, signals: Signals, finger: int | None = None) -> Array:
+        """All rows; with a `finger` those of the others are zero."""
+        parts = []
+        for kind in KINDS:
+            values = np.where(self.known[kind], signals.of(kind), 0.0) * self.weight[kind]
+            if finger is not None:
+                others = np.arange(values.shape[1]) != finger
+                values[:, others] = 0.0
+            parts.append(values[self.known[kind]])
+        return np.concatenate(parts)
+
+
+def compare_times(recorded: Signals, simulated: Signals) -> Array:
+    """Times at which both said something."""
+    last = min(recorded.time[-1], simulated.time[-1])
+    return np.linspace(0.0, last, min(POINTS, len(recorded.time)))
+
+
+def explain(
+    recorded: Signals,
+    simulate: Simulate,
+    causes: Sequence[Cause],
+    *,
+    many: Callable[[Sequence[Mapping[str, Sequence[float]]]], Sequence[Signals | None]]
+    | None = None,
+    say: Callable[[str], None] = lambda _: None,
+) -> Shadow:
+    """Simulate the recording, and where it differs with each cause.
+
+    Args:
+        recorded: What the rig said.
+        simulate: Runs the simulator with amounts of causes.
+        causes: What may be.
+        many: Runs it several times, None where it broke; None: one after the other.
+        say: Is given a line where something goes on.
+
+    Returns:
+        Both, how far they are apart, and what explains it.
+    """
+    plain = simulate({})
+    time = compare_times(recorded, plain)
+    there = recorded.at(time)
+    here = plain.at(time)
+    found = apart(there, here)
+    tolerances = {kind: found[kind] / TOLERANCE[kind] for kind in KINDS}
+    differs = any(np.nanmax(values, initial=0.0) > 1.0 for values in tolerances.values())
+    if not differs:
+        return Shadow(there, here, None, found, {}, (), None, differs=False)
+    say(f"they differ: {len(causes)} causes are tried")
+    fingers = there.fingers
+    asked = [{cause.name: (cause.probe,) * fingers} for cause in causes]
+    run_all = many or (lambda wanted: [attempted(simulate, one) for one in wanted])
+    probes = [here if one is None else one.at(time) for one in run_all(asked)]
+    tried, allowed = _tried(there, here, causes, probes, _shift(plain, time))
+    checked = [
+        _checked(one, allowed[one.cause.name], there, here, simulate, time)
+        for one in tried[:_CONTENDERS]
+        if one.explains >= tried[0].explains - _NEAR
+    ]
+    checked.sort(key=lambda one: -one.explains)
+    best = checked[0]
+    linear = next(one for one in tried if one.cause is best.tried.cause)
+    is_named = (
+        best.explains >= _LEAST_EXPLAINED
+        and linear.explains >= _LEAST_EXPLAINED
+        and (linear.cause.spread > 0 or 1 - linear.explains <= _LESS_LEFT * allowed[""]["left"])
+    )
+    alike = [one.tried for one in checked[1:] if best.explains - one.explains < _ALIKE]
+    return Shadow(
+        there,
+        here,
+        best.signals if is_named else None,
+        found,
+        apart(there, best.signals) if is_named else {},
+        tuple(tried),
+        best.tried if is_named else None,
+        differs=True,
+        alike=tuple(alike) if is_named else (),
+        allowed={k: v for k, v in allowed[linear.cause.name].items() if k != "left"},
+        explains=best.explains,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Checked:
+    """A cause whose amount the simulator was given: what it said, and the share explained."""
+
+    tried: Tried
+    signals: Signals
+    explains: float
+
+
+def _checked(
+    one: Tried,
+    allowed: Mapping[str, float],
+    there: Signals,
+    here: Signals,
+    simulate: Simulate,
+    time: Array,
+) -> _Checked:
+    """Run the simulator with it; where that goes too far or not far enough, since nothing is quite
+    a line, once more with as much as fits the difference best."""
+    best = _Checked(one, here, 0.0)
+    one = _on_each_finger(one, allowed, there, here, simulate, time)
+    for _ in range(2):
+        ran = attempted(simulate, _amounts(one, allowed))
+        if ran is None:
+            break
+        signals = ran.at(time)
+        rows = _Rows.of([there, here, signals])
+        base = rows.vector(here)
+        moved = rows.vector(signals) - base
+        wanted = rows.vector(there) - base
+        explains = 1 - float(np.sum((wanted - moved) ** 2) / (wanted @ wanted))
+        if explains > best.explains or best.signals is here:
+            best = _Checked(one, signals, explains)
+        share = float(np.clip(wanted @ moved / max(moved @ moved, 1e-12), 0.3, 2.0))
+        one = replace(one, amounts=tuple(share * amount for amount in one.amounts))
+    return best
+
+
+def _on_each_finger(
+    one: Tried,
+    allowed: Mapping[str, float],
+    there: Signals,
+    here: Signals,
+    simulate: Simulate,
+    time: Array,
+) -> Tried:
+    """The same with what each finger's own share does to all fingers: what one of them lets go of,
+    the other has to hold."""
+    fingers = there.fingers
+    if one.cause.on != "sensor" or fingers < 2:
+        return one
+    none = _amounts(replace(one, amounts=(0.0,) * fingers), allowed)
+    steps = [none]
+    size = max(map(abs, one.amounts)) or one.cause.probe
+    for finger in range(fingers):
+        alone = tuple(size * (k == finger) for k in range(fingers))
+        steps.append(_amounts(replace(one, amounts=alone), allowed))
+    ran = [attempted(simulate, step) for step in steps]
+    found = [signals.at(time) for signals in ran if signals is not None]
+    if len(found) < len(steps):
+        return one
+    rows = _Rows.of([there, here, *found])
+    base = rows.vector(found[0])
+    columns = np.column_stack([(rows.vector(signals) - base) / size for signals in found[1:]])
+    amounts, *_ = np.linalg.lstsq(columns, rows.vector(there) - base, rcond=None)
+    return replace(one, amounts=tuple(np.maximum(amounts, one.cause.low).tolist()))
+
+
+def attempted(simulate: Simulate, amounts: Mapping[str, Sequence[float]]) -> Signals | None:
+    """What the simulator says with it; None where nothing works on such a rig."""
+    try:
+        return simulate(amounts)
+    except (DeviceError, SimulationError):
+        return None
+
+
+def _amounts(best: Tried, allowed: Mapping[str, float]) -> dict[str, Sequence[float]]:
+    count = len(best.amounts)
+    beside: dict[str, Sequence[float]] = {
+        name: (value,) * count for name, value in allowed.items() if name not in ("left", "time")
+    }
+    return beside | {best.cause.name: best.amounts}
+
+
+def _shift(plain: Signals, time: Array) -> tuple[Signals, Signals]:
+    """The simulation a little later and a little earlier: clocks differ by a frame or two."""
+    step = float(np.median(np.diff(plain.time)))
+    return plain.at(time + step), plain.at(time - step)
+
+
+_CLOCK = 0.05  # s, sd of how far the clocks are apart
+
+
+def _tried(
+    there: Signals,
+    here: Signals,
+    causes: Sequence[Cause],
+    probes: Sequence[Signals],
+    shifted: tuple[Signals, Signals],
+) -> tuple[list[Tried], dict[str, dict[str, float]]]:
+    """Each cause, best first; and what was allowed for beside each ("": beside none)."""
+    rows = _Rows.of([there, here, *probes, *shifted])
+    base = rows.vector(here)
+    difference = rows.vector(there) - base
+    total = float(difference @ difference)
+    step = float(np.median(np.diff(here.time)))
+    later, earlier = (rows.vector(one) for one in shifted)
+    beside = {"time": ((later - earlier) / (2 * step), _CLOCK)}
+    columns = {}
+    for cause, probe in zip(causes, probes, strict=True):
+        change = rows.vector(probe) - base
+        if cause.on == "sensor":
+            own = [rows.vector(probe, f) - rows.vector(here, f) for f in range(there.fingers)]
+            columns[cause.name] = np.column_stack(own) / cause.probe
+        else:
+            columns[cause.name] = change[:, None] / cause.probe
+        if cause.spread:
+            beside[cause.name] = (change / cause.probe, cause.spread)
+    allowed = {"": _solve(difference, np.zeros((len(base), 0)), beside)[1]}
+    tried = []
+    for cause in causes:
+        others = {name: one for name, one in beside.items() if name != cause.name}
+        amounts, found, sd = _solve(difference, columns[cause.name], others)
+        if (amounts < cause.low).any():
+            held = np.maximum(amounts, cause.low)
+            rest = difference - columns[cause.name] @ held
+            _, found, _ = _solve(rest, np.zeros((len(base), 0)), others)
+            amounts = held
+        allowed[cause.name] = found
+        everywhere = tuple(np.broadcast_to(amounts, there.fingers).tolist())
+        sds = tuple(np.broadcast_to(sd, there.fingers).tolist())
+        tried.append(Tried(cause, everywhere, sds, 1 - found["left"] / total))
+    for found in allowed.values():
+        found["left"] /= total
+    return sorted(tried, key=lambda one: -one.explains), allowed
+
+
+def _solve(
+    difference: Array, columns: Array, beside: Mapping[str, tuple[Array, float]]
+) -> tuple[Array, dict[str, float], Array]:
+    """Amounts of `columns`, what is allowed for with what is left, and the amounts' sd."""
+    names = list(beside)
+    allowed = [beside[name][0] for name in names]
+    J = np.column_stack([columns, *allowed]) if allowed else columns
+    own = columns.shape[1]
+    prior = np.concatenate([np.zeros(own), [1 / beside[name][1] for name in names]])
+    stacked = np.vstack([J, np.diag(prior) / np.sqrt(len(KINDS) * 30)])
+    target = np.concatenate([difference, np.zeros(J.shape[1])])
+    found, *_ = np.linalg.lstsq(stacked, target, rcond=None)
+    rest = target - stacked @ found
+    left = float(rest @ rest)
+    spread = np.sqrt(np.diag(np.linalg.pinv(stacked.T @ stacked)) * left / max(len(KINDS), 1))
+    amounts = dict(zip(names, map(float, found[own:]), strict=True))
+    return found[:own], amounts | {"left": left}, spread[:own]

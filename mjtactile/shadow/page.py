@@ -1,0 +1,195 @@
+"""The page of a shadow: where recording and simulation part over time, and what explains it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from mjtactile.core.types import Array
+from mjtactile.report import html
+from mjtactile.shadow.causes import words
+from mjtactile.shadow.explain import Shadow, Tried
+from mjtactile.shadow.signals import KINDS, TOLERANCE, UNIT, Signals
+
+_COLOURS = {"recorded": "#1f5fa8", "simulated": "#b9b9b9", "with what is named": "#d1571b"}
+_WIDTH = 520
+_HEIGHT = 170
+_LEFT = 46
+_TOP = 10
+_BOTTOM = 26
+
+
+def verdict(shadow: Shadow) -> str:
+    """One line: whether the rig does as the simulator, and what explains it where it does not."""
+    if not shadow.differs:
+        return "does as the simulator does, as far as the tolerances go"
+    where = " and ".join(parting(shadow))
+    if shadow.named is None:
+        return f"parts from the simulator in {where}; no one cause explains it"
+    named = say(shadow.named)
+    if shadow.alike:
+        named += ", or " + ", or ".join(say(one) for one in shadow.alike) + " (not told apart)"
+    return f"parts from the simulator in {where}: {named} ({100 * shadow.explains:.0f} % of it)"
+
+
+def parting(shadow: Shadow) -> list[str]:
+    """The kinds that are farther apart than their tolerances."""
+    return [
+        kind for kind in KINDS if np.nanmax(shadow.apart[kind] / TOLERANCE[kind], initial=0.0) > 1.0
+    ]
+
+
+def say(one: Tried, fingers: Sequence[str] = ()) -> str:
+    """A cause with its amount: of a sensor, that of each finger where they differ."""
+    amounts = one.amounts
+    largest = max(range(len(amounts)), key=lambda k: abs(amounts[k]))
+    if one.cause.on != "sensor" or not fingers or len(fingers) < 2:
+        return words(one.cause, amounts[largest])
+    own = [
+        f"{name}: {words(one.cause, amount)}"
+        for name, amount in zip(fingers, amounts, strict=True)
+        if abs(amount) > 0.2 * abs(amounts[largest])
+    ]
+    return "; ".join(own)
+
+
+def numbers(shadow: Shadow, fingers: Sequence[str]) -> dict[str, Any]:
+    """The result as JSON has it."""
+
+    def rms(found: Any) -> dict[str, Any]:
+        return {
+            f"{kind}_{UNIT[kind][1]}": dict(
+                zip(fingers, (UNIT[kind][0] * found[kind]).tolist(), strict=True)
+            )
+            for kind in KINDS
+            if kind in found
+        }
+
+    def tried(one: Tried) -> dict[str, Any]:
+        scale = one.cause.scale
+        return {
+            "cause": one.cause.name,
+            "unit": one.cause.unit,
+            "amounts": [amount / scale for amount in one.amounts],
+            "sd": [sd / scale for sd in one.sd],
+            "explains": one.explains,
+            "says": say(one, fingers),
+        }
+
+    return {
+        "verdict": verdict(shadow),
+        "differs": shadow.differs,
+        "named": None if shadow.named is None else tried(shadow.named),
+        "explains": shadow.explains,
+        "alike": [one.cause.name for one in shadow.alike],
+        "remedy": "" if shadow.named is None else shadow.named.cause.remedy,
+        "apart": rms(shadow.apart),
+        "left": rms(shadow.left),
+        "tried": [tried(one) for one in shadow.tried],
+    }
+
+
+def page(shadow: Shadow, fingers: Sequence[str], title: str) -> str:
+    """The page."""
+    body = [f"<h1>{escape(title)}</h1>", f"<p><b>{escape(verdict(shadow))}</b></p>"]
+    if shadow.named is not None:
+        body.append(f"<p>{escape(say(shadow.named, fingers))}</p>")
+        body.append(f"<p>What to do: {escape(shadow.named.cause.remedy)}</p>")
+    body.append(_legend(shadow))
+    for number, finger in enumerate(fingers):
+        body.append(f"<h2>{escape(finger)}</h2>")
+        body += [_chart(kind, shadow, number) for kind in KINDS]
+    body.append("<h2>How far apart, rms</h2>")
+    body.append(html.table(["", *fingers, "tolerance", "left with it"], _apart_rows(shadow)))
+    if shadow.tried:
+        rows = [
+            (escape(one.cause.name), escape(say(one, fingers)), f"{100 * one.explains:.0f} %")
+            for one in shadow.tried
+        ]
+        body.append("<h2>What was tried</h2>")
+        body.append(html.table(["cause", "as much as fits", "explains"], rows, text=True))
+    return html.document(title, body)
+
+
+def _apart_rows(shadow: Shadow) -> list[tuple[str, ...]]:
+    rows = []
+    for kind in KINDS:
+        scale, unit = UNIT[kind]
+        own = [f"{scale * value:.3g}" for value in shadow.apart[kind]]
+        left = "-"
+        if shadow.left:
+            left = ", ".join(f"{scale * value:.3g}" for value in shadow.left[kind])
+        rows.append((f"{kind}, {unit}", *own, f"{scale * TOLERANCE[kind]:.3g}", left))
+    return rows
+
+
+def _legend(shadow: Shadow) -> str:
+    shown = list(_COLOURS)[: 3 if shadow.explained is not None else 2]
+    marks = [f'<span style="color:{_COLOURS[name]}">&#9644; {name}</span>' for name in shown]
+    return f"<p>{' &nbsp; '.join(marks)}</p>"
+
+
+def _curve(kind: str, signals: Signals, there: Signals, finger: int) -> Array:
+    """What is drawn of a kind (t,): normal force N; how far markers are from the recorded ones,
+    rms um; pressure Pa."""
+    if kind == "force":
+        return -signals.force[:, finger, 2]
+    if kind == "pressure":
+        return signals.pressure[:, finger]
+    square = ((signals.markers[:, finger] - there.markers[:, finger]) ** 2).sum(axis=-1)
+    known = np.isfinite(square)
+    mean = np.full(len(square), np.nan)
+    np.divide(
+        np.where(known, square, 0).sum(axis=1), known.sum(axis=1), out=mean, where=known.any(axis=1)
+    )
+    return 1e6 * np.sqrt(mean)
+
+
+_WHAT = {
+    "force": "normal force, N",
+    "markers": "markers from the recorded ones, rms um",
+    "pressure": "gauge pressure, Pa",
+}
+
+
+def _chart(kind: str, shadow: Shadow, finger: int) -> str:
+    """One kind over time, as SVG."""
+    there = shadow.recorded
+    curves = {"recorded": _curve(kind, there, there, finger)}
+    curves["simulated"] = _curve(kind, shadow.simulated, there, finger)
+    if shadow.explained is not None:
+        curves["with what is named"] = _curve(kind, shadow.explained, there, finger)
+    if kind == "markers":
+        del curves["recorded"]
+    values = np.concatenate(list(curves.values()))
+    if not np.isfinite(values).any():
+        return f"<p>{_WHAT[kind]}: not recorded</p>"
+    low = float(np.nanmin(values))
+    high = float(np.nanmax(values))
+    room = max(high - low, 1e-9)
+    x = _LEFT + (_WIDTH - _LEFT - 8) * there.time / max(float(there.time[-1]), 1e-9)
+    parts = [
+        f'<text x="{_LEFT}" y="{_HEIGHT - 6}">0 s</text>',
+        f'<text x="{_WIDTH - 8}" y="{_HEIGHT - 6}" text-anchor="end">{there.time[-1]:.1f} s</text>',
+    ]
+    for value in (low, high):
+        y = _TOP + (1 - (value - low) / room) * (_HEIGHT - _TOP - _BOTTOM)
+        parts.append(
+            f'<text x="{_LEFT - 4}" y="{y + 3:.1f}" text-anchor="end">{value:.3g}</text>'
+            f'<line x1="{_LEFT}" x2="{_WIDTH - 8}" y1="{y:.1f}" y2="{y:.1f}" stroke="#eee"/>'
+        )
+    for name, curve in curves.items():
+        y = _TOP + (1 - (curve - low) / room) * (_HEIGHT - _TOP - _BOTTOM)
+        points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True) if np.isfinite(b))
+        parts.append(
+            f'<polyline points="{points}" fill="none" stroke="{_COLOURS[name]}" '
+            'stroke-width="1.6"/>'
+        )
+    return (
+        f'<figure style="display:inline-block;margin:.3em"><figcaption>{_WHAT[kind]}</figcaption>'
+        f'<svg width="{_WIDTH}" height="{_HEIGHT}" font-size="10" font-family="sans-serif">'
+        f"{''.join(parts)}</svg></figure>"
+    )

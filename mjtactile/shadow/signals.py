@@ -1,0 +1,115 @@
+"""What a rig said over time, whoever the rig was: forces, markers and pressures, as the same
+sensing chain sees them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mjtactile.core.types import Array, Touch, ValveState
+from mjtactile.export.episode import Episode
+
+KINDS = ("force", "markers", "pressure")
+TOLERANCE = {"force": 0.03, "markers": 3e-5, "pressure": 12.0}
+"""N, m, Pa: as far as simulator and a rig that is as its file says may be apart, rms. The force is
+what is promised of one felt; markers are each within 20 um by the chain, and a run is not repeated
+to better; a gauge has 5 Pa of noise."""
+UNIT = {"force": (1e3, "mN"), "markers": (1e6, "um"), "pressure": (1.0, "Pa")}
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """Of `time` (t,) s from the first cycle on and each finger f: `force` (t, f, 3) N on the
+    membrane in S, `markers` (t, f, n, 3) m in S, gauge `pressure` (t, f) Pa. NaN: unknown."""
+
+    time: Array
+    force: Array
+    markers: Array
+    pressure: Array
+
+    @property
+    def fingers(self) -> int:
+        return self.force.shape[1]
+
+    def at(self, time: Array) -> Signals:
+        """What was so nearest to each of (k,) s."""
+        after = np.clip(np.searchsorted(self.time, time), 1, len(self.time) - 1)
+        nearer = time - self.time[after - 1] < self.time[after] - time
+        index = after - nearer
+        return Signals(time, self.force[index], self.markers[index], self.pressure[index])
+
+    def of(self, kind: str) -> Array:
+        """One kind of them, (t, f, ...)."""
+        return getattr(self, kind)
+
+
+class Gathered:
+    """Signals that are being gathered, for `counts` markers of each finger."""
+
+    def __init__(self, counts: Sequence[int]):
+        self._counts = tuple(counts)
+        self._rows: list[tuple[float, Array, Array, Array]] = []
+
+    def add(self, time: float, touches: Sequence[Touch], pressures: Sequence[float | None]) -> None:
+        """One cycle."""
+        force = np.full((len(self._counts), 3), np.nan)
+        markers = np.full((len(self._counts), max(self._counts), 3), np.nan)
+        for k, touch in enumerate(touches):
+            if touch.traction is not None and touch.status.code == "ok":
+                force[k] = touch.traction.wrench[:3]
+            if touch.markers is not None:
+                markers[k, touch.markers.ids] = touch.markers.p_SM
+        gauge = [math.nan if value is None else float(value) for value in pressures]
+        gauge += [math.nan] * (len(self._counts) - len(gauge))
+        self._rows.append((time, force, markers, np.array(gauge)))
+
+    def signals(self) -> Signals:
+        """All of them, in time from the first."""
+        time, force, markers, pressure = (np.array(part) for part in zip(*self._rows, strict=True))
+        return Signals(time - time[0], force, markers, pressure)
+
+
+def gauges(valves: Sequence[ValveState], episode: Any = None) -> list[float | None]:
+    """What each valve's pressure sensor shows, Pa, its measured zero taken off."""
+    shown = [valve.pressure_gauge for valve in valves]
+    if episode is None:
+        return shown
+    calibrations = [episode.calibrations[name] for name in episode.fingers]
+    return [
+        value if value is None or own is None else own.pressure(value)
+        for value, own in zip(shown, calibrations, strict=False)
+    ]
+
+
+def recorded(episode: Episode) -> Signals:
+    """What a recording says: felt again from its images where it has all, else as it was felt."""
+    counts = [episode.design_of(name).markers.count for name in episode.fingers]
+    gathered = Gathered(counts)
+    rows = []
+    for number, seen in enumerate(episode.cycles()):
+        pressures = gauges(episode.recording.valves(number), episode)
+        gathered.add(seen.time, seen.touch, pressures)
+        rows.append(np.asarray(seen.row["wrench"], float).reshape(len(counts), -1)[:, :3])
+    found = gathered.signals()
+    if episode.felt_again:
+        return found
+    return Signals(found.time, np.array(rows), found.markers, found.pressure)
+
+
+def apart(recorded: Signals, simulated: Signals) -> dict[str, Array]:
+    """rms difference (f,) of each kind, in SI units; NaN where one of them is unknown."""
+    found = {}
+    for kind in KINDS:
+        difference = recorded.of(kind) - simulated.of(kind)
+        squares = (difference**2).reshape(len(difference), recorded.fingers, -1)
+        known = np.isfinite(squares)
+        count = known.sum(axis=(0, 2))
+        total = np.where(known, squares, 0.0).sum(axis=(0, 2))
+        mean = np.full(recorded.fingers, np.nan)
+        np.divide(total, count, out=mean, where=count > 0)
+        found[kind] = np.sqrt(mean)
+    return found

@@ -1,0 +1,180 @@
+"""A recording beside its simulation: what really differs is named, and nothing where nothing
+does."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mjtactile.cli import main
+from mjtactile.core.design import load_sensor
+from mjtactile.core.fields import ML_S_KPA
+from mjtactile.core.scenario import Scenario
+from mjtactile.experiments.stage import record_stage
+from mjtactile.recording.stage import Move, Stage
+from mjtactile.recording.writer import Recorder
+from mjtactile.rig.file import load_sim_rig
+from mjtactile.rig.specimen import SpecimenConfig
+from mjtactile.rig.variation import Drawn
+from mjtactile.run.controller import load_controller
+from mjtactile.run.session import Session
+from mjtactile.shadow.causes import causes_of
+from mjtactile.shadow.explain import explain
+from mjtactile.shadow.page import page, verdict
+from mjtactile.shadow.run import shadow_of
+from mjtactile.shadow.signals import Signals
+from mjtactile.sim.rig import build_sim_rig
+
+SEED = 201  # of the camera: none that the tolerances were chosen with
+PRESS = Stage("sphere:8", (0.0, 0.0), (Move(0.2, 1.5e-3, speed=0.01), Move(1.0)))
+
+
+# -- a rig that is a formula
+# --------------------------------------------------------------------------------
+
+TIME = np.arange(120) / 30.0
+COMMANDS = ("leak", "stiffness", "gauge", "opening", "along")
+
+
+def formula(amounts, *, noise=0.0, seed=0):
+    """Two fingers: stiffness scales the force and moves markers, a leak makes pressures fall, the
+    jaws' opening takes force away."""
+
+    def of(name):
+        return np.broadcast_to(amounts.get(name, (0.0, 0.0)), (2,))
+
+    rng = np.random.default_rng(seed)
+    press = np.clip(TIME - 1.0, 0.0, 1.0)
+    force = np.zeros((len(TIME), 2, 3))
+    grip = np.maximum(0.6 - 400.0 * of("opening")[0], 0.0) * (1 + 0.5 * of("stiffness"))
+    force[..., 2] = -press[:, None] * grip
+    force[..., 0] = press[:, None] * 30.0 * of("along")[0]
+    bulge = np.linspace(2e-3, 4e-3, 12)
+    markers = np.zeros((len(TIME), 2, 12, 3))
+    markers[..., 2] = bulge * (1 - 0.3 * of("stiffness"))[:, None] + 1e-3 * force[..., 2:]
+    pressure = 1000.0 + of("gauge") - 4e9 * of("leak") * TIME[:, None]
+    return Signals(
+        TIME,
+        force + rng.normal(0, 0.01 * noise, force.shape),
+        markers + rng.normal(0, 1e-5 * noise, markers.shape),
+        pressure + rng.normal(0, 5.0 * noise, pressure.shape),
+    )
+
+
+def named(shadow):
+    assert shadow.named is not None, verdict(shadow)
+    return shadow.named
+
+
+def explained(**amounts):
+    recorded = formula(amounts, noise=1.0, seed=SEED)
+    return explain(recorded, formula, causes_of(False, COMMANDS))
+
+
+def test_nothing_is_named_where_nothing_differs():
+    shadow = explained()
+    assert not shadow.differs and shadow.named is None and not shadow.tried
+    assert verdict(shadow).startswith("does as the simulator does")
+
+
+def test_a_leak_is_named_on_its_finger():
+    shadow = explained(leak=(2e-8, 0.0))
+    assert named(shadow).cause.name == "leak" and shadow.explains > 0.95
+    left, right = named(shadow).amounts
+    # 120 readings of 5 Pa over 320 Pa: 1 %
+    assert left == pytest.approx(2e-8, rel=0.02) and abs(right) < 4e-10
+    assert "left: gas leaks" in page(shadow, ("left", "right"), "a run")
+
+
+def test_jaws_that_stand_elsewhere_beside_it_are_allowed_for():
+    """Jaws that are 0.2 mm off take 0.08 N away; the rubber is softer all the same."""
+    shadow = explained(stiffness=(-0.3, -0.3), opening=(2e-4, 2e-4))
+    assert named(shadow).cause.name == "stiffness"
+    # the jaws' spread and the noise leave some: half of what they would do alone (0.27)
+    assert named(shadow).amounts[0] == pytest.approx(-0.3, abs=0.05)
+    assert shadow.allowed["opening"] == pytest.approx(2e-4, rel=0.4)
+
+
+def test_what_no_cause_does_is_not_named():
+    """Pressure that goes up and down is none of the causes."""
+    recorded = formula({}, noise=1.0, seed=SEED)
+    swing = 200.0 * np.sin(9 * TIME)[:, None]
+    odd = replace(recorded, pressure=recorded.pressure + swing)
+    shadow = explain(odd, formula, causes_of(False, COMMANDS))
+    assert shadow.differs and shadow.named is None
+    assert "no one cause explains it" in verdict(shadow)
+
+
+# -- the simulator
+# --------------------------------------------------------------------------------
+
+
+def staged(folder, specimen):
+    """A recording of `specimen` that calls itself "dense"."""
+    with Recorder(folder / "recording", {"object": None, "sensor": "dense", "seed": SEED}) as own:
+        record_stage(specimen, PRESS, own, seconds=1.6, seed=SEED)
+        own.close(outcome="recorded")
+    return folder
+
+
+def test_a_sensor_as_its_file_says_does_as_the_simulator(tmp_path, capsys):
+    folder = staged(tmp_path / "run", load_sensor("dense"))
+    assert main(["shadow", str(folder), "--out", str(tmp_path / "out"), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert not result["differs"] and result["named"] is None
+    assert (tmp_path / "out/shadow.html").read_text().count("<svg") == 3
+    assert json.loads((tmp_path / "out/shadow.json").read_text()) == result
+
+
+@pytest.mark.slow
+def test_softer_rubber_is_named(tmp_path):
+    dense = load_sensor("dense")
+    soft = replace(dense, membrane=replace(dense.membrane, young=0.75 * dense.membrane.young))
+    shadow, _ = shadow_of(staged(tmp_path, soft))
+    names = {named(shadow).cause.name, *(one.cause.name for one in shadow.alike)}
+    # at one pressure pre-stretch is as good (docs/fit.md): it is said
+    assert names == {"stiffness", "pre_stretch"}
+    found = {one.cause.name: one.amounts[0] for one in (named(shadow), *shadow.alike)}
+    assert found["stiffness"] == pytest.approx(-0.25, abs=0.05)
+    assert shadow.explains > 0.9
+
+
+@pytest.mark.slow
+def test_a_leak_is_named(tmp_path):
+    dense = load_sensor("dense")
+    gas = replace(dense.chamber, leak_conductance=0.03 * ML_S_KPA)
+    shadow, _ = shadow_of(staged(tmp_path, replace(dense, chamber=gas)))
+    assert named(shadow).cause.name == "leak" and not shadow.alike
+    assert named(shadow).amounts[0] == pytest.approx(0.03 * ML_S_KPA, rel=0.15)
+
+
+@pytest.mark.slow
+def test_a_hand_whose_left_chamber_leaks(tmp_path):
+    """The commands of a grasp, given to a simulated hand without the leak."""
+    scenario = Scenario(seed=SEED, effects="-images")
+    specimens = (SpecimenConfig("left", leak=0.01 * ML_S_KPA),)
+    rig = build_sim_rig(scenario, file=load_sim_rig("sim"), drawn=Drawn(specimens=specimens))
+    try:
+        session = Session(rig, threads=0)
+        with Recorder(tmp_path / "recording", scenario.header(), frames=0) as recorder:
+            session.take_references(recorder)
+            controller = load_controller("gentle")
+            session.run(controller, time_limit=60.0, observer=recorder)
+            recorder.close(outcome="held")
+    finally:
+        rig.close()
+    shadow, _ = shadow_of(tmp_path, until=3.0, causes=("leak", "gauge", "stiffness", "opening"))
+    assert named(shadow).cause.name == "leak"
+    left, right = named(shadow).amounts
+    # 30 Pa in 3 s are read to 5 Pa each
+    assert left == pytest.approx(0.01 * ML_S_KPA, rel=0.3) and right < 0.3 * left
+
+
+def test_a_recording_that_says_no_object_is_refused(tmp_path, capsys):
+    from tests.fake_run import fake_cycle
+
+    with Recorder(tmp_path / "run", {"sensor": "dense"}, frames=0) as recorder:
+        recorder.add(fake_cycle(0))
+    assert main(["shadow", str(tmp_path / "run")]) == 2
+    assert "--object" in capsys.readouterr().err
