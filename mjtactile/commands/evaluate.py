@@ -187,7 +187,18 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-_FIXED = ("task", "objects", "scenario", "sensor", "rig", "seed", "accuracy", "effects", "vary")
+_FIXED = (
+    "task",
+    "objects",
+    "scenario",
+    "sensor",
+    "rig",
+    "seed",
+    "accuracy",
+    "effects",
+    "vary",
+    "shapes",
+)
 """Options that a suite says itself."""
 
 

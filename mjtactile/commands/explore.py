@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import math
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mjtactile import InputError, Scenario, load_recording
-from mjtactile.commands import plots, ranges, scenario
+from mjtactile import InputError, Recorder, Scenario, load_recording
+from mjtactile.commands import plots, ranges, scenario, slow
 from mjtactile.commands.output import output_folder, print_flags, print_json, stdout_to_stderr
 from mjtactile.core import signals
 from mjtactile.recording.files import write_json
 from mjtactile.run.progress import Progress
 
 if TYPE_CHECKING:
-    from mjtactile.explore.run import Explored
+    from mjtactile.explore.run import Explored, Wanted
 
 DESCRIPTION = """\
 Touch an unknown object at a few places, each where its surface is least known so far, and fuse
@@ -30,9 +34,13 @@ examples:
       goes on where it ended, or was interrupted: touched.jsonl has every touch
   mjtactile explore --on gripper --object egg --touches 8 --out runs/egg_grip
       the simulated hand grips it where it stands, at other heights and turns
+  mjtactile explore --rig my_gripper.toml --touches 4 --out runs/mine
+  mjtactile explore --rig my_gripper.toml --touches 8 --turn-deg 90 --resume --out runs/mine
+      a real or an emulated hand grips it at up to four heights; then you turn the object
   mjtactile explore --from runs/egg_shape --from runs/probe --out runs/both
       fuses what was touched before; touches nothing. Recorded grips of any rig of two fingers
-      (`probe` or `grasp --out`) count as grips of the same object, which nobody turned
+      (`probe`, `grasp` or `explore --out`, `record`) count as grips of the same object, turned
+      by --turn-deg; of recorded presses (`record --steps`) each is a place that was touched
 
 Places are mm in the holder's frame. The surface is a body of thirteen numbers (a superquadric
 that tapers) and a Gaussian process of what it leaves over; needs manifold3d:
@@ -43,16 +51,18 @@ kept) or the simulation failed.
 _RESULTS = ("explore.json", "explore.html", "explore.png", "surface.ply", "surface.stl")
 _TOUCHED = "touched.jsonl"
 _DEFAULT = Scenario(object="egg")
+_NOT_ASKED = ("controller", "effects", "vary", "task", "shapes")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    scenario.add_arguments(parser, _DEFAULT, leave_out=("controller", "effects", "vary", "task"))
+    scenario.add_arguments(parser, _DEFAULT, leave_out=_NOT_ASKED)
+    slow.add_argument(parser)
     parser.add_argument(
         "--on",
         choices=["stage", "gripper"],
-        default="stage",
-        help="what holds it: a stage that turns it over one sensor (default), or the fingers of "
-        "--rig, two, which grip it where it stands, at other heights and turns",
+        help="what holds it: a simulated stage that turns it over one sensor (default), or the "
+        "fingers of --rig, two, which grip it where it stands, at other heights and, in a "
+        "simulation, turns (default where a --rig is named)",
     )
     parser.add_argument(
         "--touches", type=int, default=12, metavar="N", help="touch at most so often (default: 12)"
@@ -84,6 +94,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="fuse what an earlier exploration touched, or a recorded grip, in place of touching; "
         "may be repeated",
     )
+    parser.add_argument(
+        "--turn-deg",
+        dest="turns",
+        type=ranges.finite,
+        action="append",
+        default=[],
+        metavar="DEG",
+        help="how far somebody has turned the object about the vertical, counter-clockwise from "
+        "above, since the first grips: of a real or an emulated rig, or of each --from in turn "
+        "(default: 0)",
+    )
     parser.add_argument("--resume", action="store_true", help="go on with the exploration in --out")
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="write the surface, its page and its JSON there"
@@ -96,7 +117,7 @@ def run(options: argparse.Namespace) -> int:
         return _in(options, options.out)
     if options.out is None:
         return _in(options, None)
-    with output_folder(options.out, *_RESULTS, _TOUCHED) as out:
+    with output_folder(options.out, *_RESULTS, _TOUCHED, "recording") as out:
         return _in(options, out)
 
 
@@ -116,7 +137,12 @@ def _check(options: argparse.Namespace) -> None:
 def _in(options: argparse.Namespace, out: Path | None) -> int:
     progress = Progress(quiet=options.json)
     with stdout_to_stderr():
-        found, summary = _fused(options) if options.sources else _live(options, out, progress)
+        wanted = scenario.scenario_of(options, _DEFAULT)
+        slow.apply(options.slow, wanted.rig)
+        _take_a_replay_as_a_source(options, wanted)
+        found, summary = (
+            _fused(options) if options.sources else _live(options, wanted, out, progress)
+        )
         if out is not None and found.patches:
             _write(out, found, summary)
     if options.json:
@@ -129,42 +155,107 @@ def _in(options: argparse.Namespace, out: Path | None) -> int:
 
 
 def _fused(options: argparse.Namespace) -> tuple[Explored, dict[str, Any]]:
-    from mjtactile.explore.grip import patches_of_recording
+    from mjtactile.explore.recorded import patches_of_recording
     from mjtactile.explore.run import Store, explored
 
     patches = []
+    turns = [*options.turns, *[0.0] * len(options.sources)]
     for number, source in enumerate(options.sources):
         if (source / _TOUCHED).is_file():
             patches += Store(source / _TOUCHED).read()
         else:
-            patches += patches_of_recording(load_recording(source), 1000 + number)
+            yaw = math.radians(turns[number])
+            patches += patches_of_recording(load_recording(source), 1000 * (number + 1), yaw)
     if not patches:
         raise InputError("nothing was touched there", source=options.sources[0], field="--from")
+    if options.out is not None:
+        kept = Store(options.out / _TOUCHED)
+        for patch in patches:
+            kept.write(patch)
     found = explored(patches, "fused", len(patches), {})
     return found, found.summary()
 
 
+def _take_a_replay_as_a_source(options: argparse.Namespace, wanted: Scenario) -> None:
+    """What was recorded is felt again, whoever the hand was."""
+    from mjtactile.explore.hand import recorded_folder
+
+    folder = recorded_folder(wanted)
+    if folder is not None:
+        options.sources = [*options.sources, folder]
+
+
 def _live(
-    options: argparse.Namespace, out: Path | None, progress: Progress
+    options: argparse.Namespace, wanted: Scenario, out: Path | None, progress: Progress
 ) -> tuple[Explored, dict[str, Any]]:
     from mjtactile.explore.run import Store, Wanted
-    from mjtactile.explore.simulated import explore_in_gripper, explore_on_stage
 
-    wanted = scenario.scenario_of(options, _DEFAULT)
     store = None if out is None else Store(out / _TOUCHED)
     known = store.read() if store is not None and options.resume else []
+    asked = Wanted(options.touches, 1e-3 * options.accuracy_mm, options.force)
+    keep = store.write if store is not None else lambda _: None
+    on = _holder(options, wanted)
     with signals.deferred() as stop:
-        found, true = (explore_on_stage if options.on == "stage" else explore_in_gripper)(
-            wanted,
-            Wanted(options.touches, 1e-3 * options.accuracy_mm, options.force),
-            known=known,
-            say=progress.message,
-            keep=store.write if store is not None else lambda _: None,
-            stopped=lambda: stop.asked,
-        )
+        explore = _explorer(on, options, out, lambda: stop.asked)
+        found, true = explore(wanted, asked, known=known, say=progress.message, keep=keep)
         stop.asked = False  # it ended in order, and says so
     names = {"object": Path(wanted.object).stem, "sensor": wanted.design().name}
     return found, {**names, "seed": wanted.seed, **found.summary(), **true}
+
+
+def _holder(options: argparse.Namespace, wanted: Scenario) -> str:
+    """What touches: "stage", "gripper" (simulated) or "hand" (of an emulated or a real rig)."""
+    from mjtactile.explore.hand import is_simulated
+
+    if options.on == "stage" and wanted.rig != "sim":
+        raise InputError(
+            f"the stage is simulated, and no part of the rig {wanted.rig!r}",
+            field="--on",
+            choices=["--on gripper"],
+        )
+    if options.on != "gripper" and wanted.rig == "sim":
+        on = "stage"
+    else:
+        on = "gripper" if is_simulated(wanted) else "hand"
+    if len(options.turns) > (on == "hand"):
+        raise InputError(
+            "says how somebody turned the object of a real or an emulated rig, once, or of each "
+            "--from; a simulation turns it by itself",
+            field="--turn-deg",
+        )
+    return on
+
+
+def _explorer(
+    on: str, options: argparse.Namespace, out: Path | None, stopped: Callable[[], bool]
+) -> Callable[..., tuple[Explored, dict[str, Any]]]:
+    """What explores, and says how true it is, as far as that is known."""
+    from mjtactile.explore.hand import explore_in_hand
+    from mjtactile.explore.simulated import explore_in_gripper, explore_on_stage
+
+    if on == "stage":
+        return partial(explore_on_stage, stopped=stopped)
+    if on == "gripper":
+        return partial(explore_in_gripper, stopped=stopped)
+
+    def in_hand(wanted: Scenario, asked: Wanted, **told: Any) -> tuple[Explored, dict[str, Any]]:
+        yaw = math.radians(sum(options.turns))
+        with contextlib.ExitStack() as stack:
+            recorder = None
+            if out is not None:
+                folder = _unused(out / "recording")
+                header = wanted.header() | {"controller": "explore"}
+                recorder = stack.enter_context(Recorder(folder, header))
+            found = explore_in_hand(wanted, asked, yaw=yaw, observer=recorder, **told)
+        return found, {}
+
+    return in_hand
+
+
+def _unused(folder: Path) -> Path:
+    """The folder, or where one is from before, one beside it."""
+    names = [folder, *(folder.with_name(f"{folder.name}_{number}") for number in range(2, 100))]
+    return next(name for name in names if not name.exists())
 
 
 def _write(out: Path, found: Explored, summary: dict[str, Any]) -> None:

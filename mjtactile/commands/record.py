@@ -43,6 +43,8 @@ examples:
   mjtactile record --rig stage --specimen odd.toml --steps press --indenter sphere:8 --seconds \\
       11 --out runs/press
   mjtactile record --rig replay:runs/idle --out runs/again           the same numbers again
+  mjtactile record --rig replay:runs/idle --shapes --out runs/shapes
+      the same images, and what body each touch is of
   mjtactile grasp --rig replay:runs/idle --controller my_controller.py    what would it have wanted?
 
 A protocol is a CSV file with the columns time_s,depth_mm,shear_mm,speed_mm_s,force_N
@@ -122,6 +124,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="stage: record what a load cell shows in each hold, too",
     )
+    parser.add_argument(
+        "--shapes",
+        action="store_true",
+        help="say of every touch what body it is of; of a recording, find it in its images",
+    )
     slow.add_argument(parser)
     parser.add_argument(
         "--seed",
@@ -190,6 +197,12 @@ def _stage(options: argparse.Namespace) -> Stage | None:
     if (options.specimen or options.load_cell) and options.rig != "stage":
         raise InputError(
             "only of the simulated stage", field="--specimen, --load-cell", choices=["--rig stage"]
+        )
+    if options.shapes and options.rig == "stage":
+        raise InputError(
+            "a stage records images and feels nothing; `mjtactile explore --from RUN` finds what "
+            "pressed",
+            field="--shapes",
         )
     if (options.steps is None) != (options.indenter is None):
         raise InputError("goes with the other", field="--steps, --indenter")
@@ -260,6 +273,7 @@ def _on_rig(
             rig=options.rig,
             sensor=options.sensor,
             seed=options.seed,
+            shapes=options.shapes,
         )
     )
     # with the pressure that was asked for, unless the fingers name their own sensor

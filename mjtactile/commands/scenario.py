@@ -11,7 +11,18 @@ from typing import Any
 from mjtactile import Scenario, complete_scenario, load_scenario, rig_names
 from mjtactile.core import resources
 
-_ALL = ("object", "sensor", "controller", "rig", "seed", "accuracy", "effects", "vary", "task")
+_ALL = (
+    "object",
+    "sensor",
+    "controller",
+    "rig",
+    "seed",
+    "accuracy",
+    "effects",
+    "vary",
+    "task",
+    "shapes",
+)
 
 
 def seed(text: str) -> int:
@@ -48,6 +59,12 @@ def _option(name: str) -> dict[str, Any]:
     if name == "effects":
         text = "what to simulate: derived from the scene (auto), or effects forced on and off"
         return {"metavar": "auto|+NAME,-NAME", "help": text}
+    if name == "shapes":
+        text = (
+            "say of every touch what body it is of, whatever the controller reads; area and force "
+            "are then that body's (docs/effects.md has the price)"
+        )
+        return {"action": "store_true", "default": None, "help": text}
     if name == "vary":
         text = (
             "ranges of object, sensor, gas and rig, from which the seed draws the simulated "
@@ -81,7 +98,8 @@ def add_arguments(
     for name in _ALL:
         if name not in leave_out:
             option = _option(name)
-            option["help"] += f" (default: {said[name]})"
+            if "action" not in option:
+                option["help"] += f" (default: {said[name]})"
             parser.add_argument(f"--{name}", **option)
 
 

@@ -17,7 +17,7 @@ from typing import Any
 from mjtactile.core import resources
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
-from mjtactile.core.fields import Entry, Number, entry, text, whole
+from mjtactile.core.fields import Entry, Number, entry, flag, text, whole
 from mjtactile.core.toml import Section
 
 TIME_LIMIT = 60.0  # s on the rig's clock; a gentle grasp takes about 10
@@ -110,6 +110,8 @@ class Scenario:
         vary: Shipped name or FILE.toml of what the seed draws the world from, or "none".
         seed: Of camera noise, of where the object stands, and of what is drawn from `vary`.
         time_limit: s on the rig's clock after which the run is ended; inf: never.
+        shapes: Whether every touch says what body it is of, whatever the controller reads; area and
+            force are that body's then.
 
     Raises:
         InputError: For a seed or time limit out of range.
@@ -128,6 +130,7 @@ class Scenario:
     vary: str = _file("vary", "models/variations", ".toml", "none", default="none")
     seed: int = whole("seed", 0, 2**63 - 1, default=0)
     time_limit: float = entry(_Limit(key="time_limit_s", low=0.1, high=86400), TIME_LIMIT)
+    shapes: bool = flag("shapes", default=False)
 
     def __post_init__(self) -> None:
         if self.seed < 0:
@@ -161,6 +164,8 @@ class Scenario:
         """
         values = {one.name: getattr(self, one.name) for one in fields(self)}
         limit = values.pop("time_limit")
+        if not self.shapes:  # as results of before it could be asked have it
+            del values["shapes"]
         return values | {
             "sensor": self.sensor_name,
             "sensors": dict(self.sensors),
@@ -203,6 +208,7 @@ class Scenario:
         for name in ("task", "sensor", "rig", "accuracy", "effects", "vary"):
             if said[name] != _DEFAULTS[name]:
                 words.append(f"--{name}={said[name]}")
+        words += ["--shapes"] if self.shapes else []
         return shlex.join(words)
 
 

@@ -58,6 +58,7 @@ def command(options: Mapping[str, Any]) -> str:
         f"--episodes={options['count']}",
         f"--seed={scenario['seed']}",
         *(f"--{name}={scenario[name]}" for name in _SCENARIO if scenario.get(name)),
+        *(["--shapes"] if scenario.get("shapes") else []),
         *([f"--shard={part}/{parts}"] if parts > 1 else []),
     ]
     return shlex.join(words)

@@ -1,4 +1,5 @@
-"""Two fingers that squeeze an object: what a grip says of its surface, live or from a recording."""
+"""Two fingers that squeeze an object, at one height after the other: what grips say of its
+surface."""
 
 from __future__ import annotations
 
@@ -9,23 +10,20 @@ from pathlib import Path
 
 import numpy as np
 
-from mjtactile.core.calibration import pressure_reading
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
-from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Command, Observation, Touch
 from mjtactile.explore.felt import Pressed, patch_of
 from mjtactile.explore.patch import Patch
 from mjtactile.recording.observer import Observer
-from mjtactile.recording.reader import Recording
-from mjtactile.rig.registry import build_rig
 from mjtactile.run.cycle import Cycle
 from mjtactile.run.perceive import Perceiver
-from mjtactile.run.session import Session
 from mjtactile.sensing.perception import Perception
 
 LOOSE = 1e-3
 """m, sd: so far a grip may have pushed the object aside, both of its patches alike."""
+HEIGHTS = (0.0, 6e-3, 12e-3, 18e-3)
+"""m above where the hand begins: lower, the sensors' frames would meet the table."""
 _SEEN = 0.08  # N
 _RISE_SPEED = 0.040  # m/s
 _CLOSE_SPEED = 0.015
@@ -34,6 +32,7 @@ _OPEN_SPEED = 0.030
 _CLEAR = 0.012  # m to open beyond the grip
 _STILL_TIME = 0.3  # s that the jaws stand before the last image
 _LEAST_OPENING = 1e-3  # m
+_LIFTED = 1e-3  # m that a hand goes up with what it grips, which then is where it no longer stood
 _TOO_STRONG = 1.5  # of the wanted force, on one finger alone
 # of the first finger and of the second: axes of S in the hand's, x along the closing, z up
 _FACING = (
@@ -54,10 +53,10 @@ class Moment:
 
 @dataclass(frozen=True)
 class Squeeze:
-    """A controller: up to `height` m, close until each finger feels `force` N, stand still, open,
-    down. One finger alone is pressed with half more at most."""
+    """A controller: at each of the `heights` m, close until each finger feels `force` N, stand
+    still, open; then down. One finger alone is pressed with half more at most."""
 
-    height: float
+    heights: tuple[float, ...]
     force: float
     path: Path = Path("explore")
 
@@ -68,9 +67,10 @@ class Squeeze:
         period = observation.period
         if not all(math.isfinite(one) for one in felt):
             return command
-        if command.phase == "approach" and command.lift_height < self.height:
-            higher = min(command.lift_height + _RISE_SPEED * period, self.height)
-            return replace(command, lift_height=higher)
+        done = int(command.memory.get("done", 0))
+        if command.phase == "approach" and command.lift_height != self.heights[done]:
+            height = _towards(command.lift_height, self.heights[done], _RISE_SPEED * period)
+            return replace(command, lift_height=height)
         if command.phase == "approach":
             return self._close(command, felt, period)
         since = command.memory.get("since", 0.0) + period
@@ -80,6 +80,8 @@ class Squeeze:
         opening = min(command.opening + _OPEN_SPEED * period, command.memory["opened"])
         if opening < command.memory["opened"] or max(felt) > _SEEN:
             return replace(command, opening=opening)
+        if done + 1 < len(self.heights):
+            return replace(command, phase="approach", memory={"done": done + 1.0})
         lower = max(command.lift_height - _RISE_SPEED * period, 0.0)
         is_down = lower == 0 and observation.gripper.lift_height < 5e-4
         return replace(command, lift_height=lower, phase="done" if is_down else "release")
@@ -87,10 +89,15 @@ class Squeeze:
     def _close(self, command: Command, felt: Sequence[float], period: float) -> Command:
         met = min(felt) >= self.force or max(felt) >= _TOO_STRONG * self.force
         if met or command.opening <= _LEAST_OPENING:
-            memory = {"opened": command.opening + _CLEAR, "since": 0.0}
+            opened = {"opened": command.opening + _CLEAR, "since": 0.0}
+            memory = {**command.memory, **opened}
             return replace(command, phase="hold", memory=memory)
         speed = _PRESS_SPEED if max(felt) > _SEEN else _CLOSE_SPEED
         return replace(command, opening=command.opening - speed * period)
+
+
+def _towards(start: float, goal: float, most: float) -> float:
+    return start + max(-most, min(most, goal - start))
 
 
 class Log(Observer):
@@ -103,6 +110,47 @@ class Log(Observer):
         """Take in a cycle."""
         gripper = cycle.gripper
         self.moments.append(Moment(cycle.touch, gripper.opening, gripper.lift_height))
+
+
+def require_two(fingers: int) -> None:
+    """Raise InputError for hands of another number of fingers."""
+    if fingers != 2:
+        raise InputError(
+            f"{fingers} fingers: only two that face each other are understood",
+            source="explore",
+            field="--rig",
+        )
+
+
+def grips_of(moments: Sequence[Moment]) -> list[list[Moment]]:
+    """Each grip of a run by itself: from the first finger that feels something to the last, as far
+    as the hand stays where it met the object.
+
+    Args:
+        moments: The run's cycles.
+
+    Returns:
+        The cycles of each grip in which both fingers felt something.
+    """
+    grips: list[list[Moment]] = []
+    now: list[Moment] = []
+    for moment in moments:
+        forces = [touch.force_normal for touch in moment.touch]
+        if max(forces, default=0.0) > _SEEN:
+            now.append(moment)
+        elif all(math.isfinite(force) for force in forces):  # blind cycles end no grip
+            grips.append(now)
+            now = []
+    grips.append(now)
+    stood = [_before_it_was_lifted(grip) for grip in grips]
+    return [grip for grip in stood if _strongest(grip) is not None]
+
+
+def _before_it_was_lifted(grip: list[Moment]) -> list[Moment]:
+    for number, moment in enumerate(grip):
+        if abs(moment.height - grip[0].height) > _LIFTED:
+            return grip[:number]
+    return grip
 
 
 def patches_of_grip(
@@ -129,12 +177,7 @@ def patches_of_grip(
     Raises:
         InputError: For hands of another number of fingers.
     """
-    if len(designs) != 2:
-        raise InputError(
-            f"{len(designs)} fingers: only two that face each other are understood",
-            source="explore",
-            field="rig",
-        )
+    require_two(len(designs))
     end = _strongest(moments)
     if end is None:
         return []
@@ -171,48 +214,3 @@ def _strongest(moments: Sequence[Moment]) -> int | None:
     if not len(least) or least.max() < _SEEN:
         return None
     return int(np.flatnonzero(least > 0.9 * least.max())[-1])
-
-
-def patches_of_recording(recording: Recording, group: int, yaw: float = 0.0) -> list[Patch]:
-    """What a recorded grip (`mjtactile probe` or `grasp --out`, a rig that was recorded) says of
-    the surface.
-
-    Args:
-        recording: With its images and its references.
-        group: A number that no other grip has.
-        yaw: rad by which the object was turned against the first one.
-
-    Returns:
-        A patch for each finger.
-
-    Raises:
-        InputError: Where images or references are missing, or it is no grip.
-    """
-    recording.require_images()
-    stages = {reference.stage for reference in recording.references}
-    if not {"flat", "rest"} <= stages or "opening" not in recording.columns:
-        raise InputError(
-            "is no grip with reference images (flat and rest)", source=recording.folder
-        )
-    rig = build_rig(
-        Scenario(
-            rig=f"replay:{recording.folder}", sensor=str(recording.header.get("sensor", "dense"))
-        )
-    )
-    session = Session(rig)
-    session.take_references()
-    moments = []
-    for cycle, images in enumerate(recording.images()):
-        now = float(recording.column("time")[cycle, 0])
-        readings = [pressure_reading(valve) for valve in recording.valves(cycle)]
-        readings += [None] * (len(images) - len(readings))
-        touch = tuple(
-            chain.perceive(image, now, reading)
-            for chain, image, reading in zip(session.perceptions, images, readings, strict=True)
-        )
-        opening, height = (
-            float(recording.column(name)[cycle, 0]) for name in ("opening", "lift_height")
-        )
-        moments.append(Moment(touch, opening, height))
-    designs = [finger.design for finger in rig.fingers]
-    return patches_of_grip(moments, session.perceptions, designs, yaw=yaw, group=group)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Array
-from mjtactile.explore.grip import Log, Squeeze, patches_of_grip
+from mjtactile.explore.grip import HEIGHTS, Log, Squeeze, patches_of_grip, require_two
 from mjtactile.explore.patch import Patch
 from mjtactile.explore.plan import Mesh
 from mjtactile.explore.run import Explored, Wanted, explore, explored
@@ -30,8 +30,6 @@ from mjtactile.sim.true_surface import TrueSurface
 
 _ASIDE = 3e-3  # m: an object is held so far from the holder's origin, along each axis
 TURNS = tuple(math.radians(turn) for turn in (0, 90, 45, 135, 22.5, 67.5, 112.5, 157.5))
-HEIGHTS = (0.0, 6e-3, 12e-3, 18e-3)
-"""m above the object's own grasp height: lower, the sensors' frames would meet the table."""
 _PLAN_EDGE = 2e-3  # m
 _FINGER = 6e-3  # m around a finger's axis that it meets
 _FACES = 0.6  # cosine of what a finger can lie on
@@ -109,12 +107,7 @@ def explore_in_gripper(
         InputError: For names, another rig than a simulated one, a force that may break the object.
     """
     model = _checked(scenario, wanted)
-    if scenario.rig.partition(":")[0] in ("replay", "emulated") or "emulat" in scenario.rig:
-        raise InputError(
-            f"the rig {scenario.rig!r} cannot turn what it grips; record its grips and fuse them "
-            "(--from RUN)",
-            field="--rig",
-        )
+    require_two(len(load_sim_rig(scenario.rig).fingers))
     patches = list(known)
     number = max((patch.group for patch in patches), default=0)
     tried: list[tuple[float, float]] = []
@@ -190,7 +183,7 @@ def _grip(
     try:
         session = Session(rig, threads=0)
         session.take_references()
-        session.run(Squeeze(height, force), time_limit=_GRIP_TIME, observer=log)
+        session.run(Squeeze((height,), force), time_limit=_GRIP_TIME, observer=log)
         flags |= dict(rig.flags())
         designs = [finger.design for finger in rig.fingers]
         return patches_of_grip(log.moments, session.perceptions, designs, yaw=turn, group=number)

@@ -30,12 +30,17 @@ from mjtactile.sensing.perception import Perception
 
 NOT_OF_A_FINGER = ("object_position_true", "object_quaternion_true")
 """Columns of several numbers that are not one set a finger."""
-LISTS = ("patches",)
+LISTS = ("patches", "shape_outline")
 """Columns of any number of things a finger."""
 _PARTS = {
     "wrench": ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm"),
     "contact_centroid": ("x_m", "y_m"),
     "slip_velocity": ("x_m_s", "y_m_s"),
+    "shape_area_interval": ("from_m2", "to_m2"),
+    "shape_curvatures": ("larger_1_m", "smaller_1_m"),
+    "shape_place": ("x_m", "y_m", "z_m"),
+    "shape_rolling": ("x_rad_s", "y_rad_s"),
+    "shape_sliding": ("x_m_s", "y_m_s"),
     "object_position_true": ("x_m", "y_m", "z_m"),
     "object_quaternion_true": ("w", "x", "y", "z"),
 }
@@ -202,14 +207,8 @@ class Episode:
         elif calibration is not None:
             gauge = calibration.pressure(gauge)
         perception.take_rest(list(rest.images(number)), gauge)
-        perception.shapes = self._asked_for_shapes
+        perception.shapes = self.recording.has_shapes
         return perception
-
-    @property
-    def _asked_for_shapes(self) -> bool:
-        """Whether the run's controller did: forces are the body's then."""
-        said = self.recording.columns.get("shape_kind", ())
-        return any(kind != "none" for row in said for kind in row)
 
     def _readings(self, cycle: int) -> list[PressureReading | None]:
         """What the chambers' gauges said in that cycle, of every finger."""

@@ -38,9 +38,15 @@ float64[2] slip_velocity    # m/s
 float64 slip_distance       # m
 float64 stick_ratio
 string shape_kind           # smooth, face, edge, tip, several, unknown; none where nobody asked
+string shape_family         # ball, cylinder, smooth, disc, block
 float64 shape_area          # m^2
 float64 shape_radius        # m
 float64 shape_direction     # rad from x
+float64[2] shape_curvatures # 1/m, the larger first
+float64[3] shape_place      # m, of its point that is nearest the sensor
+float64[2] shape_rolling    # rad/s about x and y
+float64[2] shape_sliding    # m/s over the rubber
+float64 shape_spinning      # rad/s about z
 float64 marker_count
 bool valve_open             # false where the finger has none
 float64 pressure_gauge      # Pa
@@ -54,7 +60,7 @@ float64 lift_height         # m
 string phase
 """,
 }
-_TEXT = ("status", "status_code", "slip_state", "shape_kind")
+_TEXT = ("status", "status_code", "slip_state", "shape_kind", "shape_family")
 _RENAMED = {"age": "touch_age"}
 _PACKAGE_XML = f"""\
 <?xml version="1.0"?>

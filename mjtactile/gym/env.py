@@ -215,7 +215,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
             )
         if rig.touch_is_drawn:  # a thread costs more than what it would be for
             rig.clock.step_in_turn()
-        self._session = Session(rig, threads=0)
+        self._session = Session(rig, threads=0, shapes=self.scenario.shapes)
         self._session.take_references()
         is_plain = load_task(self.scenario.task).is_plain
         if self.scenario.vary == NONE and is_plain and movable(rig.scene):

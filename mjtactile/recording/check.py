@@ -44,12 +44,21 @@ _LISTS = {
     "status_code": TEXT,
     "slip_state": TEXT,
     "shape_kind": TEXT,
+    "shape_family": TEXT,
     "touching": FLAG,
     "valve_open": FLAG,
     "images": TEXT,
 }
-"""What is in the lists; numbers otherwise. `patches` has as many as there are."""
-_PARTS = {"wrench": 6, "wrench_sd": 6, "wrench_true": 6, "contact_centroid": 2, "slip_velocity": 2}
+"""What is in the lists; numbers otherwise."""
+_MANY = {"patches": TABLE, "shape_outline": (NUMBER, NUMBER)}
+"""What is in lists of as many as there are, a list a finger."""
+_PARTS = {
+    **dict.fromkeys(("wrench", "wrench_sd", "wrench_true"), 6),
+    **dict.fromkeys(("contact_centroid", "slip_velocity"), 2),
+    **dict.fromkeys(("shape_area_interval", "shape_curvatures", "shape_rolling"), 2),
+    "shape_sliding": 2,
+    "shape_place": 3,
+}
 """How many numbers of each finger there are; one otherwise."""
 _VALVES = ("valve_open", "pressure_gauge", "valve_time", "valve_age")
 _FINGERS = (
@@ -69,9 +78,17 @@ _FINGERS = (
     "patches",
     "slip_state",
     "shape_kind",
+    "shape_family",
     "shape_area",
+    "shape_area_interval",
     "shape_radius",
     "shape_direction",
+    "shape_curvatures",
+    "shape_place",
+    "shape_outline",
+    "shape_rolling",
+    "shape_sliding",
+    "shape_spinning",
     "marker_count",
 )
 _HEADER = {
@@ -117,9 +134,9 @@ def wrong_column(row: Mapping[str, Any], first: Mapping[str, Any]) -> str | None
         found = kind(row.get(key, ...))
         if key in _ONE:
             good = found == _ONE[key]
-        elif key == "patches":
+        elif key in _MANY:
             good = isinstance(found, tuple) and all(
-                isinstance(each, tuple) and set(each) <= {TABLE} for each in found
+                isinstance(each, tuple) and set(each) <= {_MANY[key]} for each in found
             )
         elif key == "images":
             good = (

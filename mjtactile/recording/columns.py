@@ -12,10 +12,14 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from mjtactile.core.types import Command, Contact, GripperState, Image, Touch, ValveState
+from mjtactile.core.types import Array, Command, Contact, GripperState, Image, Touch, ValveState
 
 _NAN2 = [np.nan] * 2
+_NAN3 = [np.nan] * 3
 _NAN6 = [np.nan] * 6
+
+
+_BORDER = 24  # points of an outline, at most
 
 
 class Seen(Protocol):
@@ -57,6 +61,14 @@ def _patch(patch: Contact) -> dict[str, Any]:
     }
 
 
+def _outline(touch: Touch) -> Array:
+    """Of the body's contact, a few points of it, whole micrometres."""
+    if touch.shape is None:
+        return np.zeros((0, 2))
+    border = touch.shape.outline
+    return np.round(border[:: -(-len(border) // _BORDER) or 1], 6)
+
+
 def _valves(name: str) -> Callable[[CycleLike], Any]:
     return lambda cycle: [getattr(valve, name) for valve in cycle.valves]
 
@@ -75,11 +87,19 @@ def _of_touch(value: Callable[[Touch], Any]) -> Callable[[CycleLike], Any]:
 
 
 def _of_part(part: str, name: str, unknown: Any) -> Callable[[CycleLike], Any]:
-    """A value of a part of each touch, such as its slip; `unknown` where the touch has no such
-    part."""
-    return _of_touch(
-        lambda touch: unknown if (found := getattr(touch, part)) is None else getattr(found, name)
-    )
+    """A value of a part of each touch, such as its slip or (with a dot) its shape's motion;
+    `unknown` where the touch has no such part."""
+    path = part.split(".")
+
+    def value(touch: Touch) -> Any:
+        found: Any = touch
+        for step in path:
+            found = getattr(found, step)
+            if found is None:
+                return unknown
+        return getattr(found, name)
+
+    return _of_touch(value)
 
 
 SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
@@ -149,10 +169,21 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
         "asked",
         _of_part("shape", "kind", "none"),
     ),
+    "shape_family": (
+        "",
+        "the narrower kind: ball, cylinder, smooth, disc, block; of several bodies all, with + "
+        "between",
+        _of_part("shape", "family", "none"),
+    ),
     "shape_area": (
         "m^2",
         "of the membrane that lies on that body",
         _of_part("shape", "area", np.nan),
+    ),
+    "shape_area_interval": (
+        "m^2",
+        "where it is with 68 %: from, to",
+        _of_part("shape", "area_interval", _NAN2),
     ),
     "shape_radius": (
         "m",
@@ -163,6 +194,37 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
         "rad",
         "from x, of an edge or of the smaller curvature",
         _of_part("shape", "direction", np.nan),
+    ),
+    "shape_curvatures": (
+        "1/m",
+        "of a smooth body where it touches, the larger first",
+        _of_part("shape", "curvatures", _NAN2),
+    ),
+    "shape_place": (
+        "m",
+        "the body's point that is nearest the sensor (x, y, z), frame S",
+        _of_part("shape", "p_SO", _NAN3),
+    ),
+    "shape_outline": (
+        "m",
+        "of its contact: points (x, y), frame S, as many as there are",
+        _of_touch(_outline),
+    ),
+    "shape_rolling": (
+        "rad/s",
+        "how the body turns about x and y, frame S; of a round one what its place over the rubber "
+        "comes to where it does not slip",
+        _of_part("shape.motion", "rolling", _NAN2),
+    ),
+    "shape_sliding": (
+        "m/s",
+        "of the body over the rubber (x, y), frame S",
+        _of_part("shape.motion", "sliding", _NAN2),
+    ),
+    "shape_spinning": (
+        "rad/s",
+        "of the body over the rubber about z",
+        _of_part("shape.motion", "spinning", np.nan),
     ),
     "marker_count": (
         "",

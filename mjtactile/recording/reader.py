@@ -75,6 +75,12 @@ class Recording:
         return self.notes.get("flags", {})
 
     @property
+    def has_shapes(self) -> bool:
+        """Whether it was asked what body each touch is of: areas and forces are that body's."""
+        said = self.columns.get("shape_kind", ())
+        return any(kind != "none" for row in said for kind in row)
+
+    @property
     def valve_count(self) -> int:
         return len(self.columns["valve_open"][0]) if len(self) else 0
 

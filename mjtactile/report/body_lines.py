@@ -1,4 +1,5 @@
-"""A felt body as lines to draw: the border of its contact, and the body itself in two arcs."""
+"""A felt body as lines to draw: the border of its contact, and the body itself in two arcs; what is
+truly there in a simulation, cut along the same arcs."""
 
 from __future__ import annotations
 
@@ -7,11 +8,14 @@ import math
 import numpy as np
 
 from mjtactile.core.types import Array, FeltShape
+from mjtactile.recording.reader import Recording
+from mjtactile.report.scene_picture import View
 
 _ARC = 1.2  # rad to either side of the nearest point, of a bent body
 _REACH = 8e-3  # m, of a flat one, and at most of any
 _POINTS = 17
 _FLAT = 1.0  # 1/m
+_BELOW, _ABOVE = 2e-3, 8e-3  # m, about the body's nearest point: further off is another thing
 
 
 def lines_of(shape: FeltShape) -> list[Array]:
@@ -23,13 +27,18 @@ def lines_of(shape: FeltShape) -> list[Array]:
     if len(shape.outline):
         border = np.concatenate([shape.outline, shape.outline[:1]])
         lines.append(np.column_stack([border, np.full(len(border), shape.p_SO[2])]))
-    most, least = (value if math.isfinite(value) else 0.0 for value in shape.curvatures)
-    angle = shape.direction if math.isfinite(shape.direction) else 0.0
-    for curvature, turn in ((least, angle), (most, angle + math.pi / 2)):
+    curvatures = np.nan_to_num(shape.curvatures)[::-1]
+    for curvature, turn in zip(curvatures, directions_of(shape), strict=True):
         way, rise = _arc(curvature)
         along = np.column_stack([math.cos(turn) * way, math.sin(turn) * way, rise])
         lines.append(shape.p_SO + along)
     return lines
+
+
+def directions_of(shape: FeltShape) -> tuple[float, float]:
+    """Which way its arcs go, rad from x: along the smaller curvature, and across."""
+    angle = shape.direction if math.isfinite(shape.direction) else 0.0
+    return angle, angle + math.pi / 2
 
 
 def _arc(curvature: float) -> tuple[Array, Array]:
@@ -43,8 +52,38 @@ def _arc(curvature: float) -> tuple[Array, Array]:
     return radius * np.sin(turn), radius * (1 - np.cos(turn))
 
 
+def true_lines(shape: FeltShape, view: View, finger: int) -> Array:
+    """What a simulated scene truly has where a body is believed: straight pieces (n, 2, 3) m in S,
+    in which the planes of the body's arcs cut it. For pictures only; sensing knows no scene."""
+    if shape.kind == "unknown" or not np.isfinite(shape.p_SO).all():
+        return np.zeros((0, 2, 3))
+    corners_W, _ = view.triangles(sheets=False)
+    corners_O = (corners_W - view.p_WS[finger]) @ view.R_WS[finger] - shape.p_SO
+    near = (np.abs(corners_O).min(axis=1)[:, :2] < _REACH).all(axis=1)
+    pieces = [_cut(corners_O[near], turn) for turn in directions_of(shape)]
+    found = np.concatenate(pieces)
+    middle = found.mean(axis=1)
+    here = (np.hypot(middle[:, 0], middle[:, 1]) < _REACH) & (found[:, :, 2] > -_BELOW).all(axis=1)
+    return found[here & (found[:, :, 2] < _ABOVE).all(axis=1)] + shape.p_SO
+
+
+def _cut(corners: Array, turn: float) -> Array:
+    """Pieces (n, 2, 3) of triangles (m, 3, 3) in the upright plane through the origin that goes
+    `turn` rad from x."""
+    off = corners @ np.array([-math.sin(turn), math.cos(turn), 0.0])
+    crossed = np.flatnonzero(off.min(axis=1) * off.max(axis=1) < 0)
+    corners, off = corners[crossed], off[crossed]
+    after = np.roll(corners, -1, axis=1)
+    beyond = np.roll(off, -1, axis=1)
+    meets = off * beyond < 0
+    share = np.where(meets, off, 0.0) / np.where(meets, off - beyond, 1.0)
+    points = corners + share[:, :, None] * (after - corners)
+    two = meets.sum(axis=1) == 2  # else it goes through a corner: its neighbours have the piece
+    return points[two][meets[two]].reshape(-1, 2, 3)
+
+
 def words_of(shape: FeltShape) -> str:
-    """What it is, in a few words; "" where nobody asked, or nothing is known."""
+    """What it is, in a few words."""
     if shape.kind == "unknown":
         return f"shape unknown: {shape.status}"
     if math.isfinite(shape.radius):
@@ -52,3 +91,28 @@ def words_of(shape: FeltShape) -> str:
     if shape.kind == "smooth":
         return f"smooth, {shape.curvatures[0]:.0f} and {shape.curvatures[1]:.0f} /m"
     return shape.family
+
+
+def recorded_shape(recording: Recording, cycle: int, finger: int) -> FeltShape | None:
+    """As much of a shape as the log keeps.
+
+    Args:
+        recording: The recording.
+        cycle: Its number.
+        finger: Its number.
+
+    Returns:
+        The shape; None where none was felt, or nobody had asked.
+    """
+    columns = recording.columns
+    kind = columns["shape_kind"][cycle][finger] if "shape_place" in columns else "none"
+    if kind in ("none", "unknown"):
+        return None
+    outline = np.array(columns["shape_outline"][cycle][finger], float).reshape(-1, 2)
+    one = {
+        name: recording.column(f"shape_{name}")[cycle, finger]
+        for name in ("radius", "direction", "area", "curvatures")
+    }
+    place = recording.column("shape_place")[cycle, finger]
+    family = str(columns["shape_family"][cycle][finger])
+    return FeltShape(kind, {kind: 1.0}, p_SO=place, outline=outline, family=family, **one)

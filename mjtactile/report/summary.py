@@ -88,7 +88,8 @@ def session_of(recording: Recording) -> Session | None:
     if len(recording.references) < 2 or not all(len(n) for n in recording.columns["images"]):
         return None
     sensor = str(recording.header.get("sensor", "dense"))
-    session = Session(build_rig(Scenario(rig=f"replay:{recording.folder}", sensor=sensor)))
+    rig = build_rig(Scenario(rig=f"replay:{recording.folder}", sensor=sensor))
+    session = Session(rig, shapes=recording.has_shapes)
     session.take_references()
     return session
 

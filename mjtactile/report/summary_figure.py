@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.errors import MjtactileError
-from mjtactile.core.types import Array, Ellipses, Felt, Image, Sighting, Surface, Touch
+from mjtactile.core.types import Array, Ellipses, Felt, FeltShape, Image, Sighting, Surface, Touch
 from mjtactile.recording.columns import CycleLike
 from mjtactile.recording.reader import Recording
+from mjtactile.report.body_lines import lines_of, true_lines, words_of
 from mjtactile.report.scene_picture import View, draw_scene
 from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
 from mjtactile.sensing.image.markers import detect
@@ -33,6 +34,7 @@ PHASE_COLOURS = {
 }
 FINGER_COLOURS = ("#1f5fa8", "#d1571b", "#2e8b57", "#8e44ad", "#7f6000")
 _ARROW = "#c0221c"
+_TRUE_BODY = "#e07b00"
 _MM = 1e3
 
 
@@ -92,11 +94,11 @@ def write_figure(
             else:
                 found = image.ellipses
             _draw_image(figure.add_subplot(grid[0, column]), image, found, f"camera of {name}")
-            draw_surface(
-                figure.add_subplot(grid[1, column], projection="3d", computed_zorder=False),
-                snapshot.touch[finger],
-                unit,
-            )
+            touch = snapshot.touch[finger]
+            axes = figure.add_subplot(grid[1, column], projection="3d", computed_zorder=False)
+            draw_surface(axes, touch, unit)
+            if touch.shape is not None and touch.surface is not None:
+                _draw_body(axes, touch.shape, scene, finger)
     below = figure.add_gridspec(1, 1, top=0.3, bottom=0.045, **sides)
     _draw_forces(figure.add_subplot(below[0]), recording, snapshot)
     part = path.with_name(path.name + ".part")
@@ -222,6 +224,17 @@ def draw_surface(axes: Any, touch: Touch, unit: float | None = None) -> None:
         f"normal force {felt if touch.status == 'ok' else f'unknown: {touch.status}'}",
         fontsize=11,
     )
+
+
+def _draw_body(axes: Any, shape: FeltShape, scene: View | None, finger: int) -> None:
+    """What is believed to touch, and, where a scene knows, what is truly there."""
+    true = [] if scene is None else true_lines(shape, scene, finger)
+    for piece in true:
+        axes.plot(*(_MM * piece.T), color=_TRUE_BODY, linewidth=2.0, zorder=4)
+    for line in lines_of(shape):
+        axes.plot(*(_MM * line.T), color="#111111", linewidth=1.3, zorder=5)
+    said = words_of(shape) + ("; true body orange" if len(true) else "")
+    axes.text2D(0.5, 0.98, said, transform=axes.transAxes, ha="center", va="top", fontsize=10)
 
 
 def arrow_unit(touch: Sequence[Touch]) -> float:

@@ -1,5 +1,5 @@
-"""A film of a run: the scene (where there is one), what each camera saw with its ellipses, and the
-forces over time.
+"""A film of a run: the scene (where there is one), what each camera saw with its ellipses, the body
+that each finger believes in (where it was asked for), and the forces over time.
 
 In step with the run's own clock, whatever the cameras' rate. It is made from a recording, so that
 it holds up no run; scenes that were kept beside a simulated one are drawn without OpenGL
@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 from mjtactile.core.errors import InputError, MjtactileError
 from mjtactile.core.types import Array, Image
 from mjtactile.recording.reader import Recording
+from mjtactile.report.body_lines import recorded_shape, true_lines
+from mjtactile.report.body_section import draw_section
 from mjtactile.report.overlay import with_ellipses
 from mjtactile.report.scene_picture import View, picture_of
 from mjtactile.report.summary_figure import FINGER_COLOURS, PHASE_COLOURS
@@ -31,12 +33,14 @@ FORMATS = {".mp4": (30.0, 1.0), ".gif": (10.0, 0.5), ".webp": (15.0, 0.5)}
 # px: height of the pictures and of the curve, widths of scene and camera
 _TOP = 480
 _CURVE = 220
+_SECTION = 150
 _SCENE = 320
 _CAMERA = 480
 _MARGIN = 54  # px left of the curve, for its scale
 _INK = (40, 40, 40)
 _GRID = (225, 225, 225)
 _PAPER = (255, 255, 255)
+_SAME = 0.05  # s between a scene and a cycle, that still show the same
 _NOTE = "written by mjtactile, whose next film of that name may replace it"
 
 
@@ -123,6 +127,7 @@ class _Film:
         self._shown: list[Pixels] = []
         self._next: tuple[Image, ...] = next(self._images)
         self._scene: tuple[int, Pixels | None] = (-1, None)
+        self._bodies: tuple[int, Pixels | None] = (-1, None)
         self._curve = _Curve(recording, self._width)
 
     @property
@@ -145,7 +150,35 @@ class _Film:
         panels = [self._finger(k, pixels, row) for k, pixels in enumerate(self._shown)]
         if self._views:
             panels.insert(0, self._scene_at(time))
-        return np.vstack([np.hstack(panels), self._curve.at(time)])
+        parts = [np.hstack(panels), self._curve.at(time)]
+        if self._recording.has_shapes:
+            parts.insert(1, self._bodies_at(row))
+        return np.vstack(parts)
+
+    def _bodies_at(self, row: int) -> Pixels:
+        """Below each camera's picture a section through what is believed to touch."""
+        if row == self._bodies[0] and self._bodies[1] is not None:
+            return self._bodies[1]
+        view = self._view_at(float(self._time[row]))
+        picture = np.full((_SECTION, self._width, 3), 255, np.uint8)
+        left = _SCENE if self._views else 0
+        for finger in range(self._recording.width):
+            shape = recorded_shape(self._recording, row, finger)
+            if shape is None or view is None:
+                true = np.zeros((0, 2, 3))
+            else:
+                true = true_lines(shape, view, finger)
+            part = picture[:, left + finger * _CAMERA : left + (finger + 1) * _CAMERA]
+            part[:] = draw_section(shape, true, (_SECTION, _CAMERA))
+        self._bodies = (row, picture)
+        return picture
+
+    def _view_at(self, time: float) -> View | None:
+        """The scene that was kept then, if one was."""
+        index = max(bisect.bisect_right(self._view_times, time + 1e-9) - 1, 0)
+        if not self._views or abs(self._view_times[index] - time) > _SAME:
+            return None
+        return self._views[index][1]
 
     def _finger(self, finger: int, picture: Pixels, row: int) -> Pixels:
         """A camera's picture and below it what is felt."""

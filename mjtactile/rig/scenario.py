@@ -14,7 +14,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.fields import read
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.toml import Section, read_json, read_toml
-from mjtactile.recording.reader import load_recording
+from mjtactile.recording.reader import Recording, load_recording
 from mjtactile.rig.file import RigFile, read_rig_file
 from mjtactile.rig.simulated import SimRigFile
 
@@ -59,20 +59,26 @@ def complete_scenario(scenario: Scenario) -> Scenario:
     """Fill in the sensor that each of the rig's fingers really has.
 
     A rig file's fingers may name their own, and so do those of a recording that is replayed. Where
-    all fingers have the same, that is the scenario's `sensor`.
+    all fingers have the same, that is the scenario's `sensor`. A recording that has shapes is
+    replayed with them.
 
     Args:
         scenario: As it was asked for.
 
     Returns:
-        The scenario with its sensors.
+        The scenario with its sensors, of a recording with its shapes.
 
     Raises:
         InputError: For a rig file that is missing or wrong.
     """
     backend, _, folder = scenario.rig.partition(":")
     if backend == "replay":
-        return replace(scenario, sensors=_recorded_sensors(folder) | dict(scenario.sensors))
+        recording = load_recording(folder)
+        return replace(
+            scenario,
+            sensors=_recorded_sensors(recording) | dict(scenario.sensors),
+            shapes=scenario.shapes or recording.has_shapes,
+        )
     if not _is_file(scenario.rig):
         return scenario
     default = scenario.sensor_name
@@ -124,8 +130,8 @@ def _is_file(rig: str) -> bool:
     return rig.endswith(".toml") or "/" in rig or rig in resources.names("models/rigs", ".toml")
 
 
-def _recorded_sensors(folder: str) -> dict[str, str]:
+def _recorded_sensors(recording: Recording) -> dict[str, str]:
     """Those that a recording's fingers had of their own."""
-    scenario = load_recording(folder).header.get("scenario")
+    scenario = recording.header.get("scenario")
     sensors = scenario.get("sensors") if isinstance(scenario, Mapping) else None
     return dict(sensors) if isinstance(sensors, Mapping) else {}

@@ -147,7 +147,7 @@ def replay_probe(
             source=recording.folder,
         )
     rig = build_rig(Scenario(rig=f"replay:{recording.folder}", sensor=name))
-    session = Session(rig, settings=settings)
+    session = Session(rig, settings=settings, shapes=recording.has_shapes)
     session.take_references()
     perceptions = session.perceptions
     log = _Log()

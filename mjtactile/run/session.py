@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from mjtactile.core import signals
@@ -44,6 +45,7 @@ class Session:
         settings: Of the chains that are made here.
         threads: That perceive beside the loop (None: as many as are worth it here).
         pool: Processes that perceive instead of threads.
+        shapes: Whether every touch has its shape, whatever the controller reads.
         say: Is given a line where something is worth saying.
     """
 
@@ -55,12 +57,14 @@ class Session:
         settings: Settings = DEFAULTS,
         threads: int | None = None,
         pool: PerceptionPool | None = None,
+        shapes: bool = False,
         say: Say = lambda _: None,
     ):
         self.rig = rig
         self.settings = settings
         self._threads = threads
         self._pool = pool
+        self._shapes = shapes
         self._say = say
         self._supervisor = Supervisor(rig.period)
         if perceptions is None and rig.touch_is_drawn:
@@ -71,6 +75,7 @@ class Session:
                 for finger in rig.fingers
             ]
         self.perceptions: Sequence[Perceiver] = perceptions
+        self._ask_for_shapes(shapes)
 
     @property
     def patience(self) -> float:
@@ -175,15 +180,8 @@ class Session:
         watching: list[Observer] = [] if observer is None else [observer]
         if on_cycle is not None:
             watching.append(CycleCallback(on_cycle))
-        asks = "shape" in getattr(controller, "reads", ())
-        if asks and self.rig.touch_is_drawn:
-            raise InputError(
-                "a controller that reads shapes needs the chain",
-                source=controller.path,
-                field="--effects -chain",
-            )
-        for perception in self.perceptions:
-            perception.shapes = asks
+        reads = "shape" in getattr(controller, "reads", ())
+        self._ask_for_shapes(self._shapes or reads, controller.path if reads else None)
         notes = FlagNotes(self.rig.flags, Observers(watching))
         with signals.deferred() as stop, notes:
             return run_loop(
@@ -210,6 +208,13 @@ class Session:
             yield found
         finally:
             found.close()
+
+    def _ask_for_shapes(self, asks: bool, source: Path | None = None) -> None:
+        if asks and self.rig.touch_is_drawn:
+            who = "--shapes" if source is None else "a controller that reads shapes"
+            raise InputError(f"{who} needs the chain", source=source, field="--effects -chain")
+        for perception in self.perceptions:
+            perception.shapes = asks
 
     def make_safe(self, reason: str) -> None:
         """From the next cycle of `run` on, lower and open the hand, whatever the controller says.
@@ -260,7 +265,9 @@ def open_session(
             pool = _start_pool(built, workers)
             if pool is not None:
                 stack.callback(pool.close)
-            yield Session(built, settings=settings, threads=workers, pool=pool, say=say)
+            yield Session(
+                built, settings=settings, threads=workers, pool=pool, shapes=wanted.shapes, say=say
+            )
 
 
 def _start_pool(rig: Rig, workers: int | None) -> PerceptionPool | None:

@@ -1,5 +1,5 @@
-"""What is drawn into Studio's scene: felt surfaces, forces, outlines, centres of pressure, what a
-camera sees."""
+"""What is drawn into Studio's scene: felt surfaces, forces, outlines, centres of pressure, the
+bodies that are believed to touch, what a camera sees."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from mjtactile.core.types import Array
+from mjtactile.report.body_lines import lines_of
 from mjtactile.report.summary_figure import FINGER_COLOURS
 from mjtactile.studio import surface
 from mjtactile.studio.moment import Felt, Pose
@@ -22,6 +23,7 @@ _LEAST_ARROW = 1.5e-3  # m; shorter ones are not drawn
 _OUTLINE = 24  # pieces of an outline, at most
 _ABOVE = 4e-4  # m that the felt surface is drawn above itself, out of the simulated one
 _DARK = (0.1, 0.1, 0.1, 1.0)
+_BODY = (0.1, 0.45, 0.1, 1.0)
 _RED = (0.9, 0.2, 0.15, 1.0)
 
 
@@ -135,6 +137,9 @@ def _touches(brush: Brush, felt: Felt, pose: Pose, look: Look, rgba: Sequence[fl
         for patch in felt.touch.patches:
             if len(patch.outline):
                 _outline(brush, felt, pose, patch.outline)
+        if felt.touch.shape is not None:
+            for line in lines_of(felt.touch.shape):
+                _line(brush, pose.place(line))
         if centre is not None:
             brush.ball(pose.place(_over(felt, centre[None]))[0], 8e-4, _RED)
     if felt.touch.traction is None:
@@ -156,6 +161,14 @@ def _outline(brush: Brush, felt: Felt, pose: Pose, outline: Array) -> None:
     points = pose.place(_over(felt, outline[::every]))
     for a, b in zip(points, np.roll(points, -1, axis=0), strict=True):
         brush.connect(_G.mjGEOM_LINE, 3.0, a, b, _DARK)
+
+
+def _line(brush: Brush, points: Array) -> None:
+    """Of the body that is believed: the true one is in the scene."""
+    every = -(-len(points) // _OUTLINE)
+    points = np.concatenate([points[:-1:every], points[-1:]])
+    for a, b in zip(points[:-1], points[1:], strict=True):
+        brush.connect(_G.mjGEOM_LINE, 3.0, a, b, _BODY)
 
 
 def _field(brush: Brush, felt: Felt, pose: Pose, rgba: Sequence[float]) -> None:

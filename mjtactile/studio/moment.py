@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.types import Array, Image, Surface, Touch, ValveState
+from mjtactile.report.body_lines import words_of
 
 HISTORY = 20.0  # s that the plots show
 _CURVE = 300  # points of a curve, at most
@@ -90,6 +91,8 @@ def finger_lines(felt: Felt, perception_ms: float = math.nan) -> list[str]:
         lines.append(
             f"area   {1e6 * touch.contact.area:.0f} mm2, {1e3 * touch.contact.depth:.2f} mm deep"
         )
+    if touch.shape is not None:
+        lines.append(f"body   {words_of(touch.shape)}")
     lines.append(f"slip   {_slip(touch)}")
     lines.append(f"gas    {_gas(felt)}")
     thought = f"; perception {perception_ms:.1f} ms" if math.isfinite(perception_ms) else ""

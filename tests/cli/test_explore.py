@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 
 from mjtactile.cli import main
+from mjtactile.explore.run import Store
 
 
 def refused(capsys, *arguments):
@@ -21,8 +23,46 @@ def test_what_is_refused(capsys, tmp_path):
     assert "half of the 2.5 N" in refused(capsys, "--object", "egg", "--force-N", "1.6")
     assert "no holder holds" in refused(capsys, "--object", "tofu", "--force-N", "0.1")
     assert "--resume" in refused(capsys, "--resume", "--out", str(tmp_path / "none"))
-    assert "cannot turn" in refused(capsys, "--on", "gripper", "--rig", "emulated")
+    assert "valid: --on gripper" in refused(capsys, "--on", "stage", "--rig", "emulated")
+    assert "turns it by itself" in refused(capsys, "--turn-deg", "90")
+    three = refused(capsys, "--rig", "sim_three_finger")
+    assert "3 fingers: only two that face each other" in three
     assert "--from" in refused(capsys, "--from", str(tmp_path), "--resume", "--out", str(tmp_path))
+
+
+def test_a_recorded_press_is_a_place_of_the_indenter(capsys, tmp_path):
+    moves = tmp_path / "twice.csv"
+    moves.write_text("time_s,depth_mm,speed_mm_s\n0,1,40\n0.2,2,40\n")
+    run = str(tmp_path / "press")
+    record = ["record", "--rig", "stage", "--steps", str(moves), "--indenter", "sphere:8"]
+    assert main([*record, "--at", "3,-2", "--seconds", "0.5", "--out", run]) == 0
+    capsys.readouterr()
+    assert main(["explore", "--from", run, "--out", str(tmp_path / "ball"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["patches"] == 1
+    patch = Store(tmp_path / "ball" / "touched.jsonl").read()[0]
+    off = np.linalg.norm(patch.points - [0, 0, 0.008], axis=1) - 0.008
+    # the frame begins at the ball's lowest point. On a mesh of 13 x 11 the sheet lies 0.1 to 0.2 mm
+    # off a ball between its vertices
+    assert np.abs(off).max() < 3e-4
+
+
+@pytest.mark.slow
+@pytest.mark.clock
+@pytest.mark.xdist_group("an emulated rig")
+def test_an_emulated_hand_grips_at_two_heights_and_its_recording_says_the_same(capsys, tmp_path):
+    out = tmp_path / "egg"
+    arguments = ["explore", "--rig", "emulated", "--object", "egg", "--slow", "4"]
+    assert main([*arguments, "--touches", "2", "--out", str(out), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["patches"] == 4 and "surface_error_mm_true" not in found
+    assert max(one["force_N"] for one in found["touched"]) < 0.6
+    places = np.array([one["place_mm"] for one in found["touched"]])
+    # both flanks of an egg of 32 mm, and 6 mm higher a little nearer
+    assert np.abs(places[:, 0]) == pytest.approx([16, 16, 15, 15], abs=2.0)
+    assert places[2:, 2] - places[:2, 2] == pytest.approx([6, 6], abs=1.5)
+    assert main(["explore", "--rig", f"replay:{out}", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["touched"] == found["touched"]
 
 
 @pytest.mark.slow

@@ -1,5 +1,5 @@
-"""A controller that reads shapes has them in a run, the same bits beside the world or in a process,
-and nobody else has them."""
+"""A controller that reads shapes has them in a run, and so has whoever asks for them of a scenario:
+the same bits, beside the world or in a process. Nobody else has them."""
 
 from dataclasses import replace
 
@@ -10,6 +10,8 @@ from mjtactile.core.errors import ControllerError
 from mjtactile.core.scenario import Scenario
 from mjtactile.recording.reader import load_recording
 from mjtactile.recording.writer import Recorder
+from mjtactile.report.body_lines import lines_of, recorded_shape
+from mjtactile.rig.scenario import complete_scenario
 from mjtactile.run.controller import load_controller
 from mjtactile.run.grasp import run_grasp
 
@@ -49,18 +51,28 @@ def test_a_controller_says_what_it_reads(tmp_path, controller):
 
 @pytest.mark.slow
 def test_shapes_are_the_same_bits_in_a_process(tmp_path, controller):
-    columns = []
-    for workers, asks in ((0, True), (1, True), (0, False)):
-        folder = tmp_path / f"run{len(columns)}"
-        asking = controller if asks else replace(controller, function=_without, reads=())
+    recordings = []
+    asked = replace(controller, reads=())
+    unasked = replace(controller, function=_without, reads=())
+    for workers, asks, shapes in ((0, controller, False), (1, asked, True), (0, unasked, False)):
+        folder = tmp_path / f"run{len(recordings)}"
         with Recorder(folder, {"object": "egg"}) as recorder:
-            run_grasp(Scenario(seed=5), [recorder], workers=workers, controller=asking)
-        columns.append(load_recording(folder).columns)
-    with_shapes, in_a_process, without = columns
+            scenario = Scenario(seed=5, shapes=shapes)
+            run_grasp(scenario, [recorder], workers=workers, controller=asks)
+        recordings.append(load_recording(folder))
+    # a replay finds them again where they were asked for
+    replayed = [complete_scenario(Scenario(rig=f"replay:{one.folder}")) for one in recordings]
+    assert [one.shapes for one in replayed] == [True, True, False]
+    with_shapes, in_a_process, without = (one.columns for one in recordings)
     kinds = {kind for row in with_shapes["shape_kind"] for kind in row}
     assert kinds - {"unknown"}, kinds
-    for key in ("shape_area", "shape_radius", "force_normal", "contact_area"):
+    for key in ("shape_area", "shape_place", "shape_sliding", "force_normal", "contact_area"):
         np.testing.assert_array_equal(with_shapes[key], in_a_process[key])
+    known = np.argwhere(np.isfinite(with_shapes["shape_radius"]))
+    cycle, finger = known[-1]
+    kept = recorded_shape(recordings[0], cycle, finger)
+    assert kept.radius == with_shapes["shape_radius"][cycle, finger] and len(kept.outline) > 8
+    assert len(lines_of(kept)) == 3  # a border and two arcs, as pictures of a recording draw them
     assert {kind for row in without["shape_kind"] for kind in row} == {"none"}
     assert np.isnan(without["shape_area"]).all()
 

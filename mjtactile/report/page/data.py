@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mjtactile.core.types import Array, Image, Touch
 from mjtactile.recording.columns import Seen
 from mjtactile.recording.reader import Recording
-from mjtactile.report.body_lines import lines_of, words_of
+from mjtactile.report.body_lines import lines_of, true_lines, words_of
 from mjtactile.report.html import data_uri
 from mjtactile.report.overlay import with_ellipses
 from mjtactile.report.scene_picture import picture_of
@@ -212,7 +212,7 @@ def _shot(cycle: Seen, view: Any, unit: float) -> dict[str, Any]:
         "time": round(cycle.time, 4),
         "pictures": [_camera(image) for image in cycle.images],
         "scene": None if scene is None else _jpeg(scene),
-        "felt": [_felt(touch, unit) for touch in cycle.touch],
+        "felt": [_felt(touch, unit, view, k) for k, touch in enumerate(cycle.touch)],
     }
 
 
@@ -226,9 +226,9 @@ def _jpeg(bgr: NDArray[np.uint8]) -> str:
     return data_uri("image/jpeg", cv2.imencode(".jpg", bgr, _JPEG)[1].tobytes())
 
 
-def _felt(touch: Touch, unit: float) -> Mapping[str, Any] | None:
-    """A membrane: `z` (ny nx) whole numbers of `unit` mm, and the traction with a minus sign: foot,
-    mm, and Pa."""
+def _felt(touch: Touch, unit: float, view: Any, finger: int) -> Mapping[str, Any] | None:
+    """A membrane: `z` (ny nx) whole numbers of `unit` mm, the traction with a minus sign: foot, mm,
+    and Pa; of the body that is believed its lines, mm, and of what is truly there."""
     if touch.surface is None:
         return None
     foot, stress = arrows(touch, touch.surface)
@@ -240,9 +240,12 @@ def _felt(touch: Touch, unit: float) -> Mapping[str, Any] | None:
     shape = touch.shape
     if shape is not None:
         said += f"; {words_of(shape)}"
+    believed = [] if shape is None else lines_of(shape)
+    true = [] if shape is None or view is None else true_lines(shape, view, finger)
     return {
         "z": base64.b64encode(z.tobytes()).decode("ascii"),
-        "body": [] if shape is None else [(1e3 * one).round(2).tolist() for one in lines_of(shape)],
+        "body": [(1e3 * one).round(2).tolist() for one in believed],
+        "true": [(1e3 * one).round(2).tolist() for one in true],
         "arrows": np.column_stack([foot.round(2), -stress.round(0)]).tolist(),
         "text": said,
     }

@@ -52,8 +52,12 @@ function drawMembrane(canvas, finger) {
     c.fill();
     c.stroke();
   }
-  for (const body of felt.body || []) {  // what is believed to touch: its border, and itself
-    line(c, body.map(([x, y, up]) => seen(x, y, up)), "#1b1b1b", 1.4);
+  const lines = (all, colour, wide) => all.forEach(one => line(c, one.map(([x, y, up]) => seen(x, y, up)), colour, wide));
+  lines(felt.true, "#e07b00", 2.2);  // what is truly there
+  lines(felt.body, "#1b1b1b", 1.4);  // what is believed to touch: its border, and itself
+  if (felt.true.length) {
+    c.fillStyle = "#b86500";
+    c.fillText("true body (orange), believed (black)", 8, 30);
   }
   c.fillStyle = "#222";
   c.fillText(`${felt.text}; heights from ${low.toFixed(1)} to ${high.toFixed(1)} mm` + (tall > 1 ? `, drawn ${tall} times as high` : ""),

@@ -1,0 +1,73 @@
+"""Sections through a felt body, as pixels: along its smaller curvature and across it, with what a
+simulation truly has there."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.core.types import Array, FeltShape
+from mjtactile.report.body_lines import directions_of, lines_of, words_of
+
+_REACH = 9e-3  # m to either side
+_BELIEVED = (25, 25, 25)  # blue, green, red
+_TRUE = (0, 123, 224)
+_PAPER = (255, 255, 255)
+_TEXT = 24  # px of the line above
+_NAMES = ("along", "across")
+
+
+def draw_section(shape: FeltShape | None, true: Array, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Two sections side by side, heights to scale.
+
+    Args:
+        shape: What is believed; None: nothing.
+        true: Pieces (n, 2, 3) m in S of what is truly there (`body_lines.true_lines`).
+        size: Height and width, px.
+
+    Returns:
+        Blue, green, red (*size, 3).
+    """
+    picture = np.full((*size, 3), _PAPER, np.uint8)
+    if shape is None:
+        _write(picture, "nothing that is known touches", (8, 17))
+        return picture
+    said = f"{words_of(shape)}; believed black" + (", true orange" if len(true) else "")
+    _write(picture, said, (8, 17))
+    half = size[1] // 2
+    arcs = lines_of(shape)[-2:]
+    for number, (turn, arc) in enumerate(zip(directions_of(shape), arcs, strict=False)):
+        panel = picture[_TEXT:, number * half : (number + 1) * half]
+        way = np.array([np.cos(turn), np.sin(turn)])
+        across = np.array([-way[1], way[0]])
+        off = true - shape.p_SO
+        own = off[(np.abs(off[:, :, :2] @ across) < 1e-9).all(axis=1)]
+        _draw(panel, [_flat(piece, way) for piece in own], _TRUE, 3)
+        _draw(panel, [_flat(arc - shape.p_SO, way)], _BELIEVED, 1)
+        _write(panel, _NAMES[number], (8, panel.shape[0] - 8))
+    return picture
+
+
+def _flat(points: Array, way: Array) -> Array:
+    """(n, 2) m along the section, and up."""
+    return np.column_stack([points[:, :2] @ way, points[:, 2]])
+
+
+def _draw(panel: NDArray[np.uint8], lines: list[Array], colour: tuple[int, ...], wide: int) -> None:
+    scale = panel.shape[1] / (2 * _REACH)
+    foot = panel.shape[0] - 0.15 * panel.shape[0]
+    for line in lines:
+        pixels = np.column_stack(
+            [panel.shape[1] / 2 + scale * line[:, 0], foot - scale * line[:, 1]]
+        )
+        points = np.round(16 * pixels).astype(np.int32)
+        own = np.ascontiguousarray(panel)
+        cv2.polylines(own, [points], False, colour, wide, cv2.LINE_AA, shift=4)
+        panel[:] = own
+
+
+def _write(picture: NDArray[np.uint8], text: str, at: tuple[int, int]) -> None:
+    own = np.ascontiguousarray(picture)
+    cv2.putText(own, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.45, _BELIEVED, 1, cv2.LINE_AA)
+    picture[:] = own

@@ -1,0 +1,94 @@
+"""What is truly there beside a body that is believed: sections of the scene's triangles, and the
+picture of both, against a ball whose sections are circles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from mjtactile.core.types import FeltShape
+from mjtactile.report.body_lines import lines_of, true_lines
+from mjtactile.report.body_section import draw_section
+
+RADIUS = 0.008
+PLACE = np.array([2e-3, -1e-3, 4e-3])
+R_WS = Rotation.from_euler("xyz", [0.4, 1.1, -0.7]).as_matrix()
+P_WS = np.array([0.3, -0.2, 0.5])
+
+
+@dataclass
+class Scene:
+    """A ball whose lowest point in S is `place`, and a table far above it, in W."""
+
+    place: np.ndarray
+    p_WS: np.ndarray
+    R_WS: np.ndarray
+
+    def triangles(self, *, sheets=True):
+        assert not sheets  # the membrane is no body
+        number = np.arange(4000)
+        z = 1 - (2 * number + 1) / 4000  # a spiral, evenly all over
+        turn = number * np.pi * (3 - np.sqrt(5))
+        wide = np.sqrt(1 - z**2)
+        points = np.column_stack([wide * np.cos(turn), wide * np.sin(turn), z])
+        faces = ConvexHull(points).simplices
+        ball = RADIUS * points + self.place + [0, 0, RADIUS]
+        table = np.array([[[-1.0, -1, 0.05], [1, -1, 0.05], [0, 1, 0.05]]])
+        corners = np.concatenate([ball[faces], table]) @ self.R_WS[0].T + self.p_WS[0]
+        return corners, np.ones((len(corners), 4))
+
+
+def ball(radius=RADIUS, place=PLACE, direction=0.5):
+    kinds = {"smooth": 1.0}
+    curvatures = (1 / radius, 1 / radius)
+    return FeltShape(
+        "smooth", kinds, curvatures=curvatures, direction=direction, radius=radius, p_SO=place,
+        family="ball",
+    )  # fmt: skip
+
+
+def scene(place=PLACE):
+    return Scene(place, P_WS[None], R_WS[None])
+
+
+def test_a_true_ball_lies_on_the_lines_of_one_that_is_believed_rightly():
+    shape = ball()
+    pieces = true_lines(shape, scene(), 0)
+    off = np.linalg.norm(pieces - PLACE - [0, 0, RADIUS], axis=2)
+    # triangles of 4000 points have edges of about 0.5 mm: their middles sag by 0.3^2 / 2 / 8 mm
+    assert off.max() < RADIUS + 1e-9 and off.min() > RADIUS - 1e-5
+    assert len(pieces) > 100  # and the table is left out
+    # each piece is in one of the two planes of the believed arcs
+    for turn in (0.5, 0.5 + np.pi / 2):
+        across = np.array([-np.sin(turn), np.cos(turn)])
+        in_plane = (np.abs((pieces - PLACE)[:, :, :2] @ across) < 1e-9).all(axis=1)
+        assert in_plane.sum() > 50
+    assert not len(true_lines(FeltShape("unknown", {}), scene(), 0))
+
+
+def dark(picture):
+    return np.argwhere((picture[24:, :240] < 110).all(axis=2))
+
+
+def orange(picture):
+    b, g, r = np.moveaxis(picture[24:, :240].astype(int), 2, 0)
+    return np.argwhere((r > 180) & (g < 180) & (b < 90))
+
+
+def test_a_section_shows_how_far_the_believed_body_is_off():
+    size = (150, 480)
+    right = draw_section(ball(), true_lines(ball(), scene(), 0), size)
+    deep = ball(place=PLACE + [0, 0, 1e-3])
+    off = draw_section(deep, true_lines(deep, scene(), 0), size)
+    lowest = {name: dark(picture)[:, 0].max() for name, picture in (("right", right), ("off", off))}
+    true = {"right": orange(right)[:, 0].max(), "off": orange(off)[:, 0].max()}
+    # believed bodies are drawn from their own lowest point: the true one is 1 mm lower
+    assert lowest["right"] == pytest.approx(lowest["off"], abs=1)
+    assert true["off"] - true["right"] == pytest.approx(240 / 18, abs=2)  # px in a mm
+    nothing = draw_section(None, np.zeros((0, 2, 3)), size)
+    assert not len(dark(nothing))
+    assert len(lines_of(ball())) == 2
