@@ -57,8 +57,7 @@ def true_lines(shape: FeltShape, view: View, finger: int) -> Array:
     in which the planes of the body's arcs cut it. For pictures only; sensing knows no scene."""
     if shape.kind == "unknown" or not np.isfinite(shape.p_SO).all():
         return np.zeros((0, 2, 3))
-    corners_W, _ = view.triangles(sheets=False)
-    corners_O = (corners_W - view.p_WS[finger]) @ view.R_WS[finger] - shape.p_SO
+    corners_O = (view.things() - view.p_WS[finger]) @ view.R_WS[finger] - shape.p_SO
     near = (np.abs(corners_O).min(axis=1)[:, :2] < _REACH).all(axis=1)
     pieces = [_cut(corners_O[near], turn) for turn in directions_of(shape)]
     found = np.concatenate(pieces)

@@ -29,6 +29,10 @@ class _Still:
     R_WS: Array
     corners: Array
     rgba: Array
+    thing: Array
+
+    def things(self) -> Array:
+        return self.thing
 
     def triangles(self) -> tuple[Array, Array]:
         return self.corners, self.rgba
@@ -55,7 +59,9 @@ class Drawing:
         if self._worker is None:
             write_figure(path, recording, snapshot, summary, scene)
             return
-        still = None if scene is None else _Still(scene.p_WS, scene.R_WS, *scene.triangles())
+        still = None
+        if scene is not None:
+            still = _Still(scene.p_WS, scene.R_WS, *scene.triangles(), scene.things())
         try:
             self._worker.begin(path, recording, snapshot, dict(summary), still)
             answer = self._worker.outcome(_PATIENCE)

@@ -28,8 +28,10 @@ class Scene:
     p_WS: np.ndarray
     R_WS: np.ndarray
 
-    def triangles(self, *, sheets=True):
-        assert not sheets  # the membrane is no body
+    def triangles(self):
+        raise AssertionError("the membrane is no body")
+
+    def things(self):
         number = np.arange(4000)
         z = 1 - (2 * number + 1) / 4000  # a spiral, evenly all over
         turn = number * np.pi * (3 - np.sqrt(5))
@@ -38,8 +40,7 @@ class Scene:
         faces = ConvexHull(points).simplices
         ball = RADIUS * points + self.place + [0, 0, RADIUS]
         table = np.array([[[-1.0, -1, 0.05], [1, -1, 0.05], [0, 1, 0.05]]])
-        corners = np.concatenate([ball[faces], table]) @ self.R_WS[0].T + self.p_WS[0]
-        return corners, np.ones((len(corners), 4))
+        return np.concatenate([ball[faces], table]) @ self.R_WS[0].T + self.p_WS[0]
 
 
 def ball(radius=RADIUS, place=PLACE, direction=0.5):
