@@ -15,14 +15,17 @@ _GAUGE_STEP = 1.02  # of the gas at rest, after which shapes want another film
 def finder_gauge(reference: Reference) -> float:
     """Pa of the gas at rest that a finder is made for.
 
+    What a touch squeezes sealed gas to is no part of it: that is in the film.
+
     Args:
         reference: The rest.
 
     Returns:
-        As first measured; in steps of 2 % of it where gas was lost or grew warm since.
+        As first measured; in steps of 2 % of it where gas was let in or out, lost or grew warm.
     """
     first = reference.first.gas.gauge
-    now = reference.rest.gas.gauge
+    rest = reference.rest
+    now = rest.pressure_gauge if math.isfinite(rest.pressure_gauge) else rest.gas.gauge
     return first * _GAUGE_STEP ** round(math.log(max(now, 1.0) / first) / math.log(_GAUGE_STEP))
 
 

@@ -58,9 +58,11 @@ def test_an_emulated_hand_grips_at_two_heights_and_its_recording_says_the_same(c
     assert found["patches"] == 4 and "surface_error_mm_true" not in found
     assert max(one["force_N"] for one in found["touched"]) < 0.6
     places = np.array([one["place_mm"] for one in found["touched"]])
-    # both flanks of an egg of 32 mm, and 6 mm higher a little nearer
-    assert np.abs(places[:, 0]) == pytest.approx([16, 16, 15, 15], abs=2.0)
-    assert places[2:, 2] - places[:2, 2] == pytest.approx([6, 6], abs=1.5)
+    # an egg of 32 mm, met at its widest; it may stand aside by as much as the seed draws
+    widths = np.abs(places[::2, 0] - places[1::2, 0])
+    assert widths == pytest.approx([32, 32], abs=1.0)
+    # from 6 mm higher its flanks are met somewhat higher, but not by so much
+    assert (places[2:, 2] - places[:2, 2] > 0.5).all() and (places[2:, 2] - places[:2, 2] < 6).all()
     assert main(["explore", "--rig", f"replay:{out}", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["touched"] == found["touched"]
 

@@ -70,6 +70,10 @@ def test_shapes_are_the_same_bits_in_a_process(tmp_path, controller):
         np.testing.assert_array_equal(with_shapes[key], in_a_process[key])
     known = np.argwhere(np.isfinite(with_shapes["shape_radius"]))
     cycle, finger = known[-1]
+    # in a sealed chamber that a touch has squeezed, too, the bodies stand where they are: an egg of
+    # 32 mm, on a mesh of 13 x 11, between whose vertices a ball sinks by 0.2 mm on each side
+    both = recordings[0].column("shape_place")[cycle, :, 2]
+    assert recordings[0].column("opening")[cycle, 0] - both.sum() == pytest.approx(0.032, abs=7e-4)
     kept = recorded_shape(recordings[0], cycle, finger)
     assert kept.radius == with_shapes["shape_radius"][cycle, finger] and len(kept.outline) > 8
     assert len(lines_of(kept)) == 3  # a border and two arcs, as pictures of a recording draw them

@@ -112,7 +112,7 @@ class ShapeFinder:
         shape = self._said(press, scale, slips(touch))
         if shape.kind == "unknown" or touch.traction is None:
             return Found(shape, None, press)
-        return Found(shape, borne(press, touch.traction.wrench, scale, s), press)
+        return Found(shape, borne(self.films.fine, press, touch.traction.wrench, scale, s), press)
 
     def _said(self, press: Press, scale: float, sliding: bool) -> FeltShape:
         s = self.settings.body

@@ -12,7 +12,9 @@ from scipy.special import ndtr
 from mjtactile.core.types import SHAPES, Array, Touch
 from mjtactile.sensing.body.families import principal
 from mjtactile.sensing.body.fit import Fit
+from mjtactile.sensing.body.forward import Forward
 from mjtactile.sensing.body.press import Press
+from mjtactile.sensing.body.stick import sticks
 from mjtactile.sensing.settings import BodySettings
 
 _NORMAL = 2
@@ -31,10 +33,11 @@ class Borne:
     unseen: Array
 
 
-def borne(press: Press, wrench: Array, noise: float, s: BodySettings) -> Borne:
+def borne(forward: Forward, press: Press, wrench: Array, noise: float, s: BodySettings) -> Borne:
     """What the likeliest body bears.
 
     Args:
+        forward: The film.
         press: What is known of what touches.
         wrench: (6,) as the nodal estimate has it.
         noise: Factor on the markers' variances.
@@ -51,14 +54,15 @@ def borne(press: Press, wrench: Array, noise: float, s: BodySettings) -> Borne:
     rows = np.zeros((3, 6))
     rows[0, 2] = rows[1, 3] = rows[2, 4] = 1.0
     rows[1, 1], rows[2, 0] = height, -height  # what shear does at that height is no part of it
-    load = s.friction * rows @ state.wrench
+    more = sticks(forward, state, s)
+    load = more * rows @ state.wrench
     pointed = _pointed(found, noise, s)
     sharp = press.kinds(SHAPES)
     blunt = sharp["smooth"] + sharp["face"]
     untold = max(blunt, pointed)
     place = s.place_sd_sharp + untold * (s.place_sd - s.place_sd_sharp)
     model = _model(load, max(found.misfit, 1.0), pointed, place, s)
-    by_numbers = s.friction**2 * rows @ found.sums_cov_with(noise)[:6, :6] @ rows.T
+    by_numbers = more**2 * rows @ found.sums_cov_with(noise)[:6, :6] @ rows.T
     off = load - rows @ wrench
     doubt = 1 - float(press.probabilities[0])
     x, y = load[2] / -load[0], load[1] / load[0]  # of where it presses: t_x = y f_z, t_y = -x f_z
@@ -76,7 +80,9 @@ def _pointed(found: Fit, noise: float, s: BodySettings) -> float:
         least, variance = principal(found.theta)[1], max(cov[3, 3], cov[5, 5])
     else:
         return 0.0
-    return float(ndtr((least - s.tip_curvature) / math.sqrt(max(variance, 1.0))))
+    light = min(found.state.force_normal / s.tip_light, 1.0)
+    limit = s.tip_curvature * math.sqrt(max(light, 0.0))
+    return float(ndtr((least - limit) / math.sqrt(max(variance, 1.0))))
 
 
 def _model(load: Array, misfit: float, pointed: float, place: float, s: BodySettings) -> Array:

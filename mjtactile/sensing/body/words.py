@@ -15,6 +15,7 @@ from mjtactile.sensing.body.area import areas, nearest_part, shares
 from mjtactile.sensing.body.families import Family, Hint, about, kinds_of, place_of, principal
 from mjtactile.sensing.body.fit import Fit
 from mjtactile.sensing.body.forward import Forward
+from mjtactile.sensing.body.stick import sticks
 from mjtactile.sensing.settings import BodySettings
 
 _FINER = 4  # of the film's nodes, for an outline
@@ -47,7 +48,7 @@ def words(
     cov = said_cov(found, scale, s)
     if found.family.parts:
         return _several(forward, found, cov, probabilities, interval, s)
-    force = s.friction * found.state.force_normal
+    force = sticks(forward, found.state, s) * found.state.force_normal
     whole = _Whole(areas(forward, found, s)[0], force, interval, found.misfit)
     outline = _outline(forward, found, found.state.contact_forces)
     return _body(found.family, found.theta, found.hint, cov, kind, probabilities, whole, outline, s)
@@ -116,6 +117,7 @@ def _several(
     nearest = nearest_part(forward, found)
     sizes = areas(forward, found, s)
     carry = shares(forward, found)
+    borne = sticks(forward, found.state, s) * found.state.force_normal
     most = max(sum(sizes), 1e-12)
     ends = np.cumsum([0, *(len(part.names) for part in family.parts)])
     bodies = []
@@ -125,7 +127,7 @@ def _several(
         kinds = kinds_of(part, thetas[place], cov[own, own])
         whole = _Whole(
             sizes[place],
-            s.friction * carry[place] * found.state.force_normal,
+            carry[place] * borne,
             (sizes[place] / most * interval[0], sizes[place] / most * interval[1]),
             found.misfit,
         )
@@ -151,7 +153,7 @@ def _several(
         R_SO=bodies[0].R_SO,
         pose_cov=bodies[0].pose_cov,
         outline=bodies[0].outline,
-        force_normal=s.friction * found.state.force_normal,
+        force_normal=borne,
         family=family.name,
         misfit=found.misfit,
         parts=tuple(bodies),

@@ -57,27 +57,27 @@ class BodySettings:
     area_sd: float = number(
         0.045, "of the area of what is round, that the film does not know of", _PRESSED_SHAPES
     )
-    area_face_sd: float = number(0.1, "the same of a face", _PRESSED_SHAPES)
+    area_face_sd: float = number(0.07, "the same of a face", _PRESSED_SHAPES)
     face_light: float = number(
-        0.2,
+        0.13,
         "of a face's area, that it is found too large by where the force is `face_load`",
         _PRESSED_SHAPES,
     )
     face_load: float = number(2.7, "times the gas's force on that area", _PRESSED_SHAPES)
     face_fades: float = number(
-        0.3, "how that goes with the logarithm of the force over the gas's", _PRESSED_SHAPES
+        0.26, "how that goes with the logarithm of the force over the gas's", _PRESSED_SHAPES
     )
     face_bounds: tuple[float, float] = number(
-        (0.93, 1.25), "least and most of what the area is divided by for it", _PRESSED_SHAPES
+        (0.75, 1.4), "least and most of what the area is divided by for it", _PRESSED_SHAPES
     )
     said_noise: float = number(
-        1.5,
+        1.2,
         "times the variance of a body's numbers that a fit says: images of a press err alike",
         _PRESSED_SHAPES,
         low=1.0,
     )
     curvature_share: float = number(
-        0.03, "of a curvature, that the film has wrong, as sd", _PRESSED_SHAPES
+        0.025, "of a curvature, that the film has wrong, as sd", _PRESSED_SHAPES
     )
     size_share: float = number(0.07, "the same of a face's radius or half side", _PRESSED_SHAPES)
     area_light: float = number(
@@ -90,7 +90,15 @@ class BodySettings:
     )
     stretched_most: float = number(0.1, "of that share: more does not count", _PRESSED_SHAPES)
     friction: float = number(
-        1.03, "force of a sheet that sticks over that of the film, which slides", _PRESSED_SHAPES
+        1.02,
+        "force of a sheet that sticks over that of the film, which slides, in the middle",
+        _PRESSED_SHAPES,
+    )
+    friction_aside: tuple[float, float] = number(
+        (0.2, 0.5),
+        "what comes to it by the squares of how far off the middle it presses along x and y, in "
+        "halves of the frame",
+        _PRESSED_SHAPES,
     )
     force_sd: float = number(
         2e-3, "N, of the normal force, that film and friction leave", _PRESSED_SHAPES
@@ -109,6 +117,9 @@ class BodySettings:
         190.0,
         "1/m; what is more curved both ways may be a corner that catches the sheet",
         _PRESSED_SHAPES,
+    )
+    tip_light: float = number(
+        0.2, "N; below it corners seem blunter, with the root of the force", _PRESSED_SHAPES
     )
     tip_shear: float = number(
         0.25,
@@ -142,9 +153,9 @@ class BodySettings:
         0.12, "of the force: a place of contact that bears less is no body", "trial"
     )
     log_lost: float = number(
-        12.0,
+        6.0,
         "of the log of evidence, by which a family is behind that is not looked at any more",
-        "trial",
+        "bench shape: with 12, a third more time and the same kinds",
     )
     ball_ratio: float = number(
         1.5, "of two curvatures, below which a smooth body has a radius", "trial"
