@@ -29,13 +29,20 @@ class _Still:
     R_WS: Array
     corners: Array
     rgba: Array
-    thing: Array
+    thing: Array | None
 
     def things(self) -> Array:
+        assert self.thing is not None  # who asks for them has shapes to draw
         return self.thing
 
     def triangles(self) -> tuple[Array, Array]:
         return self.corners, self.rgba
+
+
+def _still(scene: View, snapshot: CycleLike | None) -> _Still:
+    shaped = snapshot is not None and any(touch.shape is not None for touch in snapshot.touch)
+    thing = scene.things() if shaped else None
+    return _Still(scene.p_WS, scene.R_WS, *scene.triangles(), thing)
 
 
 class Drawing:
@@ -59,9 +66,7 @@ class Drawing:
         if self._worker is None:
             write_figure(path, recording, snapshot, summary, scene)
             return
-        still = None
-        if scene is not None:
-            still = _Still(scene.p_WS, scene.R_WS, *scene.triangles(), scene.things())
+        still = None if scene is None else _still(scene, snapshot)
         try:
             self._worker.begin(path, recording, snapshot, dict(summary), still)
             answer = self._worker.outcome(_PATIENCE)

@@ -187,7 +187,7 @@ class Panel(plugin.ViewerPlugin):
                 imgui.Checkbox(text, value)[1]
                 for text, value in (
                     ("net force", look.forces),
-                    ("outlines, centre of pressure, body", look.contacts),
+                    ("outlines, centre of pressure", look.contacts),
                     ("forces by place", look.field),
                     ("what the cameras see", look.camera),
                 )

@@ -75,6 +75,7 @@ def test_shapes_are_the_same_bits_in_a_process(tmp_path, controller):
     both = recordings[0].column("shape_place")[cycle, :, 2]
     assert recordings[0].column("opening")[cycle, 0] - both.sum() == pytest.approx(0.032, abs=7e-4)
     kept = recorded_shape(recordings[0], cycle, finger)
+    assert kept is not None
     assert kept.radius == with_shapes["shape_radius"][cycle, finger] and len(kept.outline) > 8
     assert len(lines_of(kept)) == 3  # a border and two arcs, as pictures of a recording draw them
     assert {kind for row in without["shape_kind"] for kind in row} == {"none"}

@@ -26,9 +26,6 @@ class FakeScene:
         self.p_WS = 0.03 * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(sensors)])
         self.R_WS = np.tile(np.eye(3), (sensors, 1, 1))
 
-    def things(self):
-        return self.triangles()[0]
-
     def triangles(self):
         return 0.02 * np.eye(3)[None], np.ones((1, 4))
 

@@ -45,7 +45,7 @@ class Scene:
 
 def ball(radius=RADIUS, place=PLACE, direction=0.5):
     kinds = {"smooth": 1.0}
-    curvatures = (1 / radius, 1 / radius)
+    curvatures = np.full(2, 1 / radius)
     return FeltShape(
         "smooth", kinds, curvatures=curvatures, direction=direction, radius=radius, p_SO=place,
         family="ball",

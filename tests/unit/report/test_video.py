@@ -22,9 +22,6 @@ def decoded(path):
 class DarkScene(FakeScene):
     """The same triangle, black."""
 
-    def things(self):
-        return self.triangles()[0]
-
     def triangles(self):
         return 0.02 * np.eye(3)[None], np.array([[0.0, 0.0, 0.0, 1.0]])
 

@@ -181,7 +181,7 @@ def test_geoms_are_those_of_the_touch_and_of_nobody_elses(gui, show):
     assert kinds.count(int(mujoco.mjtGeom.mjGEOM_ARROW)) == 2
     gui.want("membranes", "none")
     gui.want("net force", False)
-    gui.want("outlines, centre of pressure, body", False)
+    gui.want("outlines, centre of pressure", False)
     gui.want("what the cameras see", True)
     build(plugin)
     build(plugin)
