@@ -59,6 +59,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a recording that is not fitted to but predicted, for a check; may be given again",
     )
     parser.add_argument(
+        "--relaxation",
+        type=Path,
+        metavar="DIR",
+        help="a recording with a pressure sensor in which the membrane stands free for 10 s or "
+        "more, after inflating or a press: how its stress fades is found from it, too",
+    )
+    parser.add_argument(
         "--out", type=Path, required=True, metavar="FILE.toml", help="the sensor file to write"
     )
     parser.add_argument(
@@ -91,6 +98,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
+    from mjtactile.fit.relaxation import fit_relaxation
     from mjtactile.fit.report import draw, text_of
     from mjtactile.fit.run import fit_recordings, to_table
 
@@ -115,16 +123,24 @@ def run(options: argparse.Namespace) -> int:
             name=options.out.stem,
             say=Progress(quiet=options.json).message,
         )
-        options.out.write_text(result.text, encoding="utf-8")
-        write_json(files["json"], to_table(result))
-        files["txt"].write_text(text_of(result), encoding="utf-8")
+        text = text_of(result)
+        sensor = result.text
+        table = to_table(result)
+        if options.relaxation is not None:
+            fades = fit_relaxation(options.relaxation, result.design, options.finger)
+            text = f"{text}\nrelaxation: {fades.sentence}"
+            table |= {"relaxation": fades.to_table()}
+            if fades.is_known:
+                sensor = f"{sensor}\n{fades.section}"
+        options.out.write_text(sensor, encoding="utf-8")
+        write_json(files["json"], table)
+        files["txt"].write_text(text, encoding="utf-8")
         plots.save(files["png"], lambda figure: draw(figure, result), size=(13.0, 7.5))
     if options.json:
-        print_json(to_table(result))
+        print_json(table)
     else:
         print(
-            f"{text_of(result)}\nwritten: {options.out}, and "
-            f"{', '.join(path.name for path in files.values())}"
+            f"{text}\nwritten: {options.out}, and {', '.join(path.name for path in files.values())}"
         )
     return 0
 

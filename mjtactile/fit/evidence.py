@@ -104,7 +104,7 @@ def read_evidence(
         )
     recording.require_images()
     number = recording.fingers.index(finger)
-    calibration = _calibration(recording, design, finger)
+    calibration = calibration_of(recording, design, finger)
     chain = Chain(design, calibration)
     flat, rest = recording.references
     flat_images = tuple(flat.images(number))
@@ -117,7 +117,7 @@ def read_evidence(
     say(f"{path}: {len(recording)} images")
     expected = replace(state, expected=_latest(design, seen))
     times, shots = _follow(recording, number, chain, expected)
-    pressure = _pressures(recording, number, calibration, times)
+    pressure = pressures_at(recording, number, calibration, times)
     volumes = np.array([chain.fitter.fit(markers).volume for markers in shots])
     gauge = math.nan if reading is None else calibration.pressure(reading)
     at_rest = _hold(design, seen, gauge, None, math.nan)
@@ -134,7 +134,7 @@ def read_evidence(
     )
 
 
-def _calibration(recording: Recording, design: SensorDesign, finger: str) -> Calibration:
+def calibration_of(recording: Recording, design: SensorDesign, finger: str) -> Calibration:
     """The lens and the valve's zero that were measured; the camera's place is measured on the flat
     membrane anew."""
     table = recording.notes.get("calibration", {}).get(finger)
@@ -164,7 +164,9 @@ def _follow(
     return np.array([image.time - start for image, _ in found]), [markers for _, markers in found]
 
 
-def _pressures(recording: Recording, number: int, calibration: Calibration, times: Array) -> Array:
+def pressures_at(
+    recording: Recording, number: int, calibration: Calibration, times: Array
+) -> Array:
     """Gauge pressure at `times`, Pa, between the readings of the valve's board; NaN without any."""
     readings = recording.column("pressure_gauge")
     when = recording.column("valve_time")

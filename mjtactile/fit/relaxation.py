@@ -1,0 +1,212 @@
+"""How the stress of the rubber fades, from a recording in which the membrane stands free after it
+was inflated, or after something that was pressed into it is gone.
+
+What has not faded yet, q = sum a_i (S - s_i), s_i the stress S as element i remembers it (docs/
+equations.md, F23), pulls a free membrane away from where its lasting rubber would have it at the
+pressure p of the gauge, by -K^-1 F(q) to first order. So markers less what the gauge's pressure
+alone makes of them are linear in the shares a_i, and a constant at each marker takes what the
+sensor file is wrong by. S comes from the chain's own shapes, also while something touches.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import nnls
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Array
+from mjtactile.fit.evidence import calibration_of, pressures_at
+from mjtactile.recording.reader import Recording, load_recording
+from mjtactile.sensing.force.inverse import InverseMembrane, InverseRest
+from mjtactile.sensing.force.sheet import Gas
+from mjtactile.sensing.perception import Perception
+
+SHORTEST = 1.0  # s: what fades faster is gone before the membrane stands still
+_FREE_LEAST = 10.0  # s of a free membrane that say anything
+_ALIKE = 2.0  # neighbouring images that are wrong alike, by the pressure between two readings
+
+
+@dataclass(frozen=True, eq=False)
+class RelaxationFit:
+    """Shares (k,) of elements of the time constants `times` (k,) s, what fades `within` (from, to)
+    s as a share of the lasting stress, and its sd."""
+
+    times: Array
+    shares: Array
+    within: tuple[float, float]
+    faded: float
+    faded_sd: float
+
+    @property
+    def is_known(self) -> bool:
+        """Whether anything fades, beyond doubt."""
+        return self.faded > 3 * self.faded_sd
+
+    @property
+    def section(self) -> str:
+        """Of a sensor file."""
+        terms = [
+            f"[{share:.3g}, {seconds:g}]"
+            for share, seconds in zip(self.shares, self.times, strict=True)
+            if share > 0
+        ]
+        return f"[relaxation]\nterms_s = [{', '.join(terms)}]  # {self.sentence}\n"
+
+    @property
+    def sentence(self) -> str:
+        begin, end = self.within
+        return (
+            f"from {begin:g} to {end:.0f} s {100 * self.faded:.1f} % of the lasting stress fades "
+            f"(+-{100 * self.faded_sd:.1f} %)"
+        )
+
+    def to_table(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "terms_s": [[float(a), float(t)] for a, t in zip(self.shares, self.times, strict=True)],
+            "within_s": list(self.within),
+            "faded_share": self.faded,
+            "faded_share_sd": self.faded_sd,
+            "known": self.is_known,
+        }
+
+
+def fit_relaxation(path: Path, design: SensorDesign, finger: str) -> RelaxationFit:
+    """Fit shares of elements a decade apart, as long as the recording lasts.
+
+    Args:
+        path: A recording with images and a pressure sensor.
+        design: The sensor, its statics fitted.
+        finger: Which finger of the recording.
+
+    Returns:
+        What fades.
+
+    Raises:
+        InputError: It has no pressures, or no free membrane for 10 s.
+    """
+    recording = load_recording(path)
+    recording.require_images()
+    if finger not in recording.fingers:
+        raise InputError(
+            f"has no finger {finger!r}",
+            source=path,
+            field="--relaxation",
+            choices=recording.fingers,
+        )
+    memories = _Memories(recording, design, finger)
+    free = memories.free
+    lasts = float(memories.time[free].max(initial=0.0) - memories.time[free].min(initial=math.inf))
+    if not np.isfinite(memories.pressure).all() or lasts < _FREE_LEAST:
+        raise InputError(
+            f"shows no free membrane for {_FREE_LEAST:g} s with its pressure: inflate, and leave "
+            "it, or press, hold and let go",
+            source=path,
+            field="--relaxation",
+        )
+    shares, cov = _solve(*memories.equations())
+    within = (SHORTEST, lasts)
+    begin, end = (np.exp(-moment / memories.times) for moment in within)
+    sd = math.sqrt((begin - end) @ cov @ (begin - end))
+    return RelaxationFit(memories.times, shares, within, float(shares @ (begin - end)), sd)
+
+
+def _solve(shown: Array, wanted: Array) -> tuple[Array, Array]:
+    """Shares (k,), none negative, of what each shows (n, k, 3 N) in `wanted` (n, 3 N), and their
+    covariance, from how what is left scatters from image to image: an error of the gauge moves all
+    markers of an image at once."""
+    shown = shown - shown.mean(axis=0)
+    wanted = wanted - wanted.mean(axis=0)
+    normal = np.einsum("nkj,nlj->kl", shown, shown)
+    normal += 1e-9 * np.trace(normal) * np.eye(len(normal))
+    root = np.linalg.cholesky(normal)
+    shares = nnls(root.T, np.linalg.solve(root, np.einsum("nkj,nj->k", shown, wanted)))[0]
+    left = wanted - np.einsum("nkj,k->nj", shown, shares)
+    scores = np.einsum("nkj,nj->nk", shown, left)
+    inverse = np.linalg.inv(normal)
+    return shares, _ALIKE * inverse @ (scores.T @ scores) @ inverse
+
+
+class _Memories:
+    """A recording gone through: at each image its `time` s, gauge `pressure` Pa, whether the
+    membrane stands `free`, its markers, and what elements of `times` s remember."""
+
+    def __init__(self, recording: Recording, design: SensorDesign, finger: str):
+        number = recording.fingers.index(finger)
+        calibration = calibration_of(recording, design, finger)
+        perception = Perception.of(design, calibration)
+        flat, rest = recording.references
+        perception.take_flat(list(flat.images(number)))
+        gauge = calibration.pressure(rest.pressure_gauge[number])
+        at_rest = list(rest.images(number))
+        perception.take_rest(at_rest, gauge)
+        state = perception.state
+        if state.reference is None:
+            raise InputError("has no rest reference", source=recording.folder)
+        self._inverse: InverseMembrane = perception.chain.inverse
+        self._rest: InverseRest = state.reference.rest
+        self._gauge = gauge
+        images = [images[number] for images in recording.images()]
+        seconds = images[-1].time - at_rest[-1].time
+        self.times = 10.0 ** np.arange(0, max(1, math.ceil(math.log10(seconds))) + 1)
+        self._begin(at_rest[-1].time - state.flat_at, at_rest[-1].time)
+        self.free = np.zeros(len(images), bool)
+        self._markers = np.zeros((len(images), design.markers.count, 3))
+        self._unfaded: list[Array] = []
+        for k, image in enumerate(images):
+            touch = perception.perceive(image, image.time)
+            shape = perception.state.shape
+            if shape is None or touch.markers is None:
+                self._unfaded.append(np.zeros(0))
+                continue
+            self._remember(shape.c, image.time)
+            self.free[k] = touch.status == "ok" and not touch.touching
+            self.free[k] &= len(touch.markers) == design.markers.count
+            self._markers[k, touch.markers.ids] = touch.markers.p_SM
+            self._unfaded.append(self._show(shape.c) if self.free[k] else np.zeros(0))
+        start = float(recording.columns["time"][0])
+        self.time = np.array([image.time - start for image in images])
+        self.pressure = pressures_at(recording, number, calibration, self.time)
+
+    def equations(self) -> tuple[Array, Array]:
+        """Of the free images (n) what a share of 1 of each element shows, (n, k, 3 N) m, and the
+        markers less what the pressure makes of them, (n, 3 N) m."""
+        shown = np.array([one for one, free in zip(self._unfaded, self.free, strict=True) if free])
+        bulge = self._at_markers(self._inverse.sheet.state(self._rest.c).gradient)
+        markers = self._markers[self.free].reshape(len(shown), -1)
+        moved = (self.pressure[self.free] - self._gauge)[:, None] * bulge
+        return shown, markers - moved
+
+    def _begin(self, inflated_s: float, now: float) -> None:
+        sheet = self._inverse.sheet
+        rest = self._rest
+        state = sheet.state(rest.c, rest.stiffness_scale)
+        self._stiffness = sheet.linearise(state, Gas(self._gauge))[1]
+        flat = rest.stiffness_scale * sheet.stress(np.zeros_like(rest.c))
+        self._stress = rest.stiffness_scale * sheet.stress(rest.c)
+        kept = np.exp(-inflated_s / self.times)[:, None, None, None]
+        self._remembered = kept * flat + (1 - kept) * self._stress
+        self._now = now
+
+    def _remember(self, c: Array, now: float) -> None:
+        stress = self._rest.stiffness_scale * self._inverse.sheet.stress(c)
+        kept = np.exp(-(now - self._now) / self.times)[:, None, None, None]
+        self._remembered = kept * self._remembered + (1 - kept) * (stress + self._stress) / 2
+        self._stress = stress
+        self._now = now
+
+    def _show(self, c: Array) -> Array:
+        """How far (k, 3 N) m a share of 1 of each element moves the markers."""
+        forces = (self._inverse.sheet.forces_of(c, self._stress - one) for one in self._remembered)
+        return np.stack([-self._at_markers(one) for one in forces])
+
+    def _at_markers(self, forces: Array) -> Array:
+        """How far (3 N,) m generalised forces (3, n) N move the markers at constant pressure."""
+        moved = self._inverse.positions(self._stiffness.solve(forces))
+        return (moved - self._inverse.design.markers.p_SM).ravel()
