@@ -143,7 +143,12 @@ class _Memories:
         perception = Perception.of(design, calibration)
         flat, rest = recording.references
         perception.take_flat(list(flat.images(number)))
-        gauge = calibration.pressure(rest.pressure_gauge[number])
+        reading = rest.pressure_gauge[number]
+        if reading is None:
+            raise InputError(
+                "has no pressure sensor", source=recording.folder, field="--relaxation"
+            )
+        gauge = calibration.pressure(reading)
         at_rest = list(rest.images(number))
         perception.take_rest(at_rest, gauge)
         state = perception.state

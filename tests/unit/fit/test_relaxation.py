@@ -39,6 +39,7 @@ def test_what_is_found_is_a_section_of_a_sensor_file(tmp_path):
     text = resources.find("dense", "models/sensors", ".toml").read_text()
     (tmp_path / "mine.toml").write_text(f"{text}\n{found.section}")
     design = sensor_from_table(read_toml(tmp_path / "mine.toml"), name="mine", source="mine.toml")
+    assert design.relaxation is not None
     assert design.relaxation.terms == ((0.05, 10.0),)
 
 
