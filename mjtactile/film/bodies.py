@@ -218,12 +218,16 @@ def _rotation(R_SO: ArrayLike | None) -> Array:
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ])  # fmt: skip
     R = finite("R_SO", given, (3, 3))
-    off = R @ R.T - np.eye(3)
-    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
-    determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-    if max(-off.min(), off.max()) > 1e-5 or determinant < 0:
+    x, y, z = R.tolist()
+    off = [_dot(x, x) - 1, _dot(y, y) - 1, _dot(z, z) - 1, _dot(x, y), _dot(y, z), _dot(z, x)]
+    crossed = [y[1] * z[2] - y[2] * z[1], y[2] * z[0] - y[0] * z[2], y[0] * z[1] - y[1] * z[0]]
+    if max(map(abs, off)) > 1e-5 or _dot(x, crossed) < 0:
         raise InputError("is no rotation", field="R_SO")
     return R.ravel()
+
+
+def _dot(a: list[float], b: list[float]) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def finite(field: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:

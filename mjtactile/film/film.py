@@ -100,6 +100,7 @@ class Film:
         self._kept = np.empty(kernel("film_kept")(self._numbers), np.float32)
         self._rest = np.zeros((3, *self.grid))
         self._rooms: list[Array] = []  # of a batch's threads
+        self._derive_room = np.empty(0)  # made when it is first asked for
         self._bind()
         self.rest = self._inflate()
         self._rest[:] = self.rest.x
@@ -113,7 +114,7 @@ class Film:
 
     def __getstate__(self) -> dict[str, Any]:
         kept = {name: value for name, value in vars(self).items() if name != "_solve_one"}
-        return {**kept, "_rooms": []}
+        return {**kept, "_rooms": [], "_derive_room": np.empty(0)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
@@ -254,7 +255,9 @@ class Film:
             raise InputError("is not at rest, or not of this film", field="state")
         listed, by = changed_bodies(shape, numbers, steps)
         rows, pool = bodies.pooled([body for one in listed for body in one], self.grid)
-        room = np.empty(kernel("film_derive_room")(self._numbers))
+        if not self._derive_room.size:
+            self._derive_room = np.empty(kernel("film_derive_room")(self._numbers))
+        room = self._derive_room
         count = len(by)
         by_x, by_force = np.empty((count, 3, *self.grid)), np.empty((count, *self.grid))
         by_found = np.empty((count, FOUND))

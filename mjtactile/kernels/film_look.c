@@ -14,12 +14,13 @@
 #define HALF_A_CELL 0.55    /* of a spacing: nodes have moved apart */
 #define NEAREST_EDGE 0.95   /* of a spacing */
 #define SAME 1e-9           /* m */
+#define ROUND_ABOUT 2       /* nodes: what is next to one that touches, and what lowers it */
 
 long film_seen_size(const Film *f) { return (1 + 1 + 2 + 1 + 2 + 4 + 4 + 1 + 1 + 1) * f->count + f->count / 8; }
 
 Seen film_seen_in(const Film *f, double **room) {
     const long n = f->count;
-    Seen s;
+    Seen s = {.narrow = 0};
     s.obstacle = film_take(room, n), s.level = film_take(room, n), s.slope = film_take(room, 2 * n), s.lower = film_take(room, n);
     s.away = film_take(room, 2 * n), s.edge = film_take(room, 4 * n), s.spring = film_take(room, 4 * n);
     s.along_x = film_take(room, n), s.along_y = film_take(room, n), s.cell = film_take(room, n);
@@ -157,14 +158,29 @@ static void drop_ends(const Film *f, Seen *seen) {
         }
 }
 
+static void see_nothing(const Film *f, Seen *seen) {
+    memset(seen->edge, 0, f->count * sizeof *seen->edge);
+    for (long k = 0; k < f->count; k++) seen->obstacle[k] = seen->level[k] = INFINITY;
+}
+
+void look_narrowly(const Film *f, const Bodies *bodies, Seen *seen) {
+    const long ends[4] = {0, f->columns, 0, f->rows};
+    if (any_thin(f, bodies) || seen->box[0] >= seen->box[1]) return; /* what is sharp is thin */
+    for (int k = 0; k < 4; k += 2) {
+        seen->box[k] = (long)most(seen->box[k] - ROUND_ABOUT, ends[k]);
+        seen->box[k + 1] = (long)least(seen->box[k + 1] + ROUND_ABOUT, ends[k + 1]);
+    }
+    see_nothing(f, seen);
+    seen->narrow = 1;
+}
+
 /* Heights of all bodies over the nodes where they are now. */
 void see_bodies(const Film *f, const Bodies *bodies, const double *x, Seen *seen) {
     const int thin = any_thin(f, bodies);
     int sharp = 0;
     for (long b = 0; b < bodies->count; b++) sharp |= body_of(bodies, b)->least == 0;
-    for (long b = 0; b < bodies->count; b++) grow_box(f, body_of(bodies, b), seen->box);
-    memset(seen->edge, 0, f->count * sizeof *seen->edge);
-    for (long k = 0; k < f->count; k++) seen->obstacle[k] = seen->level[k] = INFINITY;
+    for (long b = 0; b < bodies->count && !seen->narrow; b++) grow_box(f, body_of(bodies, b), seen->box);
+    if (!seen->narrow) see_nothing(f, seen);
     for (long i = seen->box[0]; i < seen->box[1]; i++)
         for (long j = seen->box[2]; j < seen->box[3]; j++) {
             const long k = i * f->line + j;

@@ -2,7 +2,6 @@
 
 #include <string.h>
 
-#include "film_sheet.h"
 #include "panels.h"
 
 #define HALF 0.70710678f /* a pair's even and odd parts are its sum and difference over sqrt(2) */
@@ -37,32 +36,47 @@ static long unknown_of(const Film *f, const Halves *h, long node, int axis, int 
     return ((i - 1) * h->half + (j < mirrored ? j : mirrored) - 1) * 2 + axis;
 }
 
-static void add_corner(const Film *f, const Halves *h, const CornerStiffness *c, int kind, float *factor) {
-    for (int p = 0; p < 9; p++)
-        for (int q = 0; q < 9; q++) {
-            if (p % 3 == 2 || q % 3 == 2 || film_inner(f, c->node[p / 3]) < 0 || film_inner(f, c->node[q / 3]) < 0) continue;
-            double share[2];
-            const long row = unknown_of(f, h, c->node[p / 3], p % 3, kind, share);
-            const long column = unknown_of(f, h, c->node[q / 3], q % 3, kind, share + 1), first = column / PANEL * PANEL;
-            if (row >= column) factor[column * h->height + row - first] += (float)(share[0] * share[1] * c->K[p][q]);
-        }
+/* Of a pair of nodes: what is even, or odd, of their stiffness in the plane. */
+static void add_pair(const Film *f, const Halves *h, const Stencil *s, int pair, long node, int kind, float *factor) {
+    const long ends[2] = {node, node + film_pair(f, pair)};
+    for (int end = 0; end < (pair == PAIR_OWN ? 1 : 2); end++)
+        for (int k = 0; k < 2; k++)
+            for (int l = 0; l < 2; l++) {
+                double share[2];
+                const long row = unknown_of(f, h, ends[end], end ? l : k, kind, share);
+                const long column = unknown_of(f, h, ends[pair == PAIR_OWN ? 0 : !end], end ? k : l, kind, share + 1);
+                const double value = share[0] * share[1] * film_block(s, pair, k, l, node);
+                if (row >= column) factor[column * h->height + row - column / PANEL * PANEL] += (float)value;
+            }
 }
 
-int film_plane_factor(const Film *f, const double *x, float *factor) {
+int film_plane_factor(const Film *f, const Stencil *s, float *factor) {
     const Halves h = halves_of(f);
     const long size = h.panels * PANEL * h.height;
     memset(factor, 0, 2 * size * sizeof *factor);
-    CornerStiffness c;
-    for (long corner = 0; corner < FILM_CORNERS(f); corner++) {
-        film_corner(f, x, 0, corner, &c);
-        add_corner(f, &h, &c, EVEN, factor), add_corner(f, &h, &c, ODD, factor + size);
-    }
+    for (long node = 0; node < f->count; node++)
+        for (int pair = 0; pair < PAIRS && film_inner(f, node) >= 0; pair++) {
+            if (film_inner(f, node + film_pair(f, pair)) < 0) continue;
+            add_pair(f, &h, s, pair, node, EVEN, factor), add_pair(f, &h, s, pair, node, ODD, factor + size);
+        }
     for (int kind = EVEN; kind <= ODD; kind++)
         for (long k = 0; k < h.panels * PANEL; k++) { /* what is odd vanishes on the middle line, and behind the last there is nothing */
             float *diagonal = factor + kind * size + k * h.height + k % PANEL;
             if (*diagonal == 0) *diagonal = 1;
         }
     return panels_factor(h.panels, 0, h.height, factor) || panels_factor(h.panels, 0, h.height, factor + size);
+}
+
+void film_plane_band(const Film *f, const Stencil *s, double *band) {
+    const long stride = BAND_STRIDE(FILM_PLANE_WIDTH(f));
+    memset(band, 0, 2 * f->inner * stride * sizeof *band);
+    for (long node = 0; node < f->count; node++)
+        for (int pair = 0; pair < PAIRS && film_inner(f, node) >= 0; pair++) {
+            const long first = 2 * film_inner(f, node), other = 2 * film_inner(f, node + film_pair(f, pair));
+            for (int k = 0; k < 2 && other >= 0; k++)
+                for (int l = pair == PAIR_OWN ? k : 0; l < 2; l++)
+                    band[(first + k) * stride + other + l - first - k] += film_block(s, pair, k, l, node);
+        }
 }
 
 void film_plane_solve(const Film *f, const float *factor, float *residual, float *room) {

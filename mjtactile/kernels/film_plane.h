@@ -2,14 +2,18 @@
    is even and what is odd are solved apart, each on half of the nodes. Single precision. */
 #ifndef MJTACTILE_FILM_PLANE_H
 #define MJTACTILE_FILM_PLANE_H
-#include "film.h"
+#include "film_stencil.h"
 
 /* Numbers of the factor, and of what stands to be solved. */
 long film_plane_size(const Film *film);
 long film_plane_room(const Film *film);
-/* At `x` (3, count); 1: not positive definite. */
-int film_plane_factor(const Film *film, const double *x, float *factor);
+/* 1: not positive definite. */
+int film_plane_factor(const Film *film, const Stencil *stencil, float *factor);
 /* `residual` (2, count) becomes the step that it asks for. */
 void film_plane_solve(const Film *film, const float *factor, float *residual, float *room);
+
+/* Band of the stiffness (2 inner) of displacements in the plane, x and y of a node together. */
+#define FILM_PLANE_WIDTH(film) (2 * ((film)->inner_rows + 1) + 1)
+void film_plane_band(const Film *film, const Stencil *stencil, double *band);
 
 #endif

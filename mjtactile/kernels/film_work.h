@@ -24,6 +24,7 @@ typedef struct {
     double *cell;                             /* m^2 of the plane that a node stands for */
     uint8_t *touching;
     long box[4];                              /* of nodes, lines and places on them, beyond which there is no body: from, to behind */
+    int narrow;                               /* beyond which bodies are not looked at */
 } Seen;
 
 static inline double *film_take(double **from, long n) {
@@ -41,6 +42,8 @@ void film_unpad(const Film *film, long fields, const double *from, double *to);
 
 /* What touches is what bears a force; the box begins as what holds it, and grows with what is seen of bodies. */
 void see_touch(const Film *film, const double *force, Seen *seen);
+/* From now on bodies are looked at near what touches only, where that is all they are seen by: neither thin nor sharp. */
+void look_narrowly(const Film *film, const Bodies *bodies, Seen *seen);
 /* Of bodies: heights and slopes over the nodes where they are; where they end beside a node, to 2^-halves; corrections. */
 void see_bodies(const Film *film, const Bodies *bodies, const double *x, Seen *seen);
 void find_edges(const Film *film, const Bodies *bodies, const double *x, long node, int halves, Seen *seen);

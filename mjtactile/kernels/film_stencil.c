@@ -1,0 +1,164 @@
+#include "film_stencil.h"
+
+#include <math.h>
+#include <string.h>
+
+#define LEAST_DET 1e-2
+
+/* One corner of eight cells: its tangents, the other ends of its edges along x and y, and the energy's derivatives by tangents. */
+typedef struct {
+    Lanes g[2][3], height;
+    double over[2];          /* of the edges, 1/m, signed */
+    Lanes by[2][2][3][3];    /* second, of tangent a's component k and tangent b's l */
+    Lanes tension_by[2][3];  /* of the mean tension */
+} Corner;
+
+long film_stencil_size(const Film *f) { return (9 * PAIRS + 3) * (f->count + LANES); }
+
+Stencil film_stencil_in(const Film *f, double **room) {
+    Stencil s = {.apart = f->count + LANES};
+    for (int pair = 0; pair < PAIRS; pair++) s.block[pair] = *room, *room += 9 * s.apart;
+    s.tension_by = *room, *room += 3 * s.apart;
+    return s;
+}
+
+static Lanes lanes_at(const double *from) {
+    Lanes value;
+    memcpy(&value, from, sizeof value);
+    return value;
+}
+
+static void add_at(double *to, Lanes value) {
+    value += lanes_at(to);
+    memcpy(to, &value, sizeof value);
+}
+
+/* c/det C of the law and its slope, by 1 / sqrt(det C). */
+static Lanes law_and_slope(const Film *f, Lanes root, Lanes *slope) {
+    const Lanes t = (root - f->numbers.law_middle) * f->numbers.law_per_unit;
+    Lanes value = f->law[FILM_LAW - 1] - 0 * t, by = 0 * t;
+    for (int k = FILM_LAW - 2; k >= 0; k--) by = by * t + value, value = value * t + f->law[k];
+    *slope = by * f->numbers.law_per_unit;
+    return value;
+}
+
+/* The law at a corner: stress times thickness `S` (11, 22, 12), and its derivatives `D` by strains e11, e22 and 2 e12 (Eq. F10). */
+static void strain(const Film *f, Corner *c, Lanes weight) {
+    const double M = f->numbers.modulus, nu = f->numbers.poisson, l = f->numbers.lambda2;
+    Lanes C[3] = {0}, S[3], D[3][3], root;
+    for (int k = 0; k < 3; k++) C[0] += l * c->g[0][k] * c->g[0][k], C[1] += l * c->g[1][k] * c->g[1][k], C[2] += l * c->g[0][k] * c->g[1][k];
+    const Lanes det = C[0] * C[1] - C[2] * C[2];
+    for (int n = 0; n < LANES; n++) root[n] = 1 / sqrt(det[n] > LEAST_DET ? det[n] : LEAST_DET);
+    const Lanes det_by[3] = {2 * l * C[1], 2 * l * C[0], -2 * l * C[2]}, root_by = -root * root * root / 2;
+    memset(D, 0, sizeof D);
+    if (f->numbers.neo_hookean != 0) {
+        Lanes slope;
+        const Lanes q = law_and_slope(f, root, &slope);
+        const Lanes A[3] = {C[1], C[0], -C[2]};
+        S[0] = M - M * q * C[1], S[1] = M - M * q * C[0], S[2] = M * q * C[2];
+        for (int a = 0; a < 3; a++)
+            for (int b = 0; b < 3; b++) D[a][b] = -M * A[a] * slope * root_by * det_by[b];
+        D[0][1] -= 2 * M * l * q, D[1][0] -= 2 * M * l * q, D[2][2] += M * l * q;
+    } else {
+        const Lanes E11 = (C[0] - 1) / 2, E22 = (C[1] - 1) / 2;
+        S[0] = M * (E11 + nu * E22), S[1] = M * (E22 + nu * E11), S[2] = M * (1 - nu) * C[2] / 2;
+        D[0][0] += M * l, D[1][1] += M * l, D[0][1] += nu * M * l, D[1][0] += nu * M * l, D[2][2] += (1 - nu) / 2 * M * l;
+    }
+    const Lanes energy = S[0] * C[0] + S[1] * C[1] + 2 * S[2] * C[2];
+    const Lanes own[3] = {2 * l * S[0], 2 * l * S[1], 2 * l * S[2]};
+    Lanes tension[3];
+    for (int e = 0; e < 3; e++) {
+        tension[e] = root * (own[e] + C[0] * D[0][e] + C[1] * D[1][e] + 2 * C[2] * D[2][e]) + energy * root_by * det_by[e];
+        tension[e] *= weight / (2 * f->numbers.length_x * f->numbers.length_y);
+    }
+    for (int k = 0; k < 3; k++) {
+        c->tension_by[0][k] = tension[0] * c->g[0][k] + tension[2] * c->g[1][k];
+        c->tension_by[1][k] = tension[1] * c->g[1][k] + tension[2] * c->g[0][k];
+    }
+    const Lanes stress[2][2] = {{S[0], S[2]}, {S[2], S[1]}}, none = {0};
+    for (int a = 0; a < 2; a++)
+        for (int k = 0; k < 3; k++) {
+            /* strains by tangent a's component k, and the stress that these make */
+            const Lanes e[3] = {a ? none : c->g[0][k], a ? c->g[1][k] : none, c->g[1 - a][k]};
+            Lanes made[3];
+            for (int n = 0; n < 3; n++) made[n] = weight * (D[n][0] * e[0] + D[n][1] * e[1] + D[n][2] * e[2]);
+            for (int b = 0; b < 2; b++)
+                for (int m = 0; m < 3; m++)
+                    c->by[a][b][k][m] = made[b] * c->g[b][m] + made[2] * c->g[1 - b][m] + (k == m ? weight * stress[a][b] : none);
+        }
+}
+
+/* Less what the gas does, whose volume here is height times (g1 x g2)_z. */
+static void push(Corner *c, Lanes pressure, Lanes turn_by[2][3]) {
+    c->by[0][1][0][1] -= pressure * c->height, c->by[0][1][1][0] += pressure * c->height;
+    c->by[1][0][1][0] -= pressure * c->height, c->by[1][0][0][1] += pressure * c->height;
+    for (int a = 0; a < 2; a++) {
+        const double by = (a ? -1 : 1) * c->over[a];
+        turn_by[a][0] = -pressure * by * c->g[1 - a][1], turn_by[a][1] = pressure * by * c->g[1 - a][0], turn_by[a][2] -= turn_by[a][2];
+    }
+}
+
+static void add_block(const Stencil *to, int pair, long node, int turned, Lanes block[3][3]) {
+    for (int k = 0; k < 3; k++)
+        for (int m = 0; m < 3; m++) add_at(to->block[pair] + (3 * k + m) * to->apart + node, turned ? block[m][k] : block[k][m]);
+}
+
+/* Corner (ci, cj) of the cells from (i, j) on. */
+static void add_corner(const Film *f, const double *x, double pressure, long i, long j, int ci, int cj, const Stencil *to) {
+    const long count = f->count, line = f->line, node = (i + ci) * line + j + cj;
+    const long end[2] = {(i + 1 - ci) * line + j + cj, (i + ci) * line + j + 1 - cj};
+    Corner c = {.over = {(ci ? -1 : 1) / f->dx, (cj ? -1 : 1) / f->dy}, .height = lanes_at(x + 2 * count + node)};
+    Lanes weight, turn_by[2][3] = {{{0}}}, across[3][3], own[3][3] = {{{0}}};
+    for (int n = 0; n < LANES; n++) weight[n] = j + n < f->rows - 1 ? f->dx * f->dy / 4 : 0;
+    for (int a = 0; a < 2; a++)
+        for (int k = 0; k < 3; k++)
+            c.g[a][k] = (k == a) + c.over[a] * (lanes_at(x + k * count + end[a]) - lanes_at(x + k * count + node));
+    strain(f, &c, weight);
+    push(&c, weight * pressure, turn_by);
+    const int pairs[2] = {PAIR_BESIDE, PAIR_UP};
+    for (int a = 0; a < 2; a++) {
+        Lanes there[3][3], between[3][3]; /* at the edge's end, and between the corner and it */
+        for (int k = 0; k < 3; k++)
+            for (int m = 0; m < 3; m++) {
+                there[k][m] = c.over[a] * c.over[a] * c.by[a][a][k][m];
+                between[k][m] = -there[k][m] - c.over[0] * c.over[1] * c.by[1 - a][a][k][m] + (k == 2 ? turn_by[a][m] : 0 * weight);
+                /* the corner moves against both ends; its height alone does not */
+                own[k][m] += there[k][m] + c.over[0] * c.over[1] * c.by[1 - a][a][k][m];
+                own[k][m] -= (k == 2 ? turn_by[a][m] : 0 * weight) + (m == 2 ? turn_by[a][k] : 0 * weight);
+                if (a) across[k][m] = c.over[0] * c.over[1] * c.by[0][1][k][m];
+            }
+        add_block(to, PAIR_OWN, end[a], 0, there);
+        add_block(to, pairs[a], a ? (i + ci) * line + j : i * line + j + cj, a ? cj : ci, between);
+        for (int k = 0; k < 3; k++) {
+            const Lanes by = c.over[a] * c.tension_by[a][k];
+            add_at(to->tension_by + k * to->apart + end[a], by), add_at(to->tension_by + k * to->apart + node, -by);
+        }
+    }
+    add_block(to, PAIR_OWN, node, 0, own);
+    add_block(to, ci == cj ? PAIR_FALLING : PAIR_RISING, i * line + j + (ci == cj), !ci, across);
+}
+
+void film_stencil(const Film *f, const double *x, double pressure, const Stencil *to) {
+    memset(to->block[0], 0, film_stencil_size(f) * sizeof *to->block[0]);
+    for (long i = 0; i < f->columns - 1; i++)
+        for (long j = 0; j < f->line; j += LANES)
+            for (int corner = 0; corner < 4; corner++) add_corner(f, x, pressure, i, j, corner / 2, corner % 2, to);
+}
+
+void film_stencil_times(const Film *f, const Stencil *s, long first, long last, const Lanes *what, Lanes *to) {
+    const long count = f->count;
+    for (long node = first * f->line; node < last * f->line; node++) {
+        if (node % f->line >= f->rows) continue;
+        for (int k = 0; k < 3; k++)
+            for (int m = 0; m < 3; m++) to[k * count + node] += film_block(s, PAIR_OWN, k, m, node) * what[m * count + node];
+        for (int pair = PAIR_UP; pair < PAIRS; pair++) {
+            const long other = node + film_pair(f, pair);
+            if (other >= count) continue;
+            for (int k = 0; k < 3; k++)
+                for (int m = 0; m < 3; m++) {
+                    const double by = film_block(s, pair, k, m, node);
+                    to[k * count + node] += by * what[m * count + other], to[m * count + other] += by * what[k * count + node];
+                }
+        }
+    }
+}
