@@ -25,14 +25,11 @@ from mjtactile.kernels import band_stride, bound, kernel
 
 TOLERANCE = 5e-7  # m, of what is left of the displacements
 _MOST_STEPS = 40
-_INFLATING = (
-    0.25,
-    0.5,
-    0.75,
-    1.0,
-    1.0,
-)  # of the pressure; the last with the stiffness of the sheet at rest
+_INFLATING = (0.25, 0.5, 0.75, 1.0)  # of the pressure
+_TAUT = 1.02  # stretch that a sheet is inflated with, and then let go to its own
+_LETTING_GO = (1.0, 0.5, 0.25, 0.0)  # of what it is stretched more
 _INFLATED = 1e-9  # m
+_STRETCH_SQUARED = 4  # place in a film's numbers
 _LEAST_NODES, _MOST_NODES = 5, 400
 _MIXED_AREA = (
     1.05  # area ratio at which the tension's slope is taken; steps depend on it, results do not
@@ -356,14 +353,20 @@ class Film:
 
     def _inflate(self) -> FilmState:
         """From a low bulge of about the right height to rest, with a stiffness in the plane that is
-        made anew on the way."""
+        made anew on the way. Steps of a sheet that has no tension of its own do not shrink: it is
+        inflated taut."""
         across, along = (self.x / self.x[-1])[:, None], self.y / self.y[-1]
-        height = theory.bulge_height(self.design, self.pressure_gauge)
+        height = theory.bulge_height(self.design, _INFLATING[0] * self.pressure_gauge)
         if not np.isfinite(height):
             height = 0.1 * min(self.design.frame.length, self.design.frame.width)
         x, force, found = np.zeros((3, *self.grid)), np.zeros(self.grid), np.empty(FOUND)
-        x[2] = 0.3 * height * (1 - across**2) * (1 - along**2)
-        for share in _INFLATING:
+        x[2] = height * (1 - across**2) * (1 - along**2)
+        own = self.design.membrane.pre_stretch
+        more = max(_TAUT - own, 0.0)
+        ways = [(share, own + more) for share in _INFLATING]
+        ways += [(1.0, own + left * more) for left in _LETTING_GO if more > 0]
+        for share, stretch in [*ways, (1.0, own)]:  # at last with the stiffness of the sheet at rest
+            self._numbers[_STRETCH_SQUARED] = stretch**2
             try:
                 self._keep(x)
             except np.linalg.LinAlgError:

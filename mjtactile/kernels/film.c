@@ -231,13 +231,16 @@ static int decide_contact(const Film *f, const Bodies *bodies, double loose, int
     return changed;
 }
 
-/* Largest size of a whole number of eights. */
+/* Largest size of a whole number of eights; NaN where one is no number. */
 static double largest_of(const float *values, long n) {
-    float largest[8] = {0};
+    float largest[8] = {0}, nothing[8] = {0};
     for (long k = 0; k < n; k += 8)
-        for (long l = 0; l < 8; l++) largest[l] = fabsf(values[k + l]) > largest[l] ? fabsf(values[k + l]) : largest[l];
-    for (long l = 1; l < 8; l++) largest[0] = most_float(largest[0], largest[l]);
-    return (double)largest[0];
+        for (long l = 0; l < 8; l++) {
+            const float size = fabsf(values[k + l]);
+            largest[l] = size > largest[l] ? size : largest[l], nothing[l] += 0 * size;
+        }
+    for (long l = 1; l < 8; l++) largest[0] = most_float(largest[0], largest[l]), nothing[0] += nothing[l];
+    return (double)(largest[0] + nothing[0]);
 }
 
 /* Heights and contact, with the sheet's stiffness as it is now; found anew as long as others touch. */
