@@ -285,11 +285,7 @@ class Film:
 
         if not state.converged or state.x.shape != self.rest.x.shape:
             raise InputError("is not at rest, or not of this film", field="state")
-        columns, rows = self.grid
-        width = 2 * rows - 1
-        factor = np.empty((2 * (columns - 2) * (rows - 2), band_stride(width)))
-        fixed = (self._numbers, self._law, *self.grid)
-        kernel("film_plane")(*fixed, state.x, self._room.size, self._room, factor)
+        factor = self.stiffness_factor(state)
         marked: tuple[Array, int] = label(state.force > 0, np.ones((3, 3)))  # pyright: ignore[reportAssignmentType]
         numbered, count = marked
         found = []
@@ -297,8 +293,26 @@ class Film:
             i, j = np.nonzero(numbered == number)
             places = np.stack([self.x[i] + state.x[0, i, j], self.y[j] + state.x[1, i, j]], axis=1)
             inner = (i - 1) * (self.grid[1] - 2) + j - 1
-            found.append(patch_of(places, inner, state.force[i, j], factor, width))
+            found.append(patch_of(places, inner, state.force[i, j], factor))
         return sorted(found, key=lambda patch: -patch.force_normal)
+
+    def stiffness_factor(self, state: FilmState) -> Array:
+        """Factor the sheet's stiffness where a state is, over a gas that stays at its pressure.
+
+        Args:
+            state: At rest.
+
+        Returns:
+            The Cholesky factor's lower band (width + 1, 3 inner nodes), as SciPy has it; x, y and
+            height of a node in turn.
+        """
+        columns, rows = self.grid
+        width = 3 * rows - 1
+        band = np.empty((3 * (columns - 2) * (rows - 2), band_stride(width)))
+        fixed = (self._numbers, self._law, *self.grid)
+        given = (state.x, state.pressure_gauge, self._room.size, self._room)
+        kernel("film_stiffness")(*fixed, *given, band)
+        return np.ascontiguousarray(band[:, : width + 1].T)
 
     def heights_of(self, obstacles: Obstacle | Sequence[Obstacle], places: ArrayLike) -> Array:
         """Find how high obstacles leave the sheet's middle.

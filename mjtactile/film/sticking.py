@@ -1,7 +1,8 @@
 """What sticks to a film: how stiffly a patch of contact is held against being dragged and turned.
 
 The film itself is frictionless. Of nodes that touch and go with their body, the sheet's stiffness
-in the plane says what a drag of that body meets; no number is fitted (docs/equations.md, X7).
+says what a drag of that body meets, while all other nodes come to rest in height and in the plane;
+no number is fitted (docs/equations.md, X7).
 """
 
 from __future__ import annotations
@@ -80,7 +81,7 @@ def drag(patch: Patch, held: Held, moved: ArrayLike, friction: float) -> tuple[A
 
 
 def patch_of(
-    places: Array, inner: NDArray[np.intp], force: Array, factor: Array, width: int
+    places: Array, inner: NDArray[np.intp], force: Array, factor: Array
 ) -> Patch:
     """The patch of some nodes.
 
@@ -88,8 +89,7 @@ def patch_of(
         places: (m, 2) m, where they are.
         inner: (m,) their numbers among the nodes that move.
         force: (m,) N that each carries.
-        factor: Band of the Cholesky factor of the stiffness in the plane, one row a column.
-        width: Of the band.
+        factor: As `Film.stiffness_factor` gives it.
 
     Returns:
         The patch, whose nodes move as one body.
@@ -99,14 +99,13 @@ def patch_of(
     total = float(force.sum())
     middle = force @ places / total
     off = places - middle
-    rows = np.stack([2 * inner, 2 * inner + 1], axis=1).ravel()
-    ones = np.zeros((len(factor), len(rows)))
+    rows = (3 * inner[:, None] + np.arange(3)).ravel()
+    ones = np.zeros((factor.shape[1], len(rows)))
     ones[rows, np.arange(len(rows))] = 1.0
-    band = np.ascontiguousarray(factor[:, : width + 1].T)
-    compliance = cho_solve_banded((band, True), ones)[rows]
+    compliance = cho_solve_banded((factor, True), ones)[rows]
     rigid = np.zeros((len(rows), 3))
-    rigid[0::2, 0] = rigid[1::2, 1] = 1.0
-    rigid[0::2, 2], rigid[1::2, 2] = -off[:, 1], off[:, 0]
+    rigid[0::3, 0] = rigid[1::3, 1] = 1.0
+    rigid[0::3, 2], rigid[1::3, 2] = -off[:, 1], off[:, 0]
     stiffness = rigid.T @ np.linalg.solve(compliance, rigid)
     radius = float(force @ np.hypot(off[:, 0], off[:, 1]) / total)
     return Patch(middle, (stiffness + stiffness.T) / 2, total, radius)

@@ -16,7 +16,6 @@
 #define SWEEPS_AT_EDGES 3
 #define FINE_HALVES 36       /* edges are wanted to less than a difference of 1e-6 m shows */
 #define SLIDE 1e-6           /* m, by which slopes are asked for their own */
-#define WIDTH(film) (3 * ((film)->inner_rows + 1) + 2)
 
 typedef struct {
     Seen seen;
@@ -36,9 +35,9 @@ typedef struct {
 
 static long panels_of(const Film *f) { return (3 * f->inner + PANEL - 1) / PANEL; }
 
-static long band_of(const Film *f) { return panels_of(f) * PANEL * panels_height(WIDTH(f)); }
+static long band_of(const Film *f) { return panels_of(f) * PANEL * panels_height(FILM_WIDTH(f)); }
 
-static long rows_of(const Film *f) { return panels_of(f) * PANEL + panels_height(WIDTH(f)); }
+static long rows_of(const Film *f) { return panels_of(f) * PANEL + panels_height(FILM_WIDTH(f)); }
 
 static long room_of(const Film *f) {
     const long lanes = 14 * f->count, singles = band_of(f) / 2 + PANEL / 2 * rows_of(f);
@@ -76,7 +75,7 @@ static long behind_lines(const Film *f, const Seen *s) { return (long)least(s->b
 
 static void add_entry(const Film *f, float *band, long m, int k, long n, int l, double value) {
     const long row = 3 * m + k, column = 3 * n + l;
-    if (m >= 0 && n >= 0 && row >= column) band[column * panels_height(WIDTH(f)) + row - column / PANEL * PANEL] += (float)value;
+    if (m >= 0 && n >= 0 && row >= column) band[column * panels_height(FILM_WIDTH(f)) + row - column / PANEL * PANEL] += (float)value;
 }
 
 /* Heights of what touches go with the slopes: their rows and columns are added to those in the plane. */
@@ -97,7 +96,7 @@ static void eliminate(const Film *f, const Tangent *t, int pair, long node, doub
 }
 
 static void add_pairs(const Film *f, const Tangent *t) {
-    const long height = panels_height(WIDTH(f));
+    const long height = panels_height(FILM_WIDTH(f));
     for (long i = 1; i < f->columns - 1; i++)
         for (long node = i * f->line + 1; node < i * f->line + f->rows - 1; node++)
             for (int pair = 0; pair < PAIRS; pair++) {
@@ -155,7 +154,7 @@ static void add_springs(const Film *f, const Tangent *t) {
 }
 
 static int make_tangent(const Film *f, const Bodies *bodies, const double *x, const double *force, Tangent *t) {
-    const long height = panels_height(WIDTH(f));
+    const long height = panels_height(FILM_WIDTH(f));
     memset(t->band, 0, band_of(f) * sizeof *t->band);
     for (long k = 3 * f->inner; k < panels_of(f) * PANEL; k++) t->band[k * height + k % PANEL] = 1; /* behind the last */
     film_stencil(f, x, t->pressure, &t->stiffness);
@@ -230,7 +229,7 @@ static void solve(const Film *f, Tangent *t) {
     const double *v = t->fields.gradient;
     Lanes swells = {0};
     memset(t->rhs + 3 * f->inner, 0, (rows_of(f) - 3 * f->inner) * sizeof *t->rhs);
-    panels_solve_eight(panels_of(f), panels_height(WIDTH(f)), t->band, t->rhs);
+    panels_solve_eight(panels_of(f), panels_height(FILM_WIDTH(f)), t->band, t->rhs);
     for (long k = 0; k < count; k++) {
         const long m = film_inner(f, k);
         if (m < 0) continue;

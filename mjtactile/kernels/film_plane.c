@@ -67,18 +67,6 @@ int film_plane_factor(const Film *f, const Stencil *s, float *factor) {
     return panels_factor(h.panels, 0, h.height, factor) || panels_factor(h.panels, 0, h.height, factor + size);
 }
 
-void film_plane_band(const Film *f, const Stencil *s, double *band) {
-    const long stride = BAND_STRIDE(FILM_PLANE_WIDTH(f));
-    memset(band, 0, 2 * f->inner * stride * sizeof *band);
-    for (long node = 0; node < f->count; node++)
-        for (int pair = 0; pair < PAIRS && film_inner(f, node) >= 0; pair++) {
-            const long first = 2 * film_inner(f, node), other = 2 * film_inner(f, node + film_pair(f, pair));
-            for (int k = 0; k < 2 && other >= 0; k++)
-                for (int l = pair == PAIR_OWN ? k : 0; l < 2; l++)
-                    band[(first + k) * stride + other + l - first - k] += film_block(s, pair, k, l, node);
-        }
-}
-
 void film_plane_solve(const Film *f, const float *factor, float *residual, float *room) {
     const Halves h = halves_of(f);
     const long size = h.panels * PANEL * h.height, apart = apart_of(&h), count = f->count;

@@ -12,8 +12,4 @@ int film_plane_factor(const Film *film, const Stencil *stencil, float *factor);
 /* `residual` (2, count) becomes the step that it asks for. */
 void film_plane_solve(const Film *film, const float *factor, float *residual, float *room);
 
-/* Band of the stiffness (2 inner) of displacements in the plane, x and y of a node together. */
-#define FILM_PLANE_WIDTH(film) (2 * ((film)->inner_rows + 1) + 1)
-void film_plane_band(const Film *film, const Stencil *stencil, double *band);
-
 #endif

@@ -162,3 +162,15 @@ void film_stencil_times(const Film *f, const Stencil *s, long first, long last, 
         }
     }
 }
+
+void film_stencil_band(const Film *f, const Stencil *s, double *band) {
+    const long stride = BAND_STRIDE(FILM_WIDTH(f));
+    memset(band, 0, 3 * f->inner * stride * sizeof *band);
+    for (long node = 0; node < f->count; node++)
+        for (int pair = 0; pair < PAIRS && film_inner(f, node) >= 0; pair++) {
+            const long first = 3 * film_inner(f, node), other = 3 * film_inner(f, node + film_pair(f, pair));
+            for (int k = 0; k < 3 && other >= 0; k++)
+                for (int l = pair == PAIR_OWN ? k : 0; l < 3; l++)
+                    band[(first + k) * stride + other + l - first - k] = film_block(s, pair, k, l, node);
+        }
+}

@@ -19,6 +19,10 @@ void film_stencil(const Film *film, const double *x, double pressure, const Sten
 /* Adds the stiffness times `what` (3, count) of nodes on lines `first` to `last` - 1, to what these and their neighbours bear. */
 void film_stencil_times(const Film *film, const Stencil *stencil, long first, long last, const Lanes *what, Lanes *to);
 
+/* Band of it (3 inner), the three displacements of a node together. */
+#define FILM_WIDTH(film) (3 * ((film)->inner_rows + 1) + 2)
+void film_stencil_band(const Film *film, const Stencil *stencil, double *band);
+
 static inline long film_pair(const Film *film, int pair) { /* how far behind a node the other is */
     const long away[PAIRS] = {0, 1, film->line, film->line + 1, film->line - 1};
     return away[pair];

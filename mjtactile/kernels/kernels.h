@@ -216,10 +216,11 @@ int64_t update_stiction(int64_t contacts, int64_t list, const int64_t *layout /*
 int64_t film_heights(const double *numbers /* 17 */, int64_t bodies, const double *body /* bodies, 20 */, int64_t pooled,
                      const double *pool /* pooled or NULL */, int64_t count, const double *places /* count, 2 */,
                      double *out /* count */);
-/* Out: the band's Cholesky `factor` of the stiffness in the plane at displacements `x`. */
-int64_t film_plane(const double *numbers /* 17 */, const double *law /* 11 */, int64_t columns, int64_t rows,
-                   const double *x /* 3, columns, rows */, int64_t roomy, double *room /* roomy */,
-                   double *factor /* 2 * (columns - 2) * (rows - 2), BAND_STRIDE(2 * rows - 1) */);
+/* Out: the band's Cholesky `factor` of the stiffness at displacements `x`, over a gas that stays at `pressure`; x, y and height of a
+   node together. */
+int64_t film_stiffness(const double *numbers /* 17 */, const double *law /* 11 */, int64_t columns, int64_t rows,
+                       const double *x /* 3, columns, rows */, double pressure, int64_t roomy, double *room /* roomy */,
+                       double *factor /* 3 * (columns - 2) * (rows - 2), BAND_STRIDE(3 * rows - 1) */);
 int64_t film_room(const double *numbers /* 17 */); /* doubles of `room` that a solution wants */
 int64_t film_kept(const double *numbers /* 17 */); /* floats of `kept`: what all solutions of a film share */
 /* Out: `kept`, factors of the sheet's stiffness at rest, in the plane and of heights, at displacements `x`. */

@@ -5,8 +5,7 @@ import pytest
 
 from mjtactile import Film, InputError
 from mjtactile.film import Held, drag
-
-FRAME = np.sqrt(0.04 * 0.03 / np.pi)  # m, radius of a circle of its area
+from mjtactile.film.live import Sticking
 
 
 @pytest.fixture(scope="module")
@@ -20,19 +19,40 @@ def pressed(film, radius, depth, place=(0, 0)):
     )
 
 
-@pytest.mark.parametrize(
-    ("radius", "depth"), [(4e-3, 1e-3), (8e-3, 1e-3), (8e-3, 2e-3), (16e-3, 2e-3), (30e-3, 2e-3)]
-)
-def test_a_sticking_patch_is_as_stiff_as_an_independent_sheet_holds_it(fine, radius, depth):
-    state = pressed(fine, radius, depth)
-    (patch,) = fine.patches(state)
-    # c / ln(b/a) is within 8 % of that sheet; across it is stiffer than along, by 5 to 25 %
-    expected = 1030 / np.log(FRAME / np.sqrt(state.area / np.pi))
-    assert patch.stiffness[0, 0] == pytest.approx(expected, rel=0.08)
-    assert 1.0 < patch.stiffness[1, 1] / patch.stiffness[0, 0] < 1.3
+# Radius and depth, m, and N/m along x and y: the tangent of an independent sheet of 81 x 61 nodes
+# whose touching nodes are dragged as one body while the others come to rest.
+DRAGGED = [
+    (4e-3, 1e-3, 333.5, 345.1),
+    (8e-3, 1e-3, 411.6, 443.4),
+    (8e-3, 2e-3, 489.7, 532.5),
+    (16e-3, 1e-3, 513.0, 559.7),
+    (16e-3, 2e-3, 655.5, 744.1),
+    (30e-3, 2e-3, 899.3, 1071.4),
+]
+
+
+@pytest.mark.parametrize(("radius", "depth", "along", "across"), DRAGGED)
+def test_a_sticking_patch_is_as_stiff_as_an_independent_sheet_holds_it(
+    fine, radius, depth, along, across
+):
+    (patch,) = fine.patches(pressed(fine, radius, depth))
+    # a patch is whole nodes, 1 mm apart: of nine (4 mm) it is a tenth too wide
+    rel = 0.12 if radius < 10e-3 else 0.04
+    assert patch.stiffness[0, 0] == pytest.approx(along, rel)
+    assert patch.stiffness[1, 1] == pytest.approx(across, rel)
     np.testing.assert_allclose(patch.place, 0, atol=1e-6)  # by symmetry, and nothing couples
     scale = np.sqrt(patch.stiffness[0, 0] * patch.stiffness[2, 2])
-    np.testing.assert_allclose(patch.stiffness[2, :2], 0, atol=1e-6 * scale)
+    np.testing.assert_allclose(patch.stiffness[2, :2], 0, atol=1e-5 * scale)
+
+
+def test_a_film_that_moves_holds_a_patch_nearly_as_stiffly():
+    """It takes the stiffness of the sheet at rest, for all contacts."""
+    coarse = Film("dense", pressure_gauge=1000.0)
+    sticking = Sticking(coarse)
+    for radius, depth, along, _ in DRAGGED:
+        state = pressed(coarse, radius, depth)
+        grip = sticking.grip(state.x, state.force)
+        assert grip.stiffness[0, 0] == pytest.approx(along, rel=0.1)  # nodes 2 mm apart
 
 
 def test_two_bodies_are_two_patches(fine):
