@@ -31,6 +31,7 @@ _LETTING_GO = (1.0, 0.5, 0.25, 0.0)  # of what it is stretched more
 _INFLATED = 1e-9  # m
 _STRETCH_SQUARED = 4  # place in a film's numbers
 _LEAST_NODES, _MOST_NODES = 5, 400
+_SHARES = 4  # of a batch that a thread takes, one after the other
 _MIXED_AREA = (
     1.05  # area ratio at which the tension's slope is taken; steps depend on it, results do not
 )
@@ -198,36 +199,50 @@ class Film:
             raise InputError("every environment wants as many bodies", field="obstacles")
         count = len(obstacles)
         rows, pool = bodies.pooled([body for one in obstacles for body in one], self.grid)
-        trend = np.zeros((count, 4, *self.grid))
-        if batch is None:
-            x, force = (
-                np.repeat(one[None], count, axis=0) for one in (self.rest.x, self.rest.force)
-            )
-        else:
-            if len(batch.x) != count:
-                raise InputError(f"has {len(batch.x)} environments, not {count}", field="batch")
-            x, force = batch.x.copy(), batch.force.copy()
-            lost = ~batch.converged
-            x[lost], force[lost] = self.rest.x, self.rest.force
-            if batch.trend is not None:
-                trend[~lost] = batch.trend[~lost]
-        found = np.empty((count, FOUND))
+        if batch is not None and len(batch.x) != count:
+            raise InputError(f"has {len(batch.x)} environments, not {count}", field="batch")
+        made = FilmBatch(
+            np.empty((count, 3, *self.grid)),
+            np.empty((count, *self.grid)),
+            np.empty((count, FOUND)),
+            np.empty((count, 4, *self.grid)),
+        )
+        fields = (made.x, made.force, made.trend, made.found)
         settings = np.tile([self._gas, self.sealed, TOLERANCE, _MOST_STEPS, again], (count, 1))
-        cuts = np.linspace(0, count, max(1, min(threads, count)) + 1).astype(int).tolist()
-        self._rooms += [np.empty_like(self._room) for _ in range(len(self._rooms), len(cuts) - 1)]
+        threads = max(1, min(threads, count))
+        size = count if threads == 1 else -(-count // (_SHARES * threads))
+        firsts = iter(range(0, count, size))  # its `next` is one step of the interpreter
+        self._rooms += [np.empty_like(self._room) for _ in range(len(self._rooms), threads)]
 
         def some(number: int) -> None:
-            part = (cuts[number], cuts[number + 1])
-            room = self._rooms[number]
-            self._run(settings, rows, pool, (x, force, trend, found), room=room, part=part)
+            for first in firsts:
+                part = slice(first, min(first + size, count))
+                self._start(made, batch, part)  # new memory costs as much as a solution's quarter
+                ends = (part.start, part.stop)
+                self._run(settings, rows, pool, fields, room=self._rooms[number], part=ends)
 
-        others = [_workers(os.getpid()).submit(some, number) for number in range(1, len(cuts) - 1)]
+        others = [_workers(os.getpid()).submit(some, number) for number in range(1, threads)]
         try:
             some(0)
         finally:
             for other in others:
                 other.result()
-        return FilmBatch(x, force, found, trend)
+        return made
+
+    def _start(self, made: FilmBatch, batch: FilmBatch | None, part: slice) -> None:
+        """Where environments `part` of a batch begin: at `batch`, or, where that is none, at
+        rest."""
+        assert made.trend is not None
+        if batch is None or batch.trend is None:
+            made.trend[part] = 0.0
+        else:
+            made.trend[part] = batch.trend[part]
+        if batch is None:
+            made.x[part], made.force[part] = self.rest.x, self.rest.force
+            return
+        made.x[part], made.force[part] = batch.x[part], batch.force[part]
+        lost = np.flatnonzero(~batch.converged[part]) + part.start
+        made.x[lost], made.force[lost], made.trend[lost] = self.rest.x, self.rest.force, 0.0
 
     def derivatives(
         self, state: FilmState, shape: Shape, numbers: ArrayLike, steps: ArrayLike | None = None
@@ -379,7 +394,10 @@ class Film:
         more = max(_TAUT - own, 0.0)
         ways = [(share, own + more) for share in _INFLATING]
         ways += [(1.0, own + left * more) for left in _LETTING_GO if more > 0]
-        for share, stretch in [*ways, (1.0, own)]:  # at last with the stiffness of the sheet at rest
+        for share, stretch in [
+            *ways,
+            (1.0, own),
+        ]:  # at last with the stiffness of the sheet at rest
             self._numbers[_STRETCH_SQUARED] = stretch**2
             try:
                 self._keep(x)

@@ -80,9 +80,7 @@ def drag(patch: Patch, held: Held, moved: ArrayLike, friction: float) -> tuple[A
     return -load, Held(strain)
 
 
-def patch_of(
-    places: Array, inner: NDArray[np.intp], force: Array, factor: Array
-) -> Patch:
+def patch_of(places: Array, inner: NDArray[np.intp], force: Array, factor: Array) -> Patch:
     """The patch of some nodes.
 
     Args:
