@@ -92,11 +92,13 @@ static int see_between(const Film *f, const Bodies *bodies, double x, double y, 
             if (at < low) low = at, low_by[0] = by[0], low_by[1] = by[1], where = off;
         }
         if (!(low < *height)) continue;
-        const double on[2] = {x + (axis ? 0 : where * f->dx), y + (axis ? where * f->dy : 0)};
+        const double at_low[2] = {x + (axis ? 0 : where * f->dx), y + (axis ? where * f->dy : 0)};
         int across[2], along[2];
-        reaches_along(f, bodies, on[0], on[1], axis, across), reaches_along(f, bodies, on[0], on[1], !axis, along);
+        reaches_along(f, bodies, at_low[0], at_low[1], axis, across);
         const double middle = where + (across[1] - across[0]) / 2. / (2 * THIN + 1);
-        if (across[0] + across[1] > along[0] + along[1] || fabs(middle) > HALF_A_CELL) continue;
+        if (fabs(middle) > HALF_A_CELL) continue;
+        reaches_along(f, bodies, x + (axis ? 0 : middle * f->dx), y + (axis ? middle * f->dy : 0), !axis, along);
+        if (across[0] + across[1] > along[0] + along[1]) continue;
         *height = low, slope[0] = low_by[0], slope[1] = low_by[1], found = 1 << axis, *away = middle;
     }
     return found;

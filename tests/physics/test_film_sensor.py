@@ -30,22 +30,24 @@ def test_force_and_pressure_are_those_of_the_mesh(at):
     mesh, film = (pressed(effects, 2e-3, at=at) for effects in (PHYSICS, FILM))
     # the mesh is itself 1 to 3 % off at 13 x 11 vertices, the film at 21 x 16 (docs/accuracy.md)
     force = [-truth.contact_force(world, 0)[2] for world in (mesh, film)]
-    assert force[1] == pytest.approx(force[0], rel=0.05)
+    assert force[1] == pytest.approx(force[0], rel=0.035)
     gauge = [world.sensors[0].pressure_gauge for world in (mesh, film)]
-    assert gauge[1] == pytest.approx(gauge[0], rel=0.02)
+    # forces that differ by 3 % press the gas by as much of a third of its gauge pressure
+    assert gauge[1] == pytest.approx(gauge[0], rel=0.012)
 
 
 def test_what_presses_meets_what_the_film_bears():
     world = pressed(FILM, 2e-3, shear=1e-4)
-    # at rest the drive carries all of it; its own springs settle to 0.02 mm/s
-    assert world.drive_force == pytest.approx(truth.contact_force(world, 0), abs=1e-3)
+    # at rest the drive carries all of it; its own springs still settle, by 0.03 mN
+    assert world.drive_force == pytest.approx(truth.contact_force(world, 0), abs=1e-4)
 
 
 def test_shear_sticks_and_then_slides_at_coulombs_limit():
     force = [truth.contact_force(pressed(FILM, 1.5e-3, shear), 0) for shear in (1e-4, 2e-4, 3e-3)]
-    assert force[1][0] == pytest.approx(2 * force[0][0], rel=0.02)
-    # friction's limit is an ellipse with the torque, which takes a few percent
-    assert force[2][0] == pytest.approx(-DENSE.membrane.friction * force[2][2], rel=0.05)
+    # what sticks is linear; its nodes are the same, and move by 0.1 mm
+    assert force[1][0] == pytest.approx(2 * force[0][0], rel=1e-3)
+    # the body rides up on the sheet, and friction's limit is an ellipse with the torque: 2.7 %
+    assert force[2][0] == pytest.approx(-DENSE.membrane.friction * force[2][2], rel=0.04)
 
 
 def between_films(radius, mass, gap, timestep=2e-3, friction=None):
@@ -89,16 +91,18 @@ def test_light_and_heavy_balls_are_held_and_do_not_creep(mass, gap):
     world.step(100)  # what hangs 1.2 mm low settles for longer
     before = world.data.qpos[2]
     world.step(100)
-    # 0.2 s: a creep of 20 um/s would be seen; within 8 um the film is not solved for again
-    assert abs(world.data.qpos[2] - before) < 4e-6
-    assert np.abs(world.data.qvel[:3]).max() < 3e-3  # m/s
-    # rad/s; within those 8 um what is heavy rocks, by up to 0.006
-    assert np.abs(world.data.qvel[3:]).max() < 1e-2
+    # in 0.2 s; what is heavy still swings, damped by three quarters of stiffness times step (a creep
+    # of 5 um/s would be seen), and rocks, by up to 0.006 rad/s, within the 8 um in which the film is
+    # not solved for again. What is light is at rest
+    swings = mass > 0.1
+    assert abs(world.data.qpos[2] - before) < (1e-6 if swings else 1e-9)
+    assert np.abs(world.data.qvel[:3]).max() < (1e-3 if swings else 1e-8)  # m/s
+    assert np.abs(world.data.qvel[3:]).max() < (1e-2 if swings else 1e-8)  # rad/s
     carried = -sum(
         (world.data.xmat[s.body_id].reshape(3, 3) @ truth.contact_force(world, k))[2]
         for k, s in enumerate(world.sensors)
     )
-    assert carried == pytest.approx(mass * G, rel=1e-3)
+    assert carried == pytest.approx(mass * G, rel=1e-4)
 
 
 def test_what_friction_cannot_hold_falls():
@@ -115,8 +119,8 @@ def test_forces_of_the_user_stay():
     assert world.data.qpos[2] > height + 1e-5
     world.data.qfrc_applied[2] = 0.0
     world.step(100)
-    # what sticks is elastic
-    assert world.data.qpos[2] == pytest.approx(height, abs=2e-6)
+    # what sticks is elastic: of 34 um nothing is left
+    assert world.data.qpos[2] == pytest.approx(height, abs=3e-7)
 
 
 def test_what_a_film_cannot_rest_on_is_refused():
