@@ -201,13 +201,9 @@ class Film:
         rows, pool = bodies.pooled([body for one in obstacles for body in one], self.grid)
         if batch is not None and len(batch.x) != count:
             raise InputError(f"has {len(batch.x)} environments, not {count}", field="batch")
-        made = FilmBatch(
-            np.empty((count, 3, *self.grid)),
-            np.empty((count, *self.grid)),
-            np.empty((count, FOUND)),
-            np.empty((count, 4, *self.grid)),
-        )
-        fields = (made.x, made.force, made.trend, made.found)
+        x, trend = (np.empty((count, parts, *self.grid)) for parts in (3, 4))
+        force, found = np.empty((count, *self.grid)), np.empty((count, FOUND))
+        fields = (x, force, trend, found)
         settings = np.tile([self._gas, self.sealed, TOLERANCE, _MOST_STEPS, again], (count, 1))
         threads = max(1, min(threads, count))
         size = count if threads == 1 else -(-count // (_SHARES * threads))
@@ -217,7 +213,9 @@ class Film:
         def some(number: int) -> None:
             for first in firsts:
                 part = slice(first, min(first + size, count))
-                self._start(made, batch, part)  # new memory costs as much as a solution's quarter
+                self._start(
+                    x, force, trend, batch, part
+                )  # new memory costs as much as a solution's quarter
                 ends = (part.start, part.stop)
                 self._run(settings, rows, pool, fields, room=self._rooms[number], part=ends)
 
@@ -227,22 +225,20 @@ class Film:
         finally:
             for other in others:
                 other.result()
-        return made
+        return FilmBatch(x, force, found, trend)
 
-    def _start(self, made: FilmBatch, batch: FilmBatch | None, part: slice) -> None:
+    def _start(
+        self, x: Array, force: Array, trend: Array, batch: FilmBatch | None, part: slice
+    ) -> None:
         """Where environments `part` of a batch begin: at `batch`, or, where that is none, at
         rest."""
-        assert made.trend is not None
-        if batch is None or batch.trend is None:
-            made.trend[part] = 0.0
-        else:
-            made.trend[part] = batch.trend[part]
+        trend[part] = 0.0 if batch is None or batch.trend is None else batch.trend[part]
         if batch is None:
-            made.x[part], made.force[part] = self.rest.x, self.rest.force
+            x[part], force[part] = self.rest.x, self.rest.force
             return
-        made.x[part], made.force[part] = batch.x[part], batch.force[part]
+        x[part], force[part] = batch.x[part], batch.force[part]
         lost = np.flatnonzero(~batch.converged[part]) + part.start
-        made.x[lost], made.force[lost], made.trend[lost] = self.rest.x, self.rest.force, 0.0
+        x[lost], force[lost], trend[lost] = self.rest.x, self.rest.force, 0.0
 
     def derivatives(
         self, state: FilmState, shape: Shape, numbers: ArrayLike, steps: ArrayLike | None = None
