@@ -90,7 +90,7 @@ class BodySettings:
     )
     stretched_most: float = number(0.1, "of that share: more does not count", _PRESSED_SHAPES)
     friction: float = number(
-        1.02,
+        1.024,
         "force of a sheet that sticks over that of the film, which slides, in the middle",
         _PRESSED_SHAPES,
     )
