@@ -2,36 +2,28 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mjtactile.core import theory
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.film import bodies
+from mjtactile.film.batch import begin, share_out
 from mjtactile.film.bodies import Obstacle
 from mjtactile.film.derivatives import FilmDerivatives, Shape, changed_bodies, gathered
+from mjtactile.film.inflating import inflate
 from mjtactile.film.law import law_numbers, tension_slope
 from mjtactile.film.state import FOUND, FilmBatch, FilmState, Status
-from mjtactile.film.sticking import Patch, patch_of
+from mjtactile.film.sticking import Patch, patches_of
 from mjtactile.kernels import band_stride, bound, kernel
 
 TOLERANCE = 5e-7  # m, of what is left of the displacements
 _MOST_STEPS = 40
-_INFLATING = (0.25, 0.5, 0.75, 1.0)  # of the pressure
-_TAUT = 1.02  # stretch that a sheet is inflated with, and then let go to its own
-_LETTING_GO = (1.0, 0.5, 0.25, 0.0)  # of what it is stretched more
-_INFLATED = 1e-9  # m
-_STRETCH_SQUARED = 4  # place in a film's numbers
 _LEAST_NODES, _MOST_NODES = 5, 400
-_SHARES = 4  # of a batch that a thread takes, one after the other
 _MIXED_AREA = (
     1.05  # area ratio at which the tension's slope is taken; steps depend on it, results do not
 )
@@ -100,7 +92,7 @@ class Film:
         self._rooms: list[Array] = []  # of a batch's threads
         self._derive_room = np.empty(0)  # made when it is first asked for
         self._bind()
-        self.rest = self._inflate()
+        self.rest = inflate(self)
         self._rest[:] = self.rest.x
         absolute = self.pressure_gauge + chamber.ambient
         volume = design.chamber_volume_flat + self.rest.volume
@@ -203,42 +195,19 @@ class Film:
             raise InputError(f"has {len(batch.x)} environments, not {count}", field="batch")
         x, trend = (np.empty((count, parts, *self.grid)) for parts in (3, 4))
         force, found = np.empty((count, *self.grid)), np.empty((count, FOUND))
-        fields = (x, force, trend, found)
+        made = FilmBatch(x, force, found, trend)
         settings = np.tile([self._gas, self.sealed, TOLERANCE, _MOST_STEPS, again], (count, 1))
         threads = max(1, min(threads, count))
-        size = count if threads == 1 else -(-count // (_SHARES * threads))
-        firsts = iter(range(0, count, size))  # its `next` is one step of the interpreter
         self._rooms += [np.empty_like(self._room) for _ in range(len(self._rooms), threads)]
 
-        def some(number: int) -> None:
-            for first in firsts:
-                part = slice(first, min(first + size, count))
-                self._start(
-                    x, force, trend, batch, part
-                )  # new memory costs as much as a solution's quarter
-                ends = (part.start, part.stop)
-                self._run(settings, rows, pool, fields, room=self._rooms[number], part=ends)
+        def solve(number: int, part: slice) -> None:
+            begin(made, batch, self.rest, part)
+            ends = (part.start, part.stop)
+            fields = (x, force, trend, found)
+            self._run(settings, rows, pool, fields, room=self._rooms[number], part=ends)
 
-        others = [_workers(os.getpid()).submit(some, number) for number in range(1, threads)]
-        try:
-            some(0)
-        finally:
-            for other in others:
-                other.result()
-        return FilmBatch(x, force, found, trend)
-
-    def _start(
-        self, x: Array, force: Array, trend: Array, batch: FilmBatch | None, part: slice
-    ) -> None:
-        """Where environments `part` of a batch begin: at `batch`, or, where that is none, at
-        rest."""
-        trend[part] = 0.0 if batch is None or batch.trend is None else batch.trend[part]
-        if batch is None:
-            x[part], force[part] = self.rest.x, self.rest.force
-            return
-        x[part], force[part] = batch.x[part], batch.force[part]
-        lost = np.flatnonzero(~batch.converged[part]) + part.start
-        x[lost], force[lost], trend[lost] = self.rest.x, self.rest.force, 0.0
+        share_out(count, threads, solve)
+        return made
 
     def derivatives(
         self, state: FilmState, shape: Shape, numbers: ArrayLike, steps: ArrayLike | None = None
@@ -292,20 +261,9 @@ class Film:
         Raises:
             InputError: A state that is not at rest, or not of this film.
         """
-        from scipy.ndimage import label  # takes a while to import
-
         if not state.converged or state.x.shape != self.rest.x.shape:
             raise InputError("is not at rest, or not of this film", field="state")
-        factor = self.stiffness_factor(state)
-        marked: tuple[Array, int] = label(state.force > 0, np.ones((3, 3)))  # pyright: ignore[reportAssignmentType]
-        numbered, count = marked
-        found = []
-        for number in range(1, count + 1):
-            i, j = np.nonzero(numbered == number)
-            places = np.stack([self.x[i] + state.x[0, i, j], self.y[j] + state.x[1, i, j]], axis=1)
-            inner = (i - 1) * (self.grid[1] - 2) + j - 1
-            found.append(patch_of(places, inner, state.force[i, j], factor))
-        return sorted(found, key=lambda patch: -patch.force_normal)
+        return patches_of(self.x, self.y, state, self.stiffness_factor(state))
 
     def stiffness_factor(self, state: FilmState) -> Array:
         """Factor the sheet's stiffness where a state is, over a gas that stays at its pressure.
@@ -369,54 +327,6 @@ class Film:
         kept = (self._kept.size, self._kept)
         law = (self._numbers, self._law, *self.grid)
         return (*law, *kept, self._rest, room.size, room)
-
-    def _keep(self, x: Array) -> None:
-        """Factors of the stiffness at displacements `x`, for all solutions that follow."""
-        fixed = (self._numbers, self._law, *self.grid)
-        given = (x, self._room.size, self._room, self._kept.size, self._kept)
-        kernel("film_keep")(*fixed, *given)
-
-    def _inflate(self) -> FilmState:
-        """From a low bulge of about the right height to rest, with a stiffness in the plane that is
-        made anew on the way. Steps of a sheet that has no tension of its own do not shrink: it is
-        inflated taut."""
-        across, along = (self.x / self.x[-1])[:, None], self.y / self.y[-1]
-        height = theory.bulge_height(self.design, _INFLATING[0] * self.pressure_gauge)
-        if not np.isfinite(height):
-            height = 0.1 * min(self.design.frame.length, self.design.frame.width)
-        x, force, found = np.zeros((3, *self.grid)), np.zeros(self.grid), np.empty(FOUND)
-        x[2] = height * (1 - across**2) * (1 - along**2)
-        own = self.design.membrane.pre_stretch
-        more = max(_TAUT - own, 0.0)
-        ways = [(share, own + more) for share in _INFLATING]
-        ways += [(1.0, own + left * more) for left in _LETTING_GO if more > 0]
-        for share, stretch in [
-            *ways,
-            (1.0, own),
-        ]:  # at last with the stiffness of the sheet at rest
-            self._numbers[_STRETCH_SQUARED] = stretch**2
-            try:
-                self._keep(x)
-            except np.linalg.LinAlgError:
-                break
-            gauge = share * self.pressure_gauge
-            settings = np.array([gauge, 0.0, _INFLATED, 4 * _MOST_STEPS, 1.0])
-            trend = np.zeros((4, *self.grid))
-            self._run(settings, np.zeros((0, bodies.NUMBERS)), None, (x, force, trend, found))
-            if not FilmState(x, force, found).converged:
-                break
-        else:
-            return FilmState(x, force, found)
-        raise InputError(
-            f"sensor {self.design.name}: the sheet finds no rest at {self.pressure_gauge:g} Pa",
-            field="pressure_gauge",
-        )
-
-
-@cache
-def _workers(process: int) -> ThreadPoolExecutor:
-    """Threads that stay for the next batch, of this process; a forked one has none of another's."""
-    return ThreadPoolExecutor(os.cpu_count() or 1, thread_name_prefix=f"film-{process}")
 
 
 def _judged(state: FilmState) -> FilmState:

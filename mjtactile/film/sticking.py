@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
+from mjtactile.film.state import FilmState
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +81,32 @@ def drag(patch: Patch, held: Held, moved: ArrayLike, friction: float) -> tuple[A
     return -load, Held(strain)
 
 
-def patch_of(places: Array, inner: NDArray[np.intp], force: Array, factor: Array) -> Patch:
+def patches_of(x: Array, y: Array, state: FilmState, factor: Array) -> list[Patch]:
+    """Every set of neighbouring nodes that touch, largest force first.
+
+    Args:
+        x: (nx,) m, the nodes' places on the flat sheet.
+        y: (ny,) m.
+        state: At rest.
+        factor: As `Film.stiffness_factor` gives it, there.
+
+    Returns:
+        The patches.
+    """
+    from scipy.ndimage import label  # takes a while to import
+
+    marked: tuple[Array, int] = label(state.force > 0, np.ones((3, 3)))  # pyright: ignore[reportAssignmentType]
+    numbered, count = marked
+    found = []
+    for number in range(1, count + 1):
+        i, j = np.nonzero(numbered == number)
+        places = np.stack([x[i] + state.x[0, i, j], y[j] + state.x[1, i, j]], axis=1)
+        inner = (i - 1) * (len(y) - 2) + j - 1
+        found.append(_patch_of(places, inner, state.force[i, j], factor))
+    return sorted(found, key=lambda patch: -patch.force_normal)
+
+
+def _patch_of(places: Array, inner: NDArray[np.intp], force: Array, factor: Array) -> Patch:
     """The patch of some nodes.
 
     Args:

@@ -1,0 +1,88 @@
+"""How a film comes to rest for the first time, untouched."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mjtactile.core import theory
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Array
+from mjtactile.film.bodies import NUMBERS
+from mjtactile.film.state import FOUND, FilmState
+from mjtactile.kernels import kernel
+
+if TYPE_CHECKING:
+    from mjtactile.film.film import Film
+
+_INFLATING = (0.25, 0.5, 0.75, 1.0)  # of the pressure
+_TAUT = 1.02  # stretch that a sheet is inflated with at least, and then let go to its own
+_LETTING_GO = (1.0, 0.5, 0.25, 0.0)  # of what it is stretched more
+_INFLATED = 1e-9  # m
+_MOST_STEPS = 160
+_STRETCH_SQUARED = 4  # place in a film's numbers
+
+
+def inflate(film: Film) -> FilmState:
+    """Find where a film rests, from a low bulge of about the right height, with stiffnesses that
+    are made anew on the way; the last ones, of the sheet at rest, are kept for all solutions.
+
+    Steps of a sheet that has no tension of its own do not shrink: it is inflated taut.
+
+    Args:
+        film: Whose numbers and room are there.
+
+    Returns:
+        The state.
+
+    Raises:
+        InputError: There is none.
+    """
+    x, force, found = _low_bulge(film), np.zeros(film.grid), np.empty(FOUND)
+    for share, stretch in _ways(film.design.membrane.pre_stretch):
+        film._numbers[_STRETCH_SQUARED] = stretch**2
+        try:
+            _keep(film, x)
+        except np.linalg.LinAlgError:
+            break
+        settings = np.array([share * film.pressure_gauge, 0.0, _INFLATED, _MOST_STEPS, 1.0])
+        trend = np.zeros((4, *film.grid))
+        film._run(settings, np.zeros((0, NUMBERS)), None, (x, force, trend, found))
+        if not FilmState(x, force, found).converged:
+            break
+    else:
+        return FilmState(x, force, found)
+    raise InputError(
+        f"sensor {film.design.name}: the sheet finds no rest at {film.pressure_gauge:g} Pa",
+        field="pressure_gauge",
+    )
+
+
+def _ways(stretch: float) -> Iterator[tuple[float, float]]:
+    """Shares of the pressure, and stretches."""
+    more = max(_TAUT - stretch, 0.0)
+    for share in _INFLATING:
+        yield share, stretch + more
+    for left in _LETTING_GO:
+        if more > 0:
+            yield 1.0, stretch + left * more
+    yield 1.0, stretch
+
+
+def _low_bulge(film: Film) -> Array:
+    across, along = (film.x / film.x[-1])[:, None], film.y / film.y[-1]
+    height = theory.bulge_height(film.design, _INFLATING[0] * film.pressure_gauge)
+    if not np.isfinite(height):
+        height = 0.1 * min(film.design.frame.length, film.design.frame.width)
+    x = np.zeros((3, *film.grid))
+    x[2] = height * (1 - across**2) * (1 - along**2)
+    return x
+
+
+def _keep(film: Film, x: Array) -> None:
+    """Factors of the stiffness at displacements `x`, for all solutions that follow."""
+    fixed = (film._numbers, film._law, *film.grid)
+    given = (x, film._room.size, film._room, film._kept.size, film._kept)
+    kernel("film_keep")(*fixed, *given)
