@@ -171,14 +171,13 @@ NUMBERS = (
             row=f"{task} |",
             column="adaptive | touchless",
             command="bench tasks",
-            headline=headline,
         )
-        for task, happens, headline in (
-            ("weigh", "whatever it weighs", True),
-            ("pour", "while it is filled or emptied", True),
-            ("shake", "while it is shaken and turned", False),
-            ("bump", "while it is bumped", False),
-            ("place", "on a place of another height", True),
+        for task, happens in (
+            ("weigh", "whatever it weighs"),
+            ("pour", "while it is filled or emptied"),
+            ("shake", "while it is shaken and turned"),
+            ("bump", "while it is bumped"),
+            ("place", "on a place of another height"),
         )
     ),
     Number(
