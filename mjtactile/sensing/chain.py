@@ -240,6 +240,7 @@ class Chain:
             gas=None,
             knocked=0,
             camera=None,
+            belief=None,
             rubber=self._remembered(rest, inflated_s, time),
         ).without_history()
 

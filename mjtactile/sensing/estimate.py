@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -9,6 +10,8 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Markers, PressureReading
+from mjtactile.sensing.force.camera import CameraSeen
+from mjtactile.sensing.force.drift import MODES, CameraBelief
 from mjtactile.sensing.force.gauge import GasState, GaugeFilter
 from mjtactile.sensing.force.inverse import InverseMembrane, InverseRest, Shape
 from mjtactile.sensing.settings import Settings
@@ -42,7 +45,6 @@ class ShapeEstimator:
     def __init__(self, design: SensorDesign, inverse: InverseMembrane, settings: Settings):
         self._design = design
         self._inverse = inverse
-        self._steady = inverse.with_steady_camera()
         self._settings = settings
         self.gauge = GaugeFilter(design.chamber, settings.gauge)
 
@@ -67,9 +69,13 @@ class ShapeEstimator:
         Returns:
             The estimate; `is_explained` says whether its shape fits.
         """
-        found = self._with_gas(state, reference, without(markers, state.set_aside), time, reading)
+        known = without(markers, state.set_aside)
+        found = self._with_gas(state, reference, known, time, reading)
         is_seen = state.camera is not None
-        if state.shape is None and not is_seen:
+        if state.belief is not None and self._has_changed(found.shape):
+            state = replace(state, belief=None)
+            found = self._with_gas(state, reference, known, time, reading)
+        if state.shape is None and not is_seen and state.belief is None:
             found = self._if_steady(state, reference, found, time, reading)
         elif state.shape is not None:
             found = self._if_overlooked(state, state.shape, reference, found, time, reading)
@@ -116,8 +122,18 @@ class ShapeEstimator:
         load = float(np.linalg.norm(self._inverse.force(found.shape)))
         if load < self._settings.inverse.cold_load:
             return found
-        again = self._with_gas(state, reference, found.markers, time, reading, inverse=self._steady)
-        return replace(again, other=found.shape) if self.is_explained(again.shape) else found
+        steady = CameraBelief.unseen(self._settings.inverse, steady=True)
+        again = self._with_gas(state, reference, found.markers, time, reading, camera=steady)
+        if not self.is_explained(again.shape):
+            return found
+        # which says nothing of the camera
+        again = replace(again, state=replace(again.state, belief=None))
+        return replace(again, other=found.shape)
+
+    def _has_changed(self, shape: Shape) -> bool:
+        """Whether the camera is not what images before have told."""
+        share = shape.camera**2 / shape.gain.drift_seen[1:]
+        return bool(share[:MODES].max() > self._settings.inverse.changed_least**2)
 
     def _if_overlooked(
         self,
@@ -157,7 +173,7 @@ class ShapeEstimator:
         `found`."""
         shape = found.shape
         if shape.drift > self._settings.inverse.knock_least:
-            sure = replace(state, knocked=KNOCKS_SURE)
+            sure = replace(state, knocked=KNOCKS_SURE, belief=None)
             again = self._with_gas(sure, reference, found.markers, time, reading)
             better = again.shape.drift < shape.drift and again.shape.misfit < shape.misfit
             if better and self.is_explained(again.shape):
@@ -172,27 +188,29 @@ class ShapeEstimator:
         time: float,
         reading: PressureReading | None,
         *,
-        inverse: InverseMembrane | None = None,
+        camera: CameraBelief | None = None,
     ) -> Estimate:
         """The shape, and the gas as well as it is known.
 
         In a sealed chamber a reading is weighed with the volume that the image shows; where it says
         much that was not known, the image is looked at again.
         """
-        inverse = inverse or self._inverse
         rest = reference.rest
+        before = camera or self._camera(state, time)
         gas = self._gas_before(state.gas, rest, time, reading)
         if gas is None:
-            shape = self._fit(inverse, state, rest, markers)
-            return Estimate(markers, shape, rest, state)
-        shape, rest, volume = self._shape_with(inverse, gas, rest, state, markers, time)
+            shape = self._fit(before, state, rest, markers)
+            belief = self._belief(before, shape, reference, rest, time)
+            return Estimate(markers, shape, rest, replace(state, belief=belief))
+        shape, rest, volume = self._shape_with(before, gas, rest, state, markers, time)
         seen = self.gauge.saw(gas, time, volume, self._settings.inverse.dent_share)
         if reading is not None and not gas.is_open:
             seen, told = self.gauge.read(seen, reading)
             if told:
-                shape, rest, volume = self._shape_with(inverse, seen, rest, state, markers, time)
+                shape, rest, volume = self._shape_with(before, seen, rest, state, markers, time)
                 seen = seen.seen_again(volume)
-        state = replace(state, gas=seen, reference=replace(reference, rest=rest))
+        belief = self._belief(before, shape, reference, rest, time)
+        state = replace(state, gas=seen, reference=replace(reference, rest=rest), belief=belief)
         return Estimate(markers, shape, rest, state)
 
     def _gas_before(
@@ -211,7 +229,7 @@ class ShapeEstimator:
 
     def _shape_with(
         self,
-        inverse: InverseMembrane,
+        camera: CameraBelief | CameraSeen,
         gas: GasState,
         rest: InverseRest,
         state: ChainState,
@@ -223,17 +241,47 @@ class ShapeEstimator:
         chamber = self._design.chamber
         now, sd = self.gauge.gas_at(gas, time)
         rest = self._inverse.with_gas(rest, now, sd, gas.seen[-1][1])
-        shape = self._fit(inverse, state, rest, markers)
+        shape = self._fit(camera, state, rest, markers)
         volume = self._inverse.volume(shape.c)
         pressure = now.pressure_gauge(volume, chamber.ambient, chamber.heat_ratio)
         return replace(shape, pressure_gauge=pressure), rest, volume
 
-    @staticmethod
     def _fit(
-        inverse: InverseMembrane, state: ChainState, rest: InverseRest, markers: Markers
+        self,
+        camera: CameraBelief | CameraSeen,
+        state: ChainState,
+        rest: InverseRest,
+        markers: Markers,
     ) -> Shape:
-        knocked = state.knocked >= KNOCKS_SURE
-        return inverse.estimate(markers, rest, state.shape, knocked=knocked, camera=state.camera)
+        lost = state.knocked >= KNOCKS_SURE and state.camera is not None
+        return self._inverse.estimate(markers, rest, state.shape, camera=camera, lost=lost)
+
+    def _camera(self, state: ChainState, time: float) -> CameraBelief | CameraSeen:
+        """What is known of the camera before the image is looked at."""
+        s = self._settings.inverse
+        if state.camera is not None:
+            return state.camera
+        if state.belief is not None:
+            return state.belief.later(time, s)
+        return CameraBelief.unseen(s, knocked=state.knocked >= KNOCKS_SURE)
+
+    def _belief(
+        self,
+        before: CameraBelief | CameraSeen,
+        shape: Shape,
+        reference: Reference,
+        rest: InverseRest,
+        time: float,
+    ) -> CameraBelief | None:
+        """What is known of it afterwards, where it is not seen. How far the sheet bulges at another
+        pressure than that of the reference is the model's word, and tells little of a camera."""
+        if not isinstance(before, CameraBelief):
+            return None
+        moved = rest.pressure_gauge - reference.first.gas.gauge
+        moved = moved if math.isfinite(moved) else 0.0  # no gauge
+        weight = 1 / (1 + (moved / self._settings.inverse.same_bulge) ** 2)
+        gain = shape.gain
+        return before.told(shape.camera, gain.left, gain.camera.root, time, weight)
 
 
 def without(markers: Markers, ids: Sequence[int]) -> Markers:

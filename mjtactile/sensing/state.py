@@ -9,6 +9,7 @@ from mjtactile.core.types import Array, FiducialsSeen, Surface
 from mjtactile.sensing.body.press import Press
 from mjtactile.sensing.force import zero
 from mjtactile.sensing.force.camera import CameraSeen
+from mjtactile.sensing.force.drift import CameraBelief
 from mjtactile.sensing.force.gauge import GasState
 from mjtactile.sensing.force.inverse import InverseRest, Shape
 from mjtactile.sensing.force.relaxing import RubberMemory
@@ -41,9 +42,9 @@ class ChainState:
     where fiducials show it, gas seemed lost: from `KNOCKS_SURE` on it was; since nothing explains
     the markers, for how many images, `unexplained`, and the force (3,) N in the last one before
     that they did explain, `lost_at`; the last image's `fiducials`, and the `camera` that they
-    showed; what its images have told of the body of this `press`, where somebody asks for
-    shapes; and of rubber that relaxes when the flat membrane was seen last, `flat_at` s, and what
-    it remembers (`rubber`)."""
+    showed, or without any what markers have told of it, `belief`; what its images have told of the
+    body of this `press`, where somebody asks for shapes; and of rubber that relaxes when the flat
+    membrane was seen last, `flat_at` s, and what it remembers (`rubber`)."""
 
     flat: FlatReference
     expected: Array
@@ -60,6 +61,7 @@ class ChainState:
     lost_at: Array | None = None
     fiducials: FiducialsSeen | None = None
     camera: CameraSeen | None = None
+    belief: CameraBelief | None = None
     press: Press | None = None
     flat_at: float = -math.inf
     rubber: RubberMemory | None = None

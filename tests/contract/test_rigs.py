@@ -328,10 +328,9 @@ def test_gentle_grasps_on_the_emulated_rig_and_commands_its_air(emulator, tmp_pa
         rig.close()
     # the servos' goals are rounded, and the pinions have play
     assert min(heights) - 0.0315 == pytest.approx(0.04, abs=5e-3)
-    # the jaws' play swings as the membranes grow: forces are compared some 0.1 s apart. A specimen
-    # whose bulge grows otherwise than its file says is felt 0.04 N too light meanwhile
-    # (docs/limits.md): the fit takes a part of that for a lens that breathes
-    assert np.nanmedian(np.abs(errors)) < 0.05
+    # the jaws' play swings as the membranes grow: forces are compared some 0.1 s apart, and gauges
+    # are read late; 0.010 was seen
+    assert np.nanmedian(np.abs(errors)) < 0.03
     pressures = load_recording(tmp_path).column("pressure_gauge")
     held = load_recording(tmp_path).columns["phase"] == "hold"
     assert pressures[held].min() == pytest.approx(600.0, abs=60)

@@ -95,10 +95,9 @@ def test_firmer_in_the_air(tmp_path):
     assert pressures[0] == pytest.approx(600.0, abs=25.0)  # noise of the gauge
     assert pressures[-1] == pytest.approx(2000.0, abs=25.0)
     error = (log.column("force_normal") - log.column("force_normal_true"))[held]
-    # none of them is unknown; one image's bar is 0.02 N at 2 kPa, since the camera's scale is an
-    # unknown of each
-    assert np.abs(error.mean(axis=0)).max() < 0.02
-    assert np.abs(error).max() < 0.04
+    # none of them is unknown; one image's bar is 0.015 N at 2 kPa
+    assert np.abs(error.mean(axis=0)).max() < 0.015
+    assert np.abs(error).max() < 0.03
 
 
 def test_grasp_from_python(capsys):

@@ -13,7 +13,7 @@ from mjtactile.core.bspline import hats
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, Markers
 from mjtactile.sensing.force import inverse
-from mjtactile.sensing.force.drift import MODES, camera_modes, drift_of
+from mjtactile.sensing.force.drift import CameraBelief, camera_modes, drift_of
 from mjtactile.sensing.force.inverse import STEP_LIMIT, InverseMembrane, InverseRest, Shape
 from mjtactile.sensing.force.prior import LoadPrior
 from tests.numpy_chain.sheet import Sheet, State
@@ -38,9 +38,10 @@ class _Gain:
     prior: Array
     innovation: Array
     reweighted: int
+    modes: Array
 
     def serves(
-        self, c: Array, markers: Markers, rest: InverseRest, knocked: bool, camera: None
+        self, c: Array, markers: Markers, rest: InverseRest, camera: CameraBelief, lost: bool
     ) -> bool:
         """Whether it can be used near `c`, for these markers."""
         return np.array_equal(self.ids, markers.ids) and bool(
@@ -86,11 +87,11 @@ class DenseInverse(InverseMembrane):
         return (L @ L.T - half.T @ half) * np.outer(scale, scale)
 
     def _step(
-        self, c: Array, markers: Markers, rest: InverseRest, gain: _Gain, count: int
+        self, c: Array, markers: Markers, seen: Array, rest: InverseRest, gain: _Gain, count: int
     ) -> Shape:
         """One Gauss-Newton step from `c`: the sheet relaxes, tractions and drift explain what
         markers show beyond that."""
-        data = markers.p_SM - rest.offset[markers.ids] - self._material[markers.ids]
+        data = seen - self._material[markers.ids]
         state = self._dense.state(c, rest.stiffness_scale)
         pressure, _ = self._dense.gas_pressure(state, rest.gas)
         residual = self._dense.residual(state, pressure)
@@ -130,6 +131,7 @@ class DenseInverse(InverseMembrane):
             count,
             excess,
             drift_of(drift, gain.drift_seen),
+            drift[1:],
         )
 
     def _gain(
@@ -138,8 +140,8 @@ class DenseInverse(InverseMembrane):
         markers: Markers,
         rest: InverseRest,
         before: Shape | None,
-        knocked: bool,
-        camera: None,
+        camera: CameraBelief,
+        lost: bool,
     ) -> _Gain:
         state = self._dense.state(c, rest.stiffness_scale)
         _, stiffness = self._dense.linearise(state, rest.gas)
@@ -163,7 +165,10 @@ class DenseInverse(InverseMembrane):
             )
             tilting = by_x[..., None] * along_x + by_y[..., None] * along_y
             unit = np.concatenate([unit, tilting.reshape(2 * len(rows), -1).T], axis=1)
-        drift, drift_gas = self._drift(c, markers.ids, state, rest, stiffness, weights, unit)
+        modes = camera_modes(
+            self.design, self.positions(c)[markers.ids], np.zeros(len(rows)), self.settings
+        )
+        drift, drift_gas = self._drift(modes @ camera.root, state, rest, stiffness, weights, unit)
         moved = cho_solve(stiffness, unit, check_finite=False).T
         response = (moved.reshape(-1, self.sheet.count) @ self._load).reshape(len(moved), -1)
         prior = self.prior.first() if before is None else self.prior.after(before.traction)
@@ -190,19 +195,19 @@ class DenseInverse(InverseMembrane):
             prior,
             innovation,
             0 if before is None else before.gain.reweighted + 1,
+            modes,
         )
 
     def _drift(
         self,
-        c: Array,
-        ids: NDArray[np.int64],
+        camera: Array,
         state: State,
         rest: InverseRest,
         stiffness: tuple[Array, bool],
         weights: Array,
         unit: Array,
     ) -> tuple[Array, tuple[float, Array]]:
-        """What one sd of drift does: to the whitened markers (r, 1 + MODES), and, by the gas, as pressure
+        """What one sd of drift does: to the whitened markers (r, 1 + modes), and, by the gas, as pressure
         and as a load."""
         volume = self.design.chamber_volume_flat + state.volume
         dent = self._dense.state(rest.c).volume - state.volume
@@ -211,11 +216,10 @@ class DenseInverse(InverseMembrane):
         pressure *= share if rest.gas.constant is not None else 0.0
         load = pressure * self._dense.volume_gradient(state)
         bulge = cho_solve(stiffness, load.ravel(), check_finite=False)
-        drift = np.zeros((unit.shape[1], 1 + MODES))
+        drift = np.zeros((unit.shape[1], 1 + camera.shape[2]))
         drift[:, 0] = bulge @ unit
         # slopes hardly see the camera move
-        modes = camera_modes(self.design, self.positions(c)[ids], np.zeros(len(ids)), self.settings)
-        drift[: 3 * len(weights), 1:] = (weights @ modes).reshape(-1, MODES)
+        drift[: 3 * len(weights), 1:] = (weights @ camera).reshape(3 * len(weights), -1)
         return drift, (pressure, load)
 
 

@@ -50,7 +50,7 @@ def known_modes(
     """One sd of each mode of a camera that fiducials show: (m, 3, KNOWN_MODES) m by which markers
     seem to move; arguments as of `camera_modes`."""
     modes = np.zeros((len(p_SM), 3, KNOWN_MODES))
-    modes[:, :, :MODES] = camera_modes(design, p_SM, darker, s, knocked=True)
+    modes[:, :, :MODES] = camera_modes(design, p_SM, darker, s)
     depth = p_SM[:, 2] + design.camera.distance - design.pane_thickness_apparent
     modes[:, 2, _ZOOM] = -s.drift_zoom * depth
     modes[:, 0, MODES] = own.picture * depth / design.camera.fx

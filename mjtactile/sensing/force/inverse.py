@@ -17,7 +17,6 @@ arithmetic is in mjtactile/kernels/inverse.c.
 
 from __future__ import annotations
 
-import copy
 import math
 from dataclasses import dataclass, replace
 
@@ -31,7 +30,7 @@ from mjtactile.core.types import Array, Markers, Traction
 from mjtactile.kernels import kernel
 from mjtactile.sensing.force.camera import CameraSeen, known_modes
 from mjtactile.sensing.force.doubt import AXES, Doubt, Felt
-from mjtactile.sensing.force.drift import camera_modes, drift_of
+from mjtactile.sensing.force.drift import CameraBelief, camera_modes, drift_of
 from mjtactile.sensing.force.prior import LoadPrior
 from mjtactile.sensing.force.relaxing import Relaxing
 from mjtactile.sensing.force.sheet import Gas, Sheet, State, Stiffness
@@ -95,8 +94,8 @@ class Gain:
     and the share `drift_seen` (1 + modes,) of their variances that estimates have; prior sd (3 J,)
     of the tractions; the lower factor of the predicted covariance of the whitened markers; and how
     often it was `reweighted`: tractions had been found before it was made; by how much markers were
-    `darker` than at rest (m,), whether the camera was taken for `knocked`, and the `camera` that
-    fiducials showed."""
+    `darker` than at rest (m,), what was known of the `camera` before, how (m, 3, modes) m markers
+    move with its modes, and the share (modes, modes) of its covariance that is `left`."""
 
     c: Array
     ids: NDArray[np.int64]
@@ -114,20 +113,22 @@ class Gain:
     reweighted: int
     gas: tuple[tuple[bool, bool], float]
     darker: Array
-    knocked: bool
-    camera: CameraSeen | None
+    camera: CameraBelief | CameraSeen
+    lost: bool
+    modes: Array
+    left: Array
 
     def serves(
         self,
         c: Array,
         markers: Markers,
         rest: InverseRest,
-        knocked: bool,
-        camera: CameraSeen | None,
+        camera: CameraBelief | CameraSeen,
+        lost: bool,
     ) -> bool:
         """Whether it can be used near `c`, for these markers, with what is known of the gas and of
         the camera."""
-        if knocked != self.knocked or not _as_well_known(camera, self.camera):
+        if lost != self.lost or not _as_well_known(camera, self.camera):
             return False
         if not np.array_equal(self.ids, markers.ids) or np.abs(c - self.c).max() >= NEAR:
             return False
@@ -144,8 +145,9 @@ class Shape:
     """An estimate: coefficients `c` (3, n) m of the deformation, nodal tractions (3, J) Pa, gauge
     pressure Pa, the mean square `misfit` of the markers over their predicted sd, the gain it came
     from, and the mean square noise over its sd, `excess` (2, N), of each marker's position and
-    slopes, and the mean square `drift` found, over what is to be expected (`drift_of`). Hand
-    it to the next frame."""
+    slopes, the mean square `drift` found, over what is to be expected (`drift_of`), and the
+    camera's modes (modes,) beyond what was known of them, `camera`, in units of what was left
+    open. Hand it to the next frame."""
 
     c: Array
     traction: Array
@@ -155,6 +157,7 @@ class Shape:
     steps: int
     excess: Array
     drift: float
+    camera: Array
 
 
 class InverseMembrane:
@@ -301,12 +304,6 @@ class InverseMembrane:
         """Net force (3,) N on the sheet."""
         return shape.traction @ self.node_area
 
-    def with_steady_camera(self) -> InverseMembrane:
-        """The same estimator for a camera that is as it was at the references."""
-        steady = copy.copy(self)
-        steady.settings = replace(self.settings, drift_zoom=0.0, drift_size=0.0, drift_levels=0.0)
-        return steady
-
     def positions(self, c: Array) -> Array:
         """Marker centres (N, 3) m in S."""
         return self._material + self._at_markers @ c.T
@@ -320,23 +317,27 @@ class InverseMembrane:
         rest: InverseRest,
         start: Shape | None = None,
         *,
-        knocked: bool = False,
-        camera: CameraSeen | None = None,
+        camera: CameraBelief | CameraSeen | None = None,
+        lost: bool = False,
     ) -> Shape:
         """Tractions and deformation that explain the markers, starting from the last frame's where
-        there is one; with a camera that may have been `knocked` since `rest`, or that fiducials
-        show: markers are then as they would be without its change, and it is the gas that may have
-        been lost."""
+        there is one, with what is known of the `camera` (None: that nobody knocked it since
+        `rest`). Where fiducials show it, markers are as they would be without its change. Some of a
+        gas that no gauge measures may have been `lost`."""
+        camera = camera or CameraBelief.unseen(self.settings)
         c, before = (rest.c, None) if start is None else (start.c, start)
         gain = None if start is None else start.gain
         for steps in range(1, STEPS_MAX + 1):
             if (
                 gain is None
                 or gain.reweighted < REWEIGHTED
-                or not gain.serves(c, markers, rest, knocked, camera)
+                or not gain.serves(c, markers, rest, camera, lost)
             ):
-                gain = self._gain(c, markers, rest, before, knocked, camera)
-            shape = self._step(c, markers, rest, gain, steps)
+                gain = self._gain(c, markers, rest, before, camera, lost)
+            seen = markers.p_SM - rest.offset[markers.ids]
+            if isinstance(camera, CameraBelief):
+                seen -= gain.modes @ camera.mean
+            shape = self._step(c, markers, seen, rest, gain, steps)
             settled = float(np.abs(shape.c - c).max()) < SETTLED
             c = shape.c
             before = shape
@@ -344,13 +345,15 @@ class InverseMembrane:
                 return shape
         return shape  # pyright: ignore[reportPossiblyUnboundVariable] the loop runs at least once
 
-    def _step(self, c: Array, markers: Markers, rest: InverseRest, gain: Gain, count: int) -> Shape:
+    def _step(
+        self, c: Array, markers: Markers, seen: Array, rest: InverseRest, gain: Gain, count: int
+    ) -> Shape:
         """One Gauss-Newton step from `c`: the sheet relaxes, tractions and drift explain what
-        markers show beyond that."""
+        markers, `seen` (m, 3) m by a camera as is believed, show beyond that."""
         ids = markers.ids
         m = len(markers)
         slopes_off = None
-        data = markers.p_SM - rest.offset[ids] - self._material[ids]
+        data = seen - self._material[ids]
         state = self._state(c, rest)
         pressure, _ = self.sheet.gas_pressure(state, rest.gas)
         if self._slopes is not None:
@@ -396,6 +399,7 @@ class InverseMembrane:
             count,
             excess,
             drift_of(drift, gain.drift_seen),
+            drift[1:],
         )
 
     def _sight(
@@ -421,8 +425,8 @@ class InverseMembrane:
         markers: Markers,
         rest: InverseRest,
         before: Shape | None,
-        knocked: bool,
-        camera: CameraSeen | None,
+        camera: CameraBelief | CameraSeen,
+        lost: bool,
     ) -> Gain:
         state = self._state(c, rest)
         ids = markers.ids
@@ -439,15 +443,15 @@ class InverseMembrane:
             slope_weights = self._slopes.weights(markers, c) / distrust[1]
             tilts = self._slopes.rows(c, ids) * slope_weights[:, None, None]
         prior = self.prior.first() if before is None else self.prior.after(before.traction)
-        lost = knocked and camera is not None
         pressure, load = self._gas_drift(state, rest, self._known.gas_lost if lost else None)
         rows = (3 if tilts is None else 5) * len(ids)
         half = np.empty((rows, 3 * len(self.nodes)))
         changed = darker(markers, rest)
-        modes = self._camera_modes(self.positions(c)[ids], changed, knocked, camera)
-        drift = np.zeros((rows, 1 + modes.shape[2]))
+        modes = self._camera_modes(self.positions(c)[ids], changed, camera)
+        root = camera.root
+        drift = np.zeros((rows, 1 + root.shape[1]))
         # slopes hardly see the camera move
-        drift[: 3 * len(ids), 1:] = (weights @ modes).reshape(3 * len(ids), -1)
+        drift[: 3 * len(ids), 1:] = (weights @ modes @ root).reshape(3 * len(ids), -1)
         bulge_seen = np.empty(rows)
         kernel("inverse_gain")(
             *self._sight(stiffness, ids, weights, tilts),
@@ -461,9 +465,8 @@ class InverseMembrane:
         innovation = half @ half.T + drift @ drift.T
         innovation[np.diag_indices_from(innovation)] += 1.0
         innovation = np.linalg.cholesky(innovation)
-        seen = np.maximum(
-            (drift * cho_solve((innovation, True), drift, check_finite=False)).sum(axis=0), 1e-6
-        )
+        known = drift.T @ cho_solve((innovation, True), drift, check_finite=False)
+        seen = np.maximum(np.diagonal(known), 1e-6)
         return Gain(
             c,
             ids,
@@ -481,19 +484,19 @@ class InverseMembrane:
             0 if before is None else before.gain.reweighted + 1,
             ((rest.gas_sd is not None, rest.gas.constant is None), rest.gas_sd or 0.0),
             changed,
-            knocked,
             camera,
+            lost,
+            modes,
+            np.eye(len(known) - 1) - known[1:, 1:],
         )
 
     def _camera_modes(
-        self, p_SM: Array, changed: Array, knocked: bool, camera: CameraSeen | None
+        self, p_SM: Array, changed: Array, camera: CameraBelief | CameraSeen
     ) -> Array:
-        """How (m, 3, modes) m markers at `p_SM` (m, 3) move with one sd of what is unknown of the
-        camera."""
-        if camera is None:
-            return camera_modes(self.design, p_SM, changed, self.settings, knocked=knocked)
-        modes = known_modes(self.design, p_SM, changed, self.settings, self._known)
-        return modes @ camera.root
+        """How (m, 3, modes) m markers at `p_SM` (m, 3) move with one sd of the camera's modes."""
+        if isinstance(camera, CameraBelief):
+            return camera_modes(self.design, p_SM, changed, self.settings)
+        return known_modes(self.design, p_SM, changed, self.settings, self._known)
 
     def _gas_drift(
         self, state: State, rest: InverseRest, lost: float | None
@@ -599,10 +602,10 @@ def darker(markers: Markers, rest: InverseRest) -> Array:
     return np.nan_to_num(markers.darkness - rest.darkness[markers.ids])
 
 
-def _as_well_known(one: CameraSeen | None, other: CameraSeen | None) -> bool:
-    """Whether two images' fiducials tell about as much of the camera."""
-    if one is None or other is None:
-        return one is other
+def _as_well_known(one: CameraBelief | CameraSeen, other: CameraBelief | CameraSeen) -> bool:
+    """Whether about as much is known of the camera."""
+    if type(one) is not type(other) or one.root.shape != other.root.shape:
+        return False
     ratio = np.diagonal(one.root) / np.diagonal(other.root)
     return bool(ratio.max() < _CAMERA_RATIO and ratio.min() > 1 / _CAMERA_RATIO)
 

@@ -76,6 +76,29 @@ class InverseSettings:
         "clipped blacks: 0.1 px for a fifth; bench trust",
         low=0.0,
     )
+    drift_walk: float = number(
+        1e-3,
+        "1/sqrt(s), of all these sds, that a camera changes while it is watched",
+        "a lens that warms by 1 % in ten minutes; bench trust",
+        low=0.0,
+    )
+    drift_jitter: float = number(
+        0.003,
+        "px, sd of circles' radii, alike for all, from image to image",
+        "a tenth of one circle's noise: flicker, JPEG; bench trust",
+        low=0.0,
+    )
+    changed_least: float = number(
+        4.0,
+        "sd of a mode beyond what images before have told, from which on the camera has changed",
+        "bench trust: zoom, gamma",
+    )
+    same_bulge: float = number(
+        250.0,
+        "Pa off the reference's pressure, at which an image tells half as much of the camera: the "
+        "model's bulge is 1.4 % off",
+        "examples/firmer_in_the_air.py",
+    )
     knock_place: float = number(
         3e-4, "m, sd of the camera's place once it was knocked", "some pixels; bench trust"
     )

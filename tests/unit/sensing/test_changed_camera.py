@@ -1,5 +1,7 @@
 """A camera that is not as it was at the references: what moves all circles alike is no force."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.fields import from_table
 from mjtactile.rig.troubles import CameraTroubles
-from mjtactile.sensing.force.drift import MODES, camera_modes
+from mjtactile.sensing.force.drift import MODES, CameraBelief, camera_modes
 from mjtactile.sensing.perception import Perception
 from mjtactile.sensing.settings import DEFAULTS
 from mjtactile.sim.picture.troubles import TroubledPicture
@@ -24,7 +26,7 @@ AFTER = (
     {"knock_px": [1.5, -1.2]},
     {"knock_px": [4.0, 3.0], "turn_deg": 0.3},
 )
-# both at once, five pixels and half a degree, are 0.032 N off: more than the others may be
+# both at once, five pixels and half a degree, are 0.0301 N off: more than the others may be
 FAR_OFF = {"knock_px": [4.0, 3.0], "turn_deg": 0.5}
 BEFORE = ({"black_DN": 50}, {"gamma": 1.3})
 
@@ -54,7 +56,7 @@ def clean():
 
 
 @pytest.mark.parametrize(
-    ("table", "limit"), [*((table, 0.03) for table in AFTER), (FAR_OFF, 0.035)], ids=str
+    ("table", "limit"), [*((table, 0.03) for table in AFTER), (FAR_OFF, 0.032)], ids=str
 )
 def test_a_change_after_the_references_is_no_force(clean, table, limit):
     """Within `limit` N of what is felt without it, but for the first image, which has to find it out
@@ -80,7 +82,7 @@ def test_modes_are_what_a_changed_camera_shows():
     design = load_sensor("dense")
     s = DEFAULTS.inverse
     p = design.markers.p_SM + [0, 0, 2e-3]
-    modes = camera_modes(design, p, np.zeros(len(p)), s, knocked=True)
+    modes = camera_modes(design, p, np.zeros(len(p)), s)
     assert modes.shape == (len(p), 3, MODES)
     away = p - design.camera.p_SC
     # a camera that moves by x makes all markers seem to move by as much
@@ -96,6 +98,33 @@ def test_modes_are_what_a_changed_camera_shows():
     radius = design.camera.fx * design.markers.radius / away[:, 2]
     assert share == pytest.approx(s.drift_size / radius)
     assert modes[:, :, 8] == pytest.approx(0)  # no level has changed
+
+
+def test_what_images_tell_of_a_camera_adds_up():
+    """Against one least-squares fit of all images at once: rows (n, MODES) of each see a camera
+    that stays, and a jitter of the size that is each image's own."""
+    s = dataclasses.replace(DEFAULTS.inverse, drift_walk=0.0)
+    rng = np.random.default_rng(0)
+    first = CameraBelief.unseen(s, knocked=True)
+    belief = dataclasses.replace(first, time=0.0)
+    normal = np.eye(MODES)
+    right = np.zeros(MODES)
+    for k in range(1, 6):
+        before = belief.later(float(k), s)
+        rows = rng.standard_normal((20, MODES))
+        seen = rng.standard_normal(20)
+        alone = rows[:, 7] * s.drift_jitter / s.drift_size
+        weight = np.linalg.inv(np.eye(20) + np.outer(alone, alone))
+        normal += rows.T @ weight @ rows
+        right += rows.T @ weight @ seen
+        # as the fit of an image has it: in units of a gain's root, which was made a while ago
+        gain = dataclasses.replace(before, known=1.2 * before.known)
+        open_ = rows @ gain.root
+        left = np.linalg.inv(np.eye(MODES + 1) + open_.T @ open_)
+        found = left @ open_.T @ (seen - rows @ before.mean)
+        belief = before.told(found, left, gain.root, float(k))
+    assert belief.known @ belief.known.T == pytest.approx(np.linalg.inv(normal), abs=1e-12)
+    assert belief.mean == pytest.approx(np.linalg.solve(normal, right), abs=1e-10)
 
 
 @pytest.mark.parametrize("sensor", ["dense", "paper16"])

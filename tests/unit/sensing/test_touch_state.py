@@ -252,12 +252,12 @@ def felt_light(sensor, **settings):
 
 
 def test_a_light_touch_is_not_overlooked_since_nothing_was_felt_before(sensor):
-    """Without a second look a quarter of it is believed."""
+    """Without a second look a third of it is believed, until the camera is doubted."""
     force, sd = felt_light(sensor)
     assert np.all(np.abs(force[:10]) < 5 * sd[:10])
     assert np.all(np.abs(force[10:] - 0.05) < 3 * sd[10:])
     overlooked, _ = felt_light(sensor, **{"inverse.overlooked_load": 0.0005})
-    assert np.all(overlooked[10:] < 0.02)
+    assert np.all(overlooked[10:12] < 0.02)
 
 
 def parabola(estimator, force, place, radius=5e-3):
