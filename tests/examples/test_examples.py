@@ -8,6 +8,7 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -36,7 +37,7 @@ def run(name, needs="mujoco"):
 
 
 def true_forces(example, fingers):
-    world = SimpleNamespace(
+    world: Any = SimpleNamespace(
         model=example.model, data=example.data, sensors=[finger.sensor for finger in fingers]
     )
     return [truth.contact_force(world, number) for number in range(len(fingers))]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,9 +51,6 @@ class _Gain:
 
 class DenseInverse(InverseMembrane):
     """As its base, from whose `Sheet` it takes the basis alone."""
-
-    _step: Any  # gains differ from the base's
-    _gain: Any
 
     def __init__(self, design: SensorDesign):
         super().__init__(design)
@@ -127,7 +124,7 @@ class DenseInverse(InverseMembrane):
             traction,
             pressure,
             float(misfit @ noise) / len(misfit),
-            gain,
+            cast(Any, gain),  # of the base's type, for those that ask it
             count,
             excess,
             drift_of(drift, gain.drift_seen),

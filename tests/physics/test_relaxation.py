@@ -107,7 +107,7 @@ def test_a_cycle_never_gives_energy():
         for _ in range(2):
             patch = Patch(relaxation)
             phases = rng.uniform(0, 2 * np.pi, 3)
-            path = sum(
+            path: np.ndarray = sum(  # pyright: ignore[reportAssignmentType]
                 np.sin((k + 1) * 2 * np.pi * np.arange(501) / 500 + phase)
                 for k, phase in enumerate(phases)
             )
@@ -178,7 +178,8 @@ def test_force_stays_right_while_rubber_fades():
         world.step(round(seconds / STEP))
         true = -truth.contact_force(world, 0)[2]
         errors.append([view.touch().force_normal - true for view in views])
-    drift = np.ptp(np.array(errors), axis=0)
+    # of the means of five images: one has 7 mN of noise
+    drift = np.abs(np.mean(errors[-5:], axis=0) - np.mean(errors[:5], axis=0))
     worst = np.abs(errors).max(axis=0)
     assert worst[0] < 0.03  # asked; of 0.9 N
     assert drift[1] > 2 * drift[0]

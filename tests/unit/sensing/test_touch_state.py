@@ -65,6 +65,7 @@ def test_noise_is_learnt_and_a_light_touch_is_felt_and_released():
     for k in range(200):
         last = zero.detect_touch(k * FRAME, traction(4e-3 * rng.standard_normal()), last)
         assert not last.touching
+    assert last is not None
     # 30 frames: sd of a sd is 13 %; three of them
     assert last.noise == pytest.approx(4e-3, rel=0.4)
     assert zero.threshold(last.noise) < 0.03  # N, asked for
@@ -161,6 +162,7 @@ def test_zero_is_frozen_in_contact_and_a_lost_zero_is_said():
     assert touch.contact is not None and touch.contact.area > 0 and len(touch.patches) == 1
     assert touch.slip is not None and touch.slip.state == "sticking"
     # 3 K at once, and no gauge: as if the camera saw all larger, which is no force
+    assert rest.gas.constant is not None
     hot = replace(rest.gas, constant=rest.gas.constant * 1.01)
     bulged = seen(estimator, estimator.sheet.equilibrium(hot, rest.stiffness_scale, start=rest.c))
     warm, _ = chain.feel(state, bulged, surface, 10.0)
