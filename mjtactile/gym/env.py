@@ -38,6 +38,20 @@ from mjtactile.sim.restart import Restart, movable
 REWARDS = {"held": 1.0, "crushed": -1.0, "dropped": -1.0}
 """At the end of an episode, by the outcome that `mjtactile evaluate` counts; 0 before, and when
 time is over."""
+PROGRESS = {
+    "approach": (0.0, 0.2),
+    "close": (0.2, 0.2),
+    "regulate": (0.4, 0.1),
+    "lift": (0.5, 0.5),
+    "hold": (1.0, 0.5),
+    "lower": (1.5, 0.5),
+    "release": (2.0, 0.0),
+    "done": (2.5, 0.0),
+}
+"""How far a grasp has come where a phase begins, and how much farther at its end.
+`reward="progress"` pays what it has come farther than ever before in the episode, with all fingers
+touching but while they close and let go."""
+_TOUCHLESS = ("approach", "close", "release", "done")
 
 
 class GraspEnv(gymnasium.Env[Any, Array]):
@@ -52,6 +66,8 @@ class GraspEnv(gymnasium.Env[Any, Array]):
             `accuracy`.
         observation: "wrench", "markers" or "image".
         time_limit: s until an episode is cut off.
+        reward: "outcome", at the end alone, or "progress", by what is felt and reached as well:
+            for whoever learns from nothing.
         render_mode: None, or "rgb_array": the cameras' images.
         scenario: In place of all of these names, and of its own seed, controller and time limit.
         task: What is done: a shipped name, or FILE.toml.
@@ -75,7 +91,12 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         render_mode: str | None = None,
         scenario: Scenario | None = None,
         task: str = "lift",
+        reward: str = "outcome",
     ):
+        if reward not in ("outcome", "progress"):
+            raise InputError(
+                f"{reward!r}", source="Grasp-v0", field="reward", choices=["outcome", "progress"]
+            )
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise InputError(
                 f"{render_mode!r}",
@@ -86,6 +107,8 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         self.render_mode = render_mode
         self._kind = observation
         self._limit = time_limit
+        self._pays_progress = reward == "progress"
+        self._come = 0.0
         self.scenario = scenario or Scenario(
             object=object,
             sensor=sensor,
@@ -134,6 +157,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         self._score = GraspScore(rig.scene, Judge.of(drawn, rig))
         rig.scene.after_each_stretch(self._score.after_stretch)
         self._over = False
+        self._come = 0.0
         assert self._session is not None
         perceivers = Perceivers(
             self._session.perceptions, [finger.name for finger in rig.fingers], threads=0
@@ -143,6 +167,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         )
         self._start = self._cycle.now
         self._look()
+        self._opening = max(self._seen.gripper.opening, 1e-6)
         return self._shown(), self._info()
 
     def step(self, action: Array) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -173,7 +198,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         info = self._info() | ({"outcome": outcome or "out of time"} if self._over else {})
         return (
             self._shown(),
-            REWARDS.get(outcome, 0.0),
+            REWARDS.get(outcome, 0.0) + (self._progress() if self._pays_progress else 0.0),
             bool(outcome) and outcome != "error",
             truncated,
             info,
@@ -232,6 +257,31 @@ class GraspEnv(gymnasium.Env[Any, Array]):
 
     def _shown(self) -> Any:
         return show(self._kind, self._seen, self._cycle.images, self._markers)
+
+    def _progress(self) -> float:
+        """How much farther the grasp has come with the newest step."""
+        phase = self._cycle.last.phase
+        touched = all(touch.touching for touch in self._seen.touch)
+        if phase not in PROGRESS or not (touched or phase in _TOUCHLESS):
+            return 0.0
+        begin, more = PROGRESS[phase]
+        come = begin + more * min(max(self._share_of(phase), 0.0), 1.0)
+        farther = max(come - self._come, 0.0)
+        self._come += farther
+        return farther
+
+    def _share_of(self, phase: str) -> float:
+        """Of its phase that is behind it."""
+        told = self._seen.told
+        gripper = self._seen.gripper
+        if phase == "approach":
+            return 1 - gripper.opening / self._opening
+        if phase in ("lift", "lower"):
+            risen = gripper.lift_height / told.lift_height
+            return risen if phase == "lift" else 1 - risen
+        if phase == "hold":
+            return self._cycle.last.memory.get("phase_time", 0.0) / max(told.hold_time, 1e-9)
+        return 0.0
 
     def _outcome(self) -> str:
         """How the episode ended; "" while it goes on."""

@@ -4,7 +4,8 @@
 A felt wrench is w + G w + b(n) + e, with w the true one (6,), n the force that presses, G the mean
 error as a share of each part, b the mean of what is left at that load. Of e, whose standard
 deviations go with n and whose correlations do not, a share is slow: it fades with the time
-constant `slow_time`; the rest is new in each image.
+constant `slow_time`; the rest is new in each image. Things differ more than images do: what of e
+comes with a load is larger or smaller throughout a grasp, by a factor whose logarithm is normal.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ class ChainErrors:
         correlation: (6, 6) of that.
         said: (k, 6) standard deviations that the chain says of its wrench.
         said_correlation: (6, 6).
+        between: Standard deviation of the logarithm of a grasp's factor.
         slow: Share of the variance that lasts.
         slow_time: s, time constant of that.
         outliers: (k,) share of images whose error is `outlier_size` times as large.
@@ -61,6 +63,7 @@ class ChainErrors:
     correlation: Array
     said: Array
     said_correlation: Array
+    between: float
     slow: float
     slow_time: float
     outliers: Array

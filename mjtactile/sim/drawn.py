@@ -38,10 +38,15 @@ class Erring:
         self._errors = errors
         self._spread = np.linalg.cholesky(errors.correlation)
         self._slow = np.zeros(6)
+        self._untouched = errors.at(0.0).sd ** 2
+        self._factor = 1.0
 
     def begin(self, rng: np.random.Generator) -> None:
         """Draw anew what lasts."""
         self._slow = self._spread @ rng.standard_normal(6)
+        between = self._errors.between
+        # whose square is one in the mean
+        self._factor = math.exp(between * (rng.standard_normal() - between))
 
     def felt(self, true: Array, here: AtLoad, elapsed: float, rng: np.random.Generator) -> Array:
         """The wrench that the chain would say.
@@ -61,7 +66,9 @@ class Erring:
         self._slow = kept * self._slow + math.sqrt(1 - kept * kept) * slow
         error = math.sqrt(errors.slow) * self._slow + math.sqrt(1 - errors.slow) * fast
         size = errors.outlier_size if rng.random() < here.outliers else 1.0
-        return true + errors.gain @ true + here.mean + size * here.sd * error
+        loaded = np.maximum(here.sd**2 - self._untouched, 0.0)
+        sd = np.sqrt(np.minimum(here.sd**2, self._untouched) + self._factor**2 * loaded)
+        return true + errors.gain @ true + here.mean + size * sd * error
 
 
 class TouchDrawer:

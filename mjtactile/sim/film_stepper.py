@@ -111,10 +111,9 @@ class FilmStepper:
             self._told,
         )
 
-    @property
     def is_ready(self) -> bool:
-        """Whether all gas stays in, as it must."""
-        return all(sensor.is_sealed for sensor in self._sensors)
+        """Whether all valves are closed, as they must be; what gas has leaked is looked at."""
+        return all(sensor.hold_gas() for sensor in self._sensors)
 
     def run(self, count: int, watch_speed: bool) -> tuple[int, int, Array]:
         """Do up to `count` steps; fewer, where a film finds no rest, or something is too fast that

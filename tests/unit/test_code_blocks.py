@@ -45,6 +45,7 @@ TESTED = {
         0,
     ): "studio/test_own.py::test_the_loop_of_the_documents_serves_this_computer_alone_and_no_other_web_site",
     ("docs/gym.md", 0): "gym/test_grasp_env.py::test_the_example_of_the_page",
+    ("docs/gym.md", 1): "../examples/test_learn_to_grasp.py::test_the_ten_lines_of_the_page_learn",
 }
 PARSED = {
     ("docs/upstream/first-solve-has-no-tolerance-of-its-own.md", 0),

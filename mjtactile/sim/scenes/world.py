@@ -106,7 +106,7 @@ class World:
     def _go_ahead(self, count: int) -> int:
         """Do up to `count` steps in one go, if that can be, else one; returns how many."""
         ahead = self._ahead
-        if ahead is None or self._after_step or not ahead.is_ready:
+        if ahead is None or self._after_step or not ahead.is_ready():
             self.stretch = None
             self._before_step()
             self._stepper.step()

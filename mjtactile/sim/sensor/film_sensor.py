@@ -229,10 +229,20 @@ class FilmSensor:
 
     # -- for a kernel that goes on by itself (`film_stepper`)
 
-    @property
-    def is_sealed(self) -> bool:
-        """Whether the gas stays in, so that nothing but the kernels need look at it."""
-        return self._gas.is_sealed and bool(self._live.settings[1])
+    def hold_gas(self) -> bool:
+        """Take the gas as sealed for some steps: what leaks or warms does so slowly.
+
+        Returns:
+            Whether that can be: not while the valve is open.
+        """
+        gas = self._gas
+        if gas.is_sealed:
+            return bool(self._live.settings[1])
+        if gas.is_open or not gas.stiffness(self._timestep) > 0:
+            return False
+        self._seal()
+        self._live.settings[1] = 1.0
+        return True
 
     def follow_words(self) -> Array:
         """(34,) What `film_follow` is called with, and where it says whether it pushed."""

@@ -25,7 +25,9 @@ DRAWN = "-sheet,-chain"
 
 def test_errors_have_the_mean_spread_and_memory_that_the_model_says():
     """Of 20000 images at one load; bounds are four standard errors, with the memory counted in."""
-    errors = dataclasses.replace(load_errors(DENSE), outliers=np.zeros(7), slow=0.6, slow_time=0.5)
+    errors = dataclasses.replace(
+        load_errors(DENSE), outliers=np.zeros(7), slow=0.6, slow_time=0.5, between=0.0
+    )
     true = np.array([0.1, -0.2, -0.7, 1e-3, 2e-3, 1e-4])
     here = errors.at(0.7)
     rng = np.random.default_rng(0)
