@@ -45,6 +45,7 @@ _DOORS = {
         "sensing.chain",
         "sensing.perception",
         "sensing.pose.locate",
+        "sensing.pose.skin",
         "sensing.force.of_surface",
         "core.optics",
     ),

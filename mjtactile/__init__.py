@@ -68,6 +68,8 @@ if TYPE_CHECKING:
     from mjtactile.sensing.perception import Perception as Perception
     from mjtactile.sensing.pose.locate import find_circles as find_circles
     from mjtactile.sensing.pose.locate import marker_records as marker_records
+    from mjtactile.sensing.pose.skin import TrackedCircles as TrackedCircles
+    from mjtactile.sensing.pose.skin import track_circles as track_circles
     from mjtactile.sim.attach import recommend_options as recommend_options
 
 _HOMES = {
@@ -110,6 +112,7 @@ _HOMES = {
     "sensing.force.of_surface": ("RestSurface", "SurfaceForce", "force_of_surface"),
     "sensing.perception": ("Perception",),
     "sensing.pose.locate": ("find_circles", "marker_records"),
+    "sensing.pose.skin": ("TrackedCircles", "track_circles"),
     "sim.attach": ("recommend_options",),
 }
 _HOME = {name: f"mjtactile.{module}" for module, names in _HOMES.items() for name in names}

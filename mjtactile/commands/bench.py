@@ -87,6 +87,7 @@ BENCHMARKS = {
     "relaxation": "relaxation",
     "tasks": "tasks.run",
     "bubble": "real.bubble",
+    "dots": "real.dots",
     "numbers": "numbers",
     "headline": "headline",
 }
@@ -98,7 +99,7 @@ OPTIONS = {
     "parts": ("rig",),
     "soak": ("rig",),
     "cases": ("truth",),
-    "data": ("bubble",),
+    "data": ("bubble", "dots"),
     "against": ("speed",),
     "pairs": ("cheap", "learning"),
     "episodes": ("tasks", "slip"),
@@ -136,7 +137,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="rig: only these of loop, bus, fuzz, killed, stopped, stuck, outcomes, faults, soak",
     )
     parser.add_argument(
-        "--data", type=Path, metavar="DIR", help="bubble: the recording, which is not in here"
+        "--data",
+        type=Path,
+        metavar="DIR",
+        help="bubble, dots: the recordings, which are not in here",
     )
     parser.add_argument("--cases", type=Path, metavar="DIR", help="truth: the cases of this folder")
     parser.add_argument(

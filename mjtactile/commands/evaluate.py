@@ -35,6 +35,9 @@ examples:
   mjtactile evaluate --against v1 --controller mine.py --episodes 50 --out runs/mine
       all tasks, against what shipped controllers came to (docs/what_touch_buys.md)
   mjtactile evaluate --against v1 --resume --out runs/mine    compares what is there again
+  mjtactile evaluate --screen 100 --episodes 3000 --objects random --out runs/screened
+      all of them cheaply (--effects=-sheet,-chain); what fails, and 100 of what holds, again in
+      full, with how often both levels differ
   mjtactile evaluate --merge runs/part1 runs/part2 --out runs/all
 """
 _OBJECTS = "egg,strawberry,vial"
@@ -102,6 +105,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "results that it comes with; with --resume, what is in the folder",
     )
     parser.add_argument(
+        "--screen",
+        type=_any_count,
+        metavar="N",
+        help="run all episodes with --effects=-sheet,-chain, then its failures and N of what it "
+        "held again in full; one report of both (screen.md, screen.json)",
+    )
+    parser.add_argument(
         "--worst",
         type=_any_count,
         default=10,
@@ -166,6 +176,8 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("is for --merge", field="--partial")
     if options.against is not None:
         return _against(options)
+    if options.screen is not None:
+        return _screen(options)
     if options.out is None and options.resume:
         raise InputError("which folder?", field="--resume", choices=["--resume --out DIR"])
     if options.out is None:
@@ -184,6 +196,42 @@ def run(options: argparse.Namespace) -> int:
         print_json(summary)
     else:
         print(f"{table(summary)}\nwritten to {out}; look at {out / 'report.html'}")
+    return 0
+
+
+def _screen(options: argparse.Namespace) -> int:
+    """Run all cheaply, and what matters again in full."""
+    from mjtactile.evaluate import screen as screens
+    from mjtactile.run.progress import Progress
+
+    for name, left in (("merge", None), ("shard", (1, 1)), ("record", False), ("readme", None)):
+        if getattr(options, name) != left:
+            raise InputError("does not go with --screen", field=f"--{name}")
+    if options.out is None:
+        raise InputError("wants a folder", field="--screen", choices=["--screen N --out DIR"])
+    controllers = options.controller
+    options.controller = None
+    with stdout_to_stderr():
+        common = scenario.scenario_of(options, _DEFAULT)
+        objects = _objects(options.objects or (common.object if options.scenario else _OBJECTS))
+        result = screens.screen(
+            options.out,
+            common,
+            sample=options.screen,
+            controllers=controllers or [common.controller],
+            count=options.episodes,
+            objects=objects,
+            resume=options.resume,
+            workers=options.workers,
+            say=Progress().message,
+        )
+    text = screens.table(result)
+    write_json(options.out / "screen.json", result)
+    (options.out / "screen.md").write_text(text, encoding="utf-8")
+    if options.json:
+        print_json(result)
+    else:
+        print(f"{text}\nwritten to {options.out}")
     return 0
 
 

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from mjtactile import Chain, InputError, Perception, SensorDesign, load_calibration, load_sensor
-from mjtactile.commands import plots
+from mjtactile.commands import plots, tracks
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
 from mjtactile.report.pictures import Frame, marker_overlay, read_frames, to_image
@@ -25,11 +25,20 @@ SIMULATES = False
 DESCRIPTION = """\
 Run the sensing chain on an image, a folder of images or a video of one sensor: identified
 markers in the sensor frame S, the membrane's surface, its area and volume. With a calibration
-(see `mjtactile calibrate frame`) also what touches it, how deep and how hard."""
+(see `mjtactile calibrate frame`) also what touches it, how deep and how hard.
+
+With --marks, of any skin that has dots, of which there is no sensor file: each dot is followed
+through the video, in pixels, and with --camera and --radius-mm in space."""
 EPILOG = """\
 examples:
   mjtactile reconstruct frames/ --sensor dense --out shapes
   mjtactile reconstruct press.png --sensor my_sensor.toml --calibration left.json --json
+  mjtactile reconstruct gelsight.avi --marks dark --out tracks      a gel's dots, in pixels
+  mjtactile reconstruct tactip/ --marks bright --camera cam.yaml --radius-mm 0.8 --out tracks
+
+With --marks: tracks.csv (frame, source, id, u_px, v_px, semi axes px, angle, status, x, y, z mm
+in the camera's frame), tracks.png, some frames; JSON {"frames": [{"source", "circles",
+"followed", "trusted"}], "tracks": [{"id", "frames"}]}.
 
 JSON: {"sensor": …, "frames": [{"source", "status", "markers": [{"id", "p_SM_mm", "normal",
 "sd_mm"}],
@@ -55,6 +64,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of this sensor, by `mjtactile calibrate`",
     )
     parser.add_argument(
+        "--marks",
+        choices=("dark", "bright"),
+        help="follow the dots of any marked skin: dark ones on bright ground, or bright ones",
+    )
+    parser.add_argument(
+        "--camera",
+        type=Path,
+        metavar="CAMERA.yaml",
+        help="with --marks: its calibration, ROS camera_info; with --radius-mm",
+    )
+    parser.add_argument(
+        "--radius-mm", type=float, metavar="R", help="with --marks: the dots' radius"
+    )
+    parser.add_argument(
         "--out",
         type=Path,
         metavar="DIR",
@@ -64,6 +87,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
+    if options.marks is not None:
+        return tracks.run(options)
+    for name in ("camera", "radius_mm"):
+        if getattr(options, name) is not None:
+            raise InputError("goes with --marks", field=f"--{name.replace('_', '-')}")
     design = load_sensor(options.sensor)
     perception = load_perception(design, options.calibration)
     progress = Progress(quiet=options.json)

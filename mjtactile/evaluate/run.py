@@ -32,6 +32,7 @@ def evaluate(
     controllers: Sequence[str],
     objects: Sequence[str],
     shard: tuple[int, int] = (1, 1),
+    only: Collection[int] | None = None,
     workers: int | None = None,
     backend: str = PROCESSES,
     scheduler: str = "",
@@ -49,6 +50,7 @@ def evaluate(
         controllers: Every one meets the same episodes.
         objects: Names and files, grasped in turn.
         shard: (k, n): only the k-th of n parts.
+        only: Numbers of the episodes that are run; None: all.
         workers: Processes of this machine (None: one a processor).
         backend: Who runs the episodes; see `mjtactile.evaluate.pool`.
         scheduler: Of a cluster.
@@ -72,9 +74,12 @@ def evaluate(
         "objects": list(objects),
         "shard": list(shard),
         "scenario": _common(scenario),
+        **({} if only is None else {"only": sorted(only)}),
     }
     kept = store.Store(folder, store.manifest(options, files), resume=resume)
     episodes = plan(scenario, count, controllers, objects, shard=shard)
+    if only is not None:
+        episodes = [episode for episode in episodes if episode.index in set(only)]
     done = {(line["controller"], line["episode"]) for line in kept.lines}
     if record:
         episodes = [

@@ -60,8 +60,8 @@ def paired_interval(only_first: float, only_second: float, n: float) -> tuple[fl
         return -1.0, 1.0
     b = only_first / n
     c = only_second / n
-    b_low, b_high = _exact(only_first, n)
-    c_low, c_high = _exact(only_second, n)
+    b_low, b_high = exact_limits(only_first, n)
+    c_low, c_high = exact_limits(only_second, n)
     together = math.sqrt(b * c / ((1 - b) * (1 - c))) if max(b, c) < 1 else 1.0
     down, up = (
         math.sqrt(mine**2 + theirs**2 + 2 * together * mine * theirs)
@@ -70,7 +70,7 @@ def paired_interval(only_first: float, only_second: float, n: float) -> tuple[fl
     return max(c - b - down, -1.0), min(c - b + up, 1.0)
 
 
-def _exact(count: float, n: float) -> tuple[float, float]:
+def exact_limits(count: float, n: float) -> tuple[float, float]:
     """Clopper and Pearson's 95 % limits of a share."""
     low = float(stats.beta.ppf(0.025, count, n - count + 1)) if count > 0 else 0.0
     high = float(stats.beta.ppf(0.975, count + 1, n - count)) if count < n else 1.0

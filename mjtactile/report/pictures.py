@@ -99,9 +99,9 @@ def marker_overlay(image: Image, camera: Camera, design: SensorDesign) -> NDArra
     return overlay(image.pixels, ellipses, estimate_poses(ellipses, camera, design.markers.radius))
 
 
-def overlay(pixels: NDArray, ellipses: Ellipses, poses: CirclePoses) -> NDArray[np.uint8]:
-    """The image with each ellipse (green: ok, orange: not to be trusted) and the projected
-    centre."""
+def overlay(pixels: NDArray, ellipses: Ellipses, poses: CirclePoses | None) -> NDArray[np.uint8]:
+    """The image with each ellipse (green: ok, orange: not to be trusted) and the projected centre,
+    or without `poses` that of the ellipse."""
     if pixels.dtype == np.uint8:
         eight = pixels
     else:
@@ -117,10 +117,13 @@ def overlay(pixels: NDArray, ellipses: Ellipses, poses: CirclePoses) -> NDArray[
     points, _ = boundary(
         ellipses.center_px, shape_from_axes(ellipses.semi_axes_px, ellipses.angle), 48
     )
+    status, centers = (
+        (ellipses.status, ellipses.center_px) if poses is None else (poses.status, poses.uv_px)
+    )
     for i, curve in enumerate(points):
-        colour = (80, 220, 60) if poses.status[i] == "ok" else (0, 150, 255)
+        colour = (80, 220, 60) if status[i] == "ok" else (0, 150, 255)
         cv2.polylines(canvas, [_fixed(curve, zoom)], True, colour, 1, cv2.LINE_AA, 4)
-        cross = poses.uv_px[i] + np.array([[-2, 0], [2, 0], [0, -2], [0, 2]]) / zoom
+        cross = centers[i] + np.array([[-2, 0], [2, 0], [0, -2], [0, 2]]) / zoom
         for line in (cross[:2], cross[2:]):
             cv2.polylines(canvas, [_fixed(line, zoom)], False, (60, 60, 255), 1, cv2.LINE_AA, 4)
     return canvas

@@ -39,7 +39,8 @@ class Reach:
         noise: N, of the felt force from image to image, by pixels alone.
         place_sd: m, of where the force acts, the larger of both directions.
         edge_sd: m, of where an edge along y or x lies, the larger of both.
-        height: m in S, of the ball's middle, through which a ball's forces go.
+        height: m in S, of the ball's lowest point, in whose plane the place is meant: a sheet that
+            sticks presses straight down.
     """
 
     x: float
@@ -86,7 +87,7 @@ class Reacher:
         wrench = felt.touch.traction.wrench
         cov = felt.touch.traction.wrench_cov
         noise = math.sqrt(self.bench.noise(felt)[2, 2])
-        height = pressed.height + BALL_RADIUS
+        height = pressed.height
         acts = place_sd(wrench, cov, height)
         sd = math.sqrt(cov[2, 2])
         return Reach(x, y, force, -float(wrench[2]), sd, noise, acts, edge_sd, height)

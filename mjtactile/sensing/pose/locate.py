@@ -135,7 +135,7 @@ def find_circles(
         raise InputError(
             f"{gamma!r}", source="locate", field="gamma", choices=("auto", f"{low:g} to {high:g}")
         )
-    grey = grey_image(_grey(image))
+    grey = grey_image(plain_grey(image))
     assumed = 1.0 if gamma == "auto" else float(gamma)
     search = partial(
         detect_thoroughly, polarity=polarity, min_radius_px=min_radius_px, settings=settings
@@ -239,7 +239,7 @@ def locate(
     return marker_records(found)
 
 
-def _grey(image: NDArray | Image) -> NDArray | Image:
+def plain_grey(image: NDArray | Image) -> NDArray | Image:
     """Colour to grey (mean of the channels) in one pass over the image; anything else is left for
     `detect` to judge."""
     if (

@@ -1,0 +1,212 @@
+"""`mjtactile bench dots --data FOLDER`: what the marker stage sees on real gels with dots, and what
+a sign of slip on marker motion alone gets.
+
+The recordings are two GelSight Minis in a gripper, from amitparag/Incipient-Slip-Detection
+(BSD-2-Clause). FOLDER holds NAME-camera_0.avi and NAME-camera_2.avi of each grip, and `labels.csv`
+with columns experiment and slip (0 or 1).
+
+How many dots there are is told by their lattice: a quadratic through the circles' whole numbers
+says where each dot of the picture must be. A dot counts as whole where its circle lies within the
+picture; a trusted circle is false where the lattice has no dot.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile import InputError, TrackedCircles, track_circles
+from mjtactile.core.types import Array
+from mjtactile.recording.files import write_json
+from mjtactile.sensing.pose.skin import CUT
+
+EVERY = 8  # frames, of which one is looked at
+NEAR = 0.3  # of the dots' distance, from where the lattice has one
+RIM = 1.5  # px from the picture's rim, that a whole dot is away at least
+SIGNS = ("relaxes", "wanders")
+"""By how much of its peak the motion of all dots together has gone back in the end, and the sd, px,
+of that motion over the last two thirds."""
+
+
+def run(
+    out: Path,
+    *,
+    quick: bool = False,
+    data: Path | None = None,
+    say: Callable[[str], None] = lambda _: None,
+) -> dict[str, Any]:
+    """Dots of some frames of each video, and the signs of each grip."""
+    if data is None:
+        raise InputError("wants the recordings' folder", field="--data")
+    grips = _labels(Path(data) / "labels.csv")
+    rows = []
+    for name, slips in list(grips.items())[: 2 if quick else None]:
+        counts = np.zeros(4, int)
+        signs = []
+        for camera in ("camera_0", "camera_2"):
+            found = list(track_circles(_frames(Path(data) / f"{name}-{camera}.avi")))
+            for tracked in (found[0], found[len(found) // 2], found[-1]):
+                counts += dots_of(tracked)
+            signs.append(_signs(found))
+        whole, seen, trusted, false = counts.tolist()
+        row = {"grip": name, "slips": slips, "whole": whole, "seen": seen, "trusted": trusted}
+        row |= {"false": false} | dict(zip(SIGNS, np.max(signs, axis=0).tolist(), strict=True))
+        rows.append(row)
+        say(f"{name}: {seen} of {whole} dots, {trusted} trusted, {false} false")
+        write_json(Path(out) / "dots.json", {"rows": rows})
+    return {"rows": rows, **summary(rows)}
+
+
+def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Sums of the dots, and how well each sign parts slips from holds."""
+    total = {key: sum(row[key] for row in rows) for key in ("whole", "seen", "trusted", "false")}
+    slips = np.array([row["slips"] for row in rows], bool)
+    signs = {}
+    for name in SIGNS:
+        values = np.array([row[name] for row in rows])
+        signs[name] = {"auc": _auc(values, slips), "right": _left_out(values, slips)}
+    return total | {"grips": len(rows), "slips": int(slips.sum()), "signs": signs}
+
+
+def table(result: Mapping[str, Any]) -> str:
+    """What was found, in Markdown."""
+    whole = result["whole"]
+    lines = [
+        "| real gels with dots |  |",
+        "|---|---|",
+        f"| whole dots in 6 frames of each of {result['grips']} grips | {whole} |",
+        f"| found | {100 * result['seen'] / whole:.1f} % |",
+        f"| trusted | {100 * result['trusted'] / whole:.1f} % |",
+        f"| trusted where no dot is | {result['false']} |",
+    ]
+    words = {"relaxes": "slip by motion that goes back", "wanders": "slip by motion that wanders"}
+    for name, found in result["signs"].items():
+        lines.append(
+            f"| {words[name]}: right, each grip by a threshold from the others | "
+            f"{found['right']} of {result['grips']} (area under the curve {found['auc']:.2f}) |"
+        )
+    return "\n".join(lines)
+
+
+def dots_of(tracked: TrackedCircles) -> NDArray[np.int64]:
+    """Of one frame: dots that are whole in the picture, found of these, trusted of these, and
+    trusted circles where no dot is, (4,)."""
+    ellipses = tracked.ellipses
+    size = float(np.median(ellipses.semi_axes_px[:, 0]))
+    good = (ellipses.status != CUT) & (ellipses.semi_axes_px[:, 1] > 0.6 * size)
+    places = ellipses.center_px[good]
+    sites, pitch = lattice(places)
+    apart = np.linalg.norm(sites[:, None] - ellipses.center_px[None], axis=2)
+    inside = ((sites > size + RIM) & (sites < np.array(PICTURE) - 1 - size - RIM)).all(axis=1)
+    near = apart < NEAR * pitch
+    ok = ellipses.status == "ok"
+    seen = near.any(axis=1)
+    trusted = (near & ok).any(axis=1)
+    false = ok & ~near.any(axis=0)
+    return np.array([inside.sum(), (inside & seen).sum(), (inside & trusted).sum(), false.sum()])
+
+
+PICTURE = (320, 240)  # px, of these recordings
+
+
+def lattice(places: Array) -> tuple[Array, float]:
+    """Where dots must be (m, 2) px, one row and column beyond those that were found, too; and their
+    distance, px."""
+    apart = np.linalg.norm(places[:, None] - places[None], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    pitch = float(np.median(apart.min(axis=1)))
+    number = {0: (0, 0)}
+    todo = [0]
+    while todo:
+        one = todo.pop()
+        for other in np.flatnonzero(apart[one] < 1.3 * pitch).tolist():
+            step = np.round((places[other] - places[one]) / pitch).astype(int)
+            if other in number or np.abs(step).sum() != 1:
+                continue
+            number[other] = (number[one][0] + int(step[0]), number[one][1] + int(step[1]))
+            todo.append(other)
+    which = np.array(list(number))
+    at = np.array([number[one] for one in which], float)
+    found, *_ = np.linalg.lstsq(_quadratic(at), places[which], rcond=None)
+    low, high = at.min(axis=0) - 1, at.max(axis=0) + 1
+    all_of_them = np.stack(
+        np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1)), axis=-1
+    ).reshape(-1, 2)
+    return _quadratic(all_of_them) @ found, pitch
+
+
+def _quadratic(at: Array) -> Array:
+    i, j = at.T
+    return np.column_stack([np.ones_like(i), i, j, i * i, i * j, j * j])
+
+
+def _signs(found: list[TrackedCircles]) -> tuple[float, float]:
+    """The signs of one video, by the middle motion of all dots since its first frame."""
+    first = found[0]
+    start = dict(zip(first.ids.tolist(), first.ellipses.center_px, strict=True))
+    moved = []
+    for tracked in found:
+        ways = [
+            place - start[one]
+            for one, place in zip(tracked.ids.tolist(), tracked.ellipses.center_px, strict=True)
+            if one >= 0 and one in start
+        ]
+        moved.append(np.median(ways, axis=0) if ways else moved[-1])
+    motion = np.array(moved)
+    size = np.linalg.norm(motion, axis=1)
+    late = motion[len(motion) // 3 :]
+    wanders = float(np.sqrt(np.square(late - late.mean(axis=0)).sum(axis=1).mean()))
+    return 1 - float(size[-1] / max(size.max(), 1e-9)), wanders
+
+
+def _auc(values: Array, slips: NDArray[np.bool_]) -> float:
+    pairs = values[slips][:, None] - values[~slips][None]
+    return float(np.mean((pairs > 0) + 0.5 * (pairs == 0))) if pairs.size else float("nan")
+
+
+def _left_out(values: Array, slips: NDArray[np.bool_]) -> int:
+    """How many are told right, each by the threshold that is best for the others."""
+    right = 0
+    for one in range(len(values)):
+        others = np.arange(len(values)) != one
+        shares = [np.mean((values[others] > t) == slips[others]) for t in values[others]]
+        if not shares:
+            return 0
+        threshold = values[others][int(np.argmax(shares))]
+        right += int((values[one] > threshold) == slips[one])
+    return right
+
+
+def _labels(path: Path) -> dict[str, bool]:
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            return {row["experiment"]: row["slip"] == "1" for row in csv.DictReader(file)}
+    except (OSError, KeyError) as error:
+        raise InputError(
+            f"is no list of grips with columns experiment and slip: {error}",
+            source=path,
+            field="--data",
+        ) from error
+
+
+def _frames(path: Path) -> Iterator[NDArray]:
+    video = cv2.VideoCapture(str(path))
+    count = 0
+    try:
+        while True:
+            ok, pixels = video.read()
+            if not ok:
+                break
+            if count % EVERY == 0:
+                yield pixels
+            count += 1
+    finally:
+        video.release()
+    if not count:
+        raise InputError("a video without a frame that can be read", source=path, field="--data")

@@ -1,0 +1,153 @@
+"""`mjtactile reconstruct --marks`: the circles of any marked skin, followed through a video, in
+pixels and, where camera and radius are known, in space."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile import Camera, InputError, TrackedCircles, track_circles
+from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
+from mjtactile.recording.files import write_json
+from mjtactile.report.pictures import Frame, overlay, read_frames
+from mjtactile.run.progress import Progress
+
+COLUMNS = (
+    "frame", "source", "id", "u_px", "v_px", "semi_axis_a_px", "semi_axis_b_px", "angle_deg",
+    "status", "x_mm", "y_mm", "z_mm",
+)  # fmt: skip
+OVERLAYS = 12
+_ZOOM = 3  # of the picture of the tracks
+
+
+def run(options: argparse.Namespace) -> int:
+    """Follow the circles, and write or print what was found."""
+    camera, radius = _known(options)
+    progress = Progress(quiet=options.json)
+    with optional_folder(options.out, "tracks.csv", "tracks.png", "reconstruct.json") as out:
+        with stdout_to_stderr():
+            frames: list[Frame] = []
+            found = []
+            images = _images(options.source, frames)
+            for tracked in track_circles(images, camera, radius, polarity=options.marks):
+                found.append(tracked)
+                if len(found) % 50 == 0:
+                    progress.message(f"{len(found)} frames")
+        result = _result([frame.name for frame in frames], found)
+        if out is not None:
+            write_json(out / "reconstruct.json", result)
+            _write_csv(out / "tracks.csv", frames, found)
+            _draw(out, frames, found)
+    if options.json:
+        print_json(result)
+    else:
+        _print(result, options.out)
+    return 0
+
+
+def _known(options: argparse.Namespace) -> tuple[Camera | None, float | None]:
+    if (options.camera is None) != (options.radius_mm is None):
+        raise InputError(
+            "--camera and --radius-mm go together: without both, tracks are in pixels",
+            field="--radius-mm",
+        )
+    if options.camera is None:
+        return None, None
+    if not 0.01 <= options.radius_mm <= 100:
+        raise InputError(f"{options.radius_mm:g} is outside 0.01 to 100", field="--radius-mm")
+    return Camera.from_yaml(options.camera), 1e-3 * options.radius_mm
+
+
+def _images(source: Path, frames: list[Frame]) -> Iterator[NDArray]:
+    """The images that can be read; `frames` gets each as it comes."""
+    for frame in read_frames(source):
+        if frame.pixels is None:
+            continue
+        frames.append(frame)
+        yield frame.pixels
+
+
+def _result(names: Sequence[str], found: Sequence[TrackedCircles]) -> dict[str, Any]:
+    if not names:
+        raise InputError("none of its images can be read", field="SOURCE")
+    seen: dict[int, int] = {}
+    for tracked in found:
+        for identity in tracked.ids[tracked.ids >= 0].tolist():
+            seen[identity] = seen.get(identity, 0) + 1
+    return {
+        "frames": [
+            {
+                "source": name,
+                "circles": len(tracked.ids),
+                "followed": int((tracked.ids >= 0).sum()),
+                "trusted": int((tracked.ellipses.status == "ok").sum()),
+            }
+            for name, tracked in zip(names, found, strict=True)
+        ],
+        "tracks": [{"id": identity, "frames": seen[identity]} for identity in sorted(seen)],
+    }
+
+
+def _write_csv(path: Path, frames: Sequence[Frame], found: Sequence[TrackedCircles]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow(COLUMNS)
+        for number, (frame, tracked) in enumerate(zip(frames, found, strict=True)):
+            for i in np.flatnonzero(tracked.ids >= 0):
+                place = ["", "", ""]
+                if tracked.poses is not None and np.isfinite(tracked.poses.p_CM[i]).all():
+                    place = [f"{1e3 * value:.4f}" for value in tracked.poses.p_CM[i]]
+                ellipse = tracked.ellipses
+                u, v = ellipse.center_px[i]
+                a, b = ellipse.semi_axes_px[i]
+                angle = np.degrees(ellipse.angle[i])
+                numbers = [f"{value:.4f}" for value in (u, v, a, b)]
+                row = [number, frame.name, tracked.ids[i], *numbers, f"{angle:.2f}"]
+                table.writerow([*row, ellipse.status[i], *place])
+
+
+def _draw(out: Path, frames: Sequence[Frame], found: Sequence[TrackedCircles]) -> None:
+    """Paths of all circles over the last frame, and some frames with what was found in them."""
+    last = frames[-1].pixels
+    assert last is not None
+    canvas = cv2.resize(_colour(last), None, fx=_ZOOM, fy=_ZOOM, interpolation=cv2.INTER_CUBIC)
+    paths: dict[int, list[Any]] = {}
+    for tracked in found:
+        for i in np.flatnonzero(tracked.ids >= 0):
+            paths.setdefault(int(tracked.ids[i]), []).append(tracked.ellipses.center_px[i])
+    for path in paths.values():
+        line = np.round((np.array(path) + 0.5) * _ZOOM).astype(np.int32)
+        cv2.polylines(canvas, [line], False, (0, 255, 255), 1, cv2.LINE_AA)
+        cv2.circle(canvas, line[0].tolist(), 3, (0, 160, 0), -1, cv2.LINE_AA)
+        cv2.circle(canvas, line[-1].tolist(), 3, (0, 0, 255), -1, cv2.LINE_AA)
+    cv2.imwrite(str(out / "tracks.png"), canvas)
+    for k in np.unique(np.linspace(0, len(frames) - 1, min(OVERLAYS, len(frames))).astype(int)):
+        pixels = frames[k].pixels
+        assert pixels is not None
+        picture = overlay(pixels, found[k].ellipses, found[k].poses)
+        cv2.imwrite(str(out / f"frame_{k:06d}.png"), picture)
+
+
+def _colour(pixels: NDArray) -> NDArray:
+    eight = pixels if pixels.dtype == np.uint8 else (pixels >> 8).astype(np.uint8)
+    return cv2.cvtColor(eight, cv2.COLOR_GRAY2BGR) if eight.ndim == 2 else eight[..., :3]
+
+
+def _print(result: dict[str, Any], out: Path | None) -> None:
+    frames = result["frames"]
+    count = len(frames)
+    print(f"{count} frames, {len(result['tracks'])} circles followed")
+    for name in ("circles", "followed", "trusted"):
+        numbers = [frame[name] for frame in frames]
+        print(f"  {name:9s} {min(numbers)} to {max(numbers)} in a frame")
+    long = sum(track["frames"] >= 0.8 * count for track in result["tracks"])
+    print(f"  {long} circles are seen in four fifths of the frames and more")
+    if out is not None:
+        print(f"tracks.csv, tracks.png and some frames are in {out}")

@@ -1,0 +1,202 @@
+"""Many episodes cheaply, and those of them that matter again at full fidelity: `evaluate --screen`.
+
+The cheap level leaves out the sheet's mesh and the sensing chain. All its failures, and a sample of
+what it held, are run again as asked for; from both strata follows how often the controller would
+have held all of them, with the sample's exact limits (Clopper & Pearson 1934).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjtactile.core.errors import InputError
+from mjtactile.core.scenario import Scenario
+from mjtactile.evaluate.episodes import run_episode
+from mjtactile.evaluate.pool import RunOne, Say
+from mjtactile.evaluate.run import evaluate
+from mjtactile.evaluate.statistics import exact_limits
+from mjtactile.evaluate.store import read_lines
+from mjtactile.evaluate.wilson import Line
+
+LEVEL = "-sheet,-chain"
+"""Effects of the cheap level."""
+SCREEN, FULL = "screen", "full"
+"""Folders of both evaluations, within that of the whole."""
+_SEED = 20_000  # of the sample: not an episode's
+
+
+def screen(
+    folder: Path,
+    scenario: Scenario,
+    *,
+    sample: int,
+    controllers: Sequence[str],
+    count: int,
+    objects: Sequence[str],
+    resume: bool = False,
+    workers: int | None = None,
+    say: Say = lambda _: None,
+    run_one: RunOne = run_episode,
+) -> dict[str, Any]:
+    """Screen many episodes, and run what matters again.
+
+    Args:
+        folder: Where both evaluations go.
+        scenario: Everything but controller and object, as it is to be run in full.
+        sample: How many of what every controller held are run again, too.
+        controllers: Every one meets the same episodes.
+        count: Episodes for each.
+        objects: Names and files, grasped in turn.
+        resume: Go on with what is in the folder.
+        workers: Processes; None: one a processor.
+        say: Is given a line an episode.
+        run_one: Makes an episode's line, in another process.
+
+    Returns:
+        The report's numbers.
+
+    Raises:
+        InputError: As `evaluate`; or the scenario leaves out the sheet already.
+        DeviceError: When a worker was killed.
+    """
+    if "-sheet" in scenario.effects.split(","):
+        raise InputError(
+            "leaves out the sheet already: nothing is left to screen", field="--effects"
+        )
+    both = {"count": count, "controllers": controllers, "objects": objects}
+    running: dict[str, Any] = {"resume": resume, "workers": workers, "say": say, "run_one": run_one}
+    cheap = replace(scenario, effects=cheap_effects(scenario.effects))
+    say(f"screening: {count} episodes with --effects={cheap.effects}")
+    evaluate(folder / SCREEN, cheap, **both, **_resumed(running, folder / SCREEN))
+    screened = read_lines(folder / SCREEN)
+    again = to_run_again(screened, sample)
+    say(f"in full: {len(again)} of them")
+    evaluate(folder / FULL, scenario, **both, only=again, **_resumed(running, folder / FULL))
+    return compare(screened, read_lines(folder / FULL))
+
+
+def cheap_effects(effects: str) -> str:
+    """A scenario's effects with those of the cheap level."""
+    kept = [name for name in effects.split(",") if name and name != "auto"]
+    return ",".join([*kept, LEVEL])
+
+
+def to_run_again(lines: Sequence[Line], sample: int) -> list[int]:
+    """Numbers of the episodes that any controller failed, and of some that all held.
+
+    Args:
+        lines: Of the cheap level.
+        sample: How many of the held.
+
+    Returns:
+        Episode numbers, in order.
+    """
+    failed = {line["episode"] for line in lines if line["outcome"] != "held"}
+    held = sorted({line["episode"] for line in lines} - failed)
+    rng = np.random.default_rng(_SEED)
+    drawn = rng.choice(held, min(sample, len(held)), replace=False).tolist() if held else []
+    return sorted(failed | set(drawn))
+
+
+def compare(screened: Sequence[Line], full: Sequence[Line]) -> dict[str, Any]:
+    """Both levels beside each other.
+
+    Args:
+        screened: Lines of the cheap level.
+        full: Of what was run again.
+
+    Returns:
+        By controller: outcomes of both levels, in how many they differ with the exact 95 % limits,
+        and how often it holds at full fidelity, of all episodes.
+    """
+    names = list(dict.fromkeys(line["controller"] for line in screened))
+    return {
+        "level": LEVEL,
+        "controllers": {name: _of_controller(name, screened, full) for name in names},
+    }
+
+
+def _of_controller(name: str, screened: Sequence[Line], full: Sequence[Line]) -> dict[str, Any]:
+    cheap = {line["episode"]: line for line in screened if line["controller"] == name}
+    whole = {line["episode"]: line for line in full if line["controller"] == name}
+    held = {number for number, line in cheap.items() if line["outcome"] == "held"}
+    strata = {
+        key: _stratum([number for number in numbers if number in whole], cheap, whole)
+        for key, numbers in (("failed", sorted(cheap.keys() - held)), ("held", sorted(held)))
+    }
+    fails, holds = len(cheap) - len(held), len(held)
+    low, high = strata["held"]["holds_interval"]
+    # all failures are run again; of the rest the sample speaks, within its exact limits
+    in_failed = strata["failed"]["holds"]
+    shares = [
+        (in_failed + holds * share) / max(len(cheap), 1)
+        for share in (strata["held"]["holds_share"], low, high)
+    ]
+    return {
+        "episodes": len(cheap),
+        "screened_held": holds,
+        "screened_failed": fails,
+        **{f"of_{key}": stratum for key, stratum in strata.items()},
+        "holds_share": shares[0],
+        "holds_interval": shares[1:],
+    }
+
+
+def _stratum(
+    numbers: Sequence[int], cheap: Mapping[int, Line], whole: Mapping[int, Line]
+) -> dict[str, Any]:
+    count = len(numbers)
+    holds = sum(whole[number]["outcome"] == "held" for number in numbers)
+    differ = [k for k in numbers if whole[k]["outcome"] != cheap[k]["outcome"]]
+    return {
+        "run_again": count,
+        "holds": holds,
+        "holds_share": holds / count if count else 0.0,
+        "holds_interval": list(exact_limits(holds, count)) if count else [0.0, 1.0],
+        "differ": len(differ),
+        "differ_interval": list(exact_limits(len(differ), count)) if count else [0.0, 1.0],
+        "differing": [
+            {"episode": k, "screened": cheap[k]["outcome"], "full": whole[k]["outcome"]}
+            for k in differ
+        ],
+    }
+
+
+def table(result: Mapping[str, Any]) -> str:
+    """The comparison, in Markdown."""
+    head = (
+        "| controller | episodes | held, screened | held in full, of all | screened failures: held "
+        "in full | screened held: sample, held in full | outcomes differ |"
+    )
+    lines = [head, "|---" * 7 + "|"]
+    for name, one in result["controllers"].items():
+        failed, held = one["of_failed"], one["of_held"]
+        run_again = failed["run_again"] + held["run_again"]
+        differ = failed["differ"] + held["differ"]
+        low, high = exact_limits(differ, run_again) if run_again else (0.0, 1.0)
+        lines.append(
+            f"| {name} | {one['episodes']} | {_share(one['screened_held'], one['episodes'])} | "
+            f"{_percent(one['holds_share'], *one['holds_interval'])} | {failed['holds']} of "
+            f"{failed['run_again']} | {held['holds']} of {held['run_again']} | "
+            f"{_percent(differ / max(run_again, 1), low, high)} |"
+        )
+    words = "95 % limits are exact; of what was held when screened, the sample speaks."
+    return "\n".join([*lines, "", f"Screened with `--effects={result['level']}`. {words}", ""])
+
+
+def _share(count: int, of: int) -> str:
+    return f"{100 * count / max(of, 1):.1f} %"
+
+
+def _percent(share: float, low: float, high: float) -> str:
+    return f"{100 * share:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
+
+
+def _resumed(running: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """As asked; where the first of both had not ended, the second has not begun."""
+    return dict(running) | {"resume": running["resume"] and folder.exists()}

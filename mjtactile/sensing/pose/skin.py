@@ -1,0 +1,154 @@
+"""Circles on any marked skin, followed from image to image: gels, pins, bubbles that no sensor file
+describes. In pixels, and in space where the camera and the circles' radius are known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.core import optics
+from mjtactile.core.design import CameraDesign
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Array, CirclePoses, Ellipses, Image
+from mjtactile.sensing.image.markers import Polarity, grey_image
+from mjtactile.sensing.image.thorough import detect_thoroughly
+from mjtactile.sensing.pose.locate import find_circles, plain_grey
+from mjtactile.sensing.settings import DEFAULTS, Settings
+
+NOBODY = -1  # of a circle that is not followed
+CUT = "cut by image border"
+_GATE = 0.45  # of the circles' distance, by which one may have moved beside the others
+_NEW = 0.7  # of it, from all that are followed: another circle
+_SMALL = 0.6  # of the middle size: less is a speck
+_FEWEST = 2  # circles that are not cut by the border, to begin with
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedCircles:
+    """The circles of one image.
+
+    Attributes:
+        ids: (N,) which of those that are followed each is; -1: none, a speck or one that is cut by
+            the image's border.
+        ellipses: Of the N circles, with their status.
+        poses: In space; None: camera or radius were not given.
+    """
+
+    ids: NDArray[np.int64]
+    ellipses: Ellipses
+    poses: CirclePoses | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Skin:
+    """Where the followed circles were last seen, or must be since then, (M, 2) px, their usual
+    distance and size, px."""
+
+    places: Array
+    pitch: float
+    size: float
+
+
+def track_circles(
+    images: Iterable[NDArray | Image],
+    camera: optics.Camera | CameraDesign | None = None,
+    radius: float | None = None,
+    *,
+    polarity: Polarity = "dark",
+    min_radius_px: float = 2.0,
+    settings: Settings = DEFAULTS,
+) -> Iterator[TrackedCircles]:
+    """Find the circles of a marked skin in a sequence of images, and follow each.
+
+    Every image is searched whole, so that none is lost for good. Between images all circles may
+    move together by any way; beside that, each by less than half of their distance.
+
+    Args:
+        images: (H, W) or (H, W, 3) grey levels or colours, or `Image`s.
+        camera: Lens and pane; None: pixels alone.
+        radius: m, of the circles; None: pixels alone.
+        polarity: Whether they are "dark" on bright ground, or "bright".
+        min_radius_px: The smallest that is looked for.
+        settings: The chain's numbers.
+
+    Yields:
+        The circles of each image.
+
+    Raises:
+        InputError: An image, a radius or an option is none; or only one of camera and radius is
+            given.
+    """
+    if (camera is None) != (radius is None):
+        raise InputError("camera and radius go together", source="track_circles", field="radius")
+    skin: _Skin | None = None
+    for image in images:
+        poses = None
+        if camera is None or radius is None:
+            grey = grey_image(plain_grey(image))
+            ellipses, _ = detect_thoroughly(
+                grey, polarity=polarity, min_radius_px=min_radius_px, settings=settings
+            )
+        else:
+            found = find_circles(
+                image,
+                camera,
+                radius,
+                polarity=polarity,
+                min_radius_px=min_radius_px,
+                settings=settings,
+            )
+            ellipses, poses = found.ellipses, found.poses
+        ids, skin = _followed(skin, ellipses)
+        yield TrackedCircles(ids, ellipses, poses)
+
+
+def _followed(skin: _Skin | None, ellipses: Ellipses) -> tuple[NDArray[np.int64], _Skin | None]:
+    """Which of the followed each circle is, and what is followed from here on."""
+    ids = np.full(len(ellipses), NOBODY)
+    whole = np.flatnonzero(ellipses.status != CUT)
+    size = skin.size if skin is not None else _middle(ellipses.semi_axes_px[whole, 1])
+    whole = whole[ellipses.semi_axes_px[whole, 1] > _SMALL * size]
+    places = ellipses.center_px[whole]
+    if skin is None:
+        if len(places) < _FEWEST:
+            return ids, None
+        ids[whole] = np.arange(len(places))
+        return ids, _Skin(places, _distance(places), size)
+    if not len(places):
+        return ids, skin
+    expected = skin.places + _together(skin, places)
+    apart = np.linalg.norm(expected[:, None] - places[None], axis=2)
+    own = apart.argmin(axis=1)
+    # mutual: a circle is one of the followed, and one alone
+    mutual = apart.argmin(axis=0)[own] == np.arange(len(expected))
+    mutual &= apart[np.arange(len(expected)), own] < _GATE * skin.pitch
+    ids[whole[own[mutual]]] = np.flatnonzero(mutual)
+    expected[mutual] = places[own[mutual]]
+    new = apart.min(axis=0) > _NEW * skin.pitch
+    ids[whole[new]] = len(expected) + np.arange(int(new.sum()))
+    return ids, _Skin(np.concatenate([expected, places[new]]), skin.pitch, skin.size)
+
+
+def _together(skin: _Skin, places: Array) -> Array:
+    """The motion (2,) px of most circles: to the nearest of `places` (n, 2), the middle of all, and
+    again from there."""
+    moved = np.zeros(2)
+    for _ in range(2):
+        apart = skin.places[:, None] + moved - places[None]
+        nearest = np.linalg.norm(apart, axis=2).argmin(axis=1)
+        moved = moved - np.median(apart[np.arange(len(apart)), nearest], axis=0)
+    return moved
+
+
+def _distance(places: Array) -> float:
+    """Middle distance, px, of each place (n, 2) to its nearest."""
+    apart = np.linalg.norm(places[:, None] - places[None], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    return _middle(apart.min(axis=1))
+
+
+def _middle(values: Array) -> float:
+    return float(np.median(values)) if len(values) else 0.0

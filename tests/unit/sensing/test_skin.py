@@ -1,0 +1,105 @@
+"""Dots of any skin, followed through drawn images whose dots' places are known."""
+
+import csv
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from mjtactile import Camera, InputError, load_sensor, track_circles
+from mjtactile.cli import main
+from mjtactile.sim.picture.renderer import Renderer
+
+RADIUS, PITCH, ZOOM = 9.0, 44.0, 8
+GRID = np.stack(np.meshgrid(np.arange(6), np.arange(4)), axis=-1).reshape(-1, 2)
+START = GRID * PITCH + [50.0, 54.0]
+
+
+def draw(places, *, bright=False, noise=0):
+    """Dots on uneven ground, drawn finely and averaged: edges as soft as a pixel."""
+    fine = np.zeros((240 * ZOOM, 320 * ZOOM), np.uint8)
+    for u, v in (np.asarray(places) + 0.5) * ZOOM - 0.5:
+        center = (round(u * 16), round(v * 16))
+        cv2.circle(fine, center, round(RADIUS * ZOOM * 16), 255, -1, cv2.LINE_AA, 4)
+    dots = cv2.resize(fine, (320, 240), interpolation=cv2.INTER_AREA).astype(float) / 255
+    dots = cv2.GaussianBlur(dots, None, 0.8)
+    ground = 110 + 40 * np.linspace(0, 1, 320)[None, :]
+    grey = ground * (1 - dots) + 20 * dots
+    grey = grey + np.random.default_rng(noise).normal(0, 1.5, grey.shape)
+    return np.clip(255 - grey if bright else grey, 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("bright", [False, True])
+def test_every_dot_keeps_its_number(bright):
+    # all go together by half a pitch at once, once, so that some are nearer to where a neighbour
+    # was; beside that each wanders by a few pixels
+    rng = np.random.default_rng(3)
+    wander = np.cumsum(rng.normal(0, 1.2, (8, len(START), 2)), axis=0)
+    common = np.array([[0, 0], [2, 1], [24, 12], [24, 12], [10, 0], [0, 0], [-8, 3], [0, 0]])
+    truth = [START + w + c for w, c in zip(wander, common, strict=True)]
+    images = [draw(places, bright=bright, noise=n) for n, places in enumerate(truth)]
+    polarity = "bright" if bright else "dark"
+    number = {}
+    for places, tracked in zip(truth, track_circles(images, polarity=polarity), strict=True):
+        assert (tracked.ids >= 0).all() and len(tracked.ids) == len(START)
+        apart = np.linalg.norm(tracked.ellipses.center_px[:, None] - places[None], axis=2)
+        # 1.5 grey levels of noise on an edge of 100: some hundredths of a pixel
+        assert apart.min(axis=1).max() < 0.1
+        found = dict(zip(apart.argmin(axis=1).tolist(), tracked.ids.tolist(), strict=True))
+        assert number in ({}, found)
+        number = found
+
+
+def test_a_dot_that_was_covered_comes_back_as_itself():
+    images = [draw(START), draw(np.delete(START, 8, axis=0) + 2), draw(START + 4)]
+    first, without, again = track_circles(images)
+
+    def id_at(tracked, place):
+        return tracked.ids[np.linalg.norm(tracked.ellipses.center_px - place, axis=1).argmin()]
+
+    own = id_at(first, START[8])
+    assert own not in without.ids
+    assert id_at(again, START[8] + 4) == own
+
+
+def test_in_space_where_camera_and_radius_are_known():
+    # a sensor's own picture, of which nothing but lens and radius is told
+    design = load_sensor("paper16")
+    p_SM = design.markers.p_SM
+    image = Renderer(design, seed=1).render(p_SM, np.tile([0.0, 0.0, -1.0], (len(p_SM), 1)))
+    camera = Camera.from_design(design.camera, design.glass)
+    (tracked,) = track_circles([image], camera, design.markers.radius)
+    seen = tracked.poses.p_CM + design.camera.p_SC
+    apart = np.linalg.norm(seen[:, None] - p_SM[None], axis=2)
+    # depth of a circle of 20 px radius that is known to some thousandths: 10 to 30 um
+    assert sorted(apart.argmin(axis=1)) == list(range(16)) and apart.min(axis=1).max() < 1e-4
+
+
+def test_a_folder_of_frames_becomes_a_table(tmp_path, capsys):
+    (tmp_path / "in").mkdir()
+    for number in range(3):
+        cv2.imwrite(str(tmp_path / f"in/{number}.png"), draw(START + number))
+    out = tmp_path / "out"
+    options = ["reconstruct", str(tmp_path / "in"), "--marks", "dark", "--out", str(out), "--json"]
+    assert main(options) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert [frame["trusted"] for frame in result["frames"]] == [24, 24, 24]
+    assert [track["frames"] for track in result["tracks"]] == [3] * 24
+    with (out / "tracks.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    one = [row for row in rows if row["id"] == "0"]
+    assert [float(row["u_px"]) - float(one[0]["u_px"]) for row in one] == pytest.approx(
+        [0, 1, 2], abs=0.1
+    )
+    assert one[0]["x_mm"] == "" and (out / "tracks.png").exists()
+
+
+def test_bad_input(tmp_path, capsys):
+    cv2.imwrite(str(tmp_path / "one.png"), draw(START))
+    source = str(tmp_path / "one.png")
+    for options in (["--radius-mm", "1"], ["--marks", "dark", "--radius-mm", "1"]):
+        assert main(["reconstruct", source, *options]) == 2
+        assert "--radius-mm" in capsys.readouterr().err
+    with pytest.raises(InputError, match="go together"):
+        next(track_circles([draw(START)], radius=1e-3))
