@@ -70,6 +70,7 @@ def test_in_space_where_camera_and_radius_are_known():
     image = Renderer(design, seed=1).render(p_SM, np.tile([0.0, 0.0, -1.0], (len(p_SM), 1)))
     camera = Camera.from_design(design.camera, design.glass)
     (tracked,) = track_circles([image], camera, design.markers.radius)
+    assert tracked.poses is not None
     seen = tracked.poses.p_CM + design.camera.p_SC
     apart = np.linalg.norm(seen[:, None] - p_SM[None], axis=2)
     # depth of a circle of 20 px radius that is known to some thousandths: 10 to 30 um
