@@ -1,0 +1,110 @@
+# pyright: reportMissingImports=false
+"""A rig as a LeRobot robot: observations are what fingers feel and see, actions are commands."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from typing import Any
+
+import numpy as np
+from lerobot.robots import Robot
+
+import mjtactile
+from lerobot_robot_mjtactile.config_mjtactile import MjtactileRobotConfig
+
+ACTIONS = ("opening_m", "force_limit_N", "lift_height_m")
+_latest: list[mjtactile.Observation] = []
+
+
+def latest() -> mjtactile.Observation:
+    """What the robot of this process saw last: LeRobot hands a teleoperator no observation.
+
+    Raises:
+        ConnectionError: No robot has seen anything.
+    """
+    if not _latest:
+        raise ConnectionError("no mjtactile robot has looked yet: --robot.type=mjtactile")
+    return _latest[-1]
+
+
+class MjtactileRobot(Robot):
+    """One session. A simulated world moves by one camera period for each action."""
+
+    config_class = MjtactileRobotConfig
+    name = "mjtactile"
+
+    def __init__(self, config: MjtactileRobotConfig):
+        super().__init__(config)
+        self.config = config
+        self.scenario = mjtactile.Scenario(
+            rig=config.rig, object=config.object, sensor=config.sensor, seed=config.seed
+        )
+        self.cameras = dict.fromkeys(config.fingers) if config.images else {}
+        self._stack = ExitStack()
+        self._steps: Any = None
+
+    @property
+    def observation_features(self) -> dict[str, type | tuple[int, int, int]]:
+        """What a policy of ours is shown (`mjtactile.policy_names`), and each finger's image."""
+        camera = self.scenario.design().camera
+        names = mjtactile.policy_names(len(self.config.fingers))
+        images = dict.fromkeys(self.cameras, (camera.height, camera.width, 3))
+        return {**dict.fromkeys(names, float), **images}
+
+    @property
+    def action_features(self) -> dict[str, type]:
+        return dict.fromkeys(ACTIONS, float)
+
+    @property
+    def is_connected(self) -> bool:
+        return self._steps is not None
+
+    @property
+    def is_calibrated(self) -> bool:
+        """What was measured of the sensors is in their rig file; references are taken on
+        connecting."""
+        return True
+
+    def calibrate(self) -> None:
+        """Nothing: `mjtactile calibrate` does."""
+
+    def configure(self) -> None:
+        """Nothing."""
+
+    def connect(self, calibrate: bool = True) -> None:
+        """Open the rig, and let each sensor take its references: nothing may touch."""
+        session = self._stack.enter_context(mjtactile.open_session(self.scenario, workers=0))
+        names = [finger.name for finger in session.rig.fingers]
+        if names != list(self.config.fingers):
+            self._stack.close()
+            raise ValueError(f"the rig's fingers are {names}: --robot.fingers='{names}'")
+        session.take_references()
+        self._steps = self._stack.enter_context(session.steps())
+
+    def disconnect(self) -> None:
+        """Bring the rig to its safe state."""
+        self._steps = None
+        _latest.clear()
+        self._stack.close()
+
+    def get_observation(self) -> dict[str, Any]:
+        """Wait for the next images, and feel them."""
+        seen = self._steps.observe()
+        _latest[:] = [seen]
+        names = mjtactile.policy_names(len(self.config.fingers))
+        values = mjtactile.policy_vector(seen)
+        found: dict[str, Any] = dict(zip(names, map(float, values), strict=True))
+        for finger, image in zip(self.cameras, self._steps.images, strict=False):
+            found[finger] = np.repeat(image.pixels[..., None], 3, axis=2)
+        return found
+
+    def send_action(self, action: dict[str, Any]) -> dict[str, float]:
+        """Ask for an opening, a force limit and a height; the rig's limits cut them."""
+        wanted = mjtactile.Command(
+            opening=float(action["opening_m"]),
+            force_limit=float(action["force_limit_N"]),
+            lift_height=float(action["lift_height_m"]),
+            phase="regulate",
+        )
+        sent = self._steps.send(wanted)
+        return dict(zip(ACTIONS, (sent.opening, sent.force_limit, sent.lift_height), strict=True))

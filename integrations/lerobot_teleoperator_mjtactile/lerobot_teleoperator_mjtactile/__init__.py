@@ -1,0 +1,82 @@
+# pyright: reportMissingImports=false
+"""`--teleop.type=mjtactile`: a controller file in place of a person."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
+from lerobot_robot_mjtactile import latest
+
+import mjtactile
+
+
+@TeleoperatorConfig.register_subclass("mjtactile")
+@dataclass(kw_only=True)
+class MjtactileTeleoperatorConfig(TeleoperatorConfig):
+    """Which controller: a shipped name, or FILE.py."""
+
+    controller: str = "gentle"
+
+
+class MjtactileTeleoperator(Teleoperator):
+    """Asks the controller what it wants, of what the robot of this process saw last."""
+
+    config_class = MjtactileTeleoperatorConfig
+    name = "mjtactile"
+
+    def __init__(self, config: MjtactileTeleoperatorConfig):
+        super().__init__(config)
+        self.config = config
+        self._controller: Any = None
+        self._last: mjtactile.Command | None = None
+
+    @property
+    def action_features(self) -> dict[str, type]:
+        return dict.fromkeys(("opening_m", "force_limit_N", "lift_height_m"), float)
+
+    @property
+    def feedback_features(self) -> dict[str, type]:
+        return {}
+
+    @property
+    def is_connected(self) -> bool:
+        return self._controller is not None
+
+    @property
+    def is_calibrated(self) -> bool:
+        return True
+
+    def calibrate(self) -> None:
+        """Nothing."""
+
+    def configure(self) -> None:
+        """Nothing."""
+
+    def connect(self, calibrate: bool = True) -> None:
+        """Read the controller's file."""
+        self._controller = mjtactile.load_controller(self.config.controller)
+
+    def disconnect(self) -> None:
+        """Forget it."""
+        self._controller = None
+        self._last = None
+
+    def send_feedback(self, feedback: dict[str, Any]) -> None:
+        """Nothing."""
+
+    def get_action(self) -> dict[str, float]:
+        """The controller's next command; when it is done, its last one again."""
+        seen = latest()
+        last = self._last
+        if last is None or last.phase not in ("done", "abort"):
+            if last is not None:  # its own notebook, which the robot does not hand back
+                kept = replace(seen.command, phase=last.phase, memory=last.memory)
+                seen = replace(seen, command=kept)
+            self._last = last = self._controller.step(seen)
+        return {
+            "opening_m": last.opening,
+            "force_limit_N": last.force_limit,
+            "lift_height_m": last.lift_height,
+        }

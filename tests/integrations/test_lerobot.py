@@ -1,0 +1,80 @@
+# pyright: reportMissingImports=false
+"""LeRobot's own commands record an episode of the simulated hand, and replay it. In an environment
+of its own (docs/integrations.md); skipped where LeRobot and the packages of integrations/ are not."""
+
+import itertools
+import json
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("lerobot")
+robot_package = pytest.importorskip("lerobot_robot_mjtactile")
+pytest.importorskip("lerobot_teleoperator_mjtactile")
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
+
+SECONDS = 5  # until the egg has been held for more than a second
+LOOKS = 3  # at the clock, in each turn of LeRobot's loop
+
+
+def command(monkeypatch, module, *options):
+    monkeypatch.setattr(sys, "argv", [module.__name__, *options])
+    module.main()
+
+
+def test_an_episode_is_recorded_and_replayed(tmp_path, monkeypatch):
+    import pandas
+    from lerobot.scripts import lerobot_record, lerobot_replay
+
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    # LeRobot ends an episode by the clock: by one that is as slow as this computer
+    ticks = itertools.count()
+    clock = SimpleNamespace(perf_counter=lambda: next(ticks) / (30 * LOOKS))
+    monkeypatch.setattr(lerobot_record, "time", clock)
+    hand = ["--robot.type=mjtactile", "--robot.id=hand", f"--robot.calibration_dir={tmp_path}"]
+    data = [
+        "--dataset.repo_id=me/egg",
+        f"--dataset.root={tmp_path / 'data'}",
+        "--play_sounds=false",
+    ]
+    command(
+        monkeypatch,
+        lerobot_record,
+        *hand,
+        *data,
+        "--teleop.type=mjtactile",
+        f"--teleop.calibration_dir={tmp_path}",
+        "--dataset.single_task=grasp the egg",
+        "--dataset.num_episodes=1",
+        f"--dataset.episode_time_s={SECONDS}",
+        "--dataset.push_to_hub=false",
+        "--dataset.vcodec=h264",
+    )
+    info = json.loads((tmp_path / "data/meta/info.json").read_text())
+    names = info["features"]["observation.state"]["names"]
+    rows = pandas.read_parquet(tmp_path / "data/data/chunk-000/file-000.parquet")
+    states = np.array(rows["observation.state"].tolist())
+    force = states[:, names.index("finger1.force_normal_N")]
+    height = states[:, names.index("lift_height_m")]
+    assert info["features"]["observation.images.left"]["shape"] == [480, 640, 3]
+    # `gentle` holds with 0.6 N, 40 mm above the table
+    assert height.max() == pytest.approx(0.04, abs=2e-3)
+    assert np.median(force[height > 0.03]) == pytest.approx(0.6, abs=0.05)
+
+    again = []
+    observe = robot_package.MjtactileRobot.get_observation
+
+    def kept(robot):
+        again.append(observe(robot))
+        return again[-1]
+
+    monkeypatch.setattr(robot_package.MjtactileRobot, "get_observation", kept)
+    command(monkeypatch, lerobot_replay, *hand, *data, "--dataset.episode=0")
+    replayed = np.array([seen["finger1.force_normal_N"] for seen in again])
+    held = height > 0.03
+    # the same world; actions were kept with 24 bits, and where the jaws close the force grows by
+    # 0.1 N from image to image
+    np.testing.assert_allclose(replayed[held], force[held], atol=0.01)
+    np.testing.assert_allclose(replayed, force, atol=0.1)
