@@ -274,12 +274,15 @@ class ShapeEstimator:
         time: float,
     ) -> CameraBelief | None:
         """What is known of it afterwards, where it is not seen. How far the sheet bulges at another
-        pressure than that of the reference is the model's word, and tells little of a camera."""
+        pressure than that of the reference, or under a load, is the model's word, and tells little
+        of a camera."""
         if not isinstance(before, CameraBelief):
             return None
         moved = rest.pressure_gauge - reference.first.gas.gauge
         moved = moved if math.isfinite(moved) else 0.0  # no gauge
-        weight = 1 / (1 + (moved / self._settings.inverse.same_bulge) ** 2)
+        load = float(np.linalg.norm(self._inverse.force(shape)))
+        s = self._settings.inverse
+        weight = 1 / (1 + (moved / s.same_bulge) ** 2 + (load / s.same_load) ** 2)
         gain = shape.gain
         return before.told(shape.camera, gain.left, gain.camera.root, time, weight)
 

@@ -99,6 +99,11 @@ class InverseSettings:
         "model's bulge is 1.4 % off",
         "examples/firmer_in_the_air.py",
     )
+    same_load: float = number(
+        0.2,
+        "N on the sheet, at which an image tells half as much of the camera, for the same reason",
+        "a hold of 20 s at 0.9 N, let go: 0.016 N otherwise",
+    )
     knock_place: float = number(
         3e-4, "m, sd of the camera's place once it was knocked", "some pixels; bench trust"
     )
