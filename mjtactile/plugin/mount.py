@@ -27,7 +27,7 @@ from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.plugin.sim_finger import OUTPUTS, SimFinger
 from mjtactile.sim.attach import Attachment, attach_membrane
-from mjtactile.sim.sensor.switches import CAMERA, PHYSICS
+from mjtactile.sim.sensor.switches import CAMERA, PHYSICS, Effect
 
 _LEAST_MESH = 8  # vertices along a side: the shipped sensors' references are in balance from there
 
@@ -87,7 +87,8 @@ def attach(
         mass: kg of frame, glass and camera.
         contact: What of the membrane touches: its "vertices", its triangles ("elements"), "both",
             or "auto" by the scene's smallest feature.
-        effects: Names that `mjtactile effects` lists.
+        effects: Names that `mjtactile effects` lists. The chain always feels: touch can be drawn
+            in grasps only.
 
     Returns:
         What to `bind` to the compiled model.
@@ -113,7 +114,7 @@ def attach(
         mesh=mesh,
         mass=mass,
         contact=contact,
-        effects=effects,
+        effects={*effects, Effect.CHAIN},
     )
     for name, size in OUTPUTS.items():
         # stage "none": MuJoCo fills the others with zeros in every step
