@@ -45,8 +45,8 @@ def test_a_marker_is_known_as_a_circle_of_its_pixels_is(paper16):
     np.testing.assert_allclose(longer, 1.3**-1.5, rtol=0.06)
 
 
-def test_noise_of_the_force_is_the_scatter_of_drawn_images(paper16):
-    # the closed form of the chain's linear step beside forty images with drawn errors
+def test_noise_of_the_force_bounds_the_scatter_of_drawn_images(paper16):
+    # the chain's linear step in closed form, beside forty images with drawn errors
     pressed = paper16.press(ball(MIDDLE, 8e-3), 0.5)
     felt = paper16.feel(pressed.state)
     said = math.sqrt(paper16.noise(felt)[2, 2])
@@ -55,8 +55,9 @@ def test_noise_of_the_force_is_the_scatter_of_drawn_images(paper16):
         seen = paper16._sighter.sight(*paper16.poses(pressed.state.x), 0.1)
         touch, _ = paper16.chain.step(felt.state, replace(seen, time=0.1 + number), 0.1 + number)
         forces.append(touch.traction.wrench[2])
-    # forty numbers have their sd to 11 %, and where shapes differ markers count differently
-    assert np.std(forces) == pytest.approx(said, rel=0.35)
+    # a bound: forty numbers have their sd to 11 %, and a chain that remembers the camera from
+    # image to image scatters by half of what one image alone would
+    assert 0.35 * said < np.std(forces) < 1.3 * said
     assert -np.mean(forces) == pytest.approx(0.5, rel=0.03)
 
 
