@@ -55,7 +55,7 @@ test-all: test slow  ## all that CI runs: `make test`, then the other tests (bel
 
 slow: $(VENV)/.test-ready  ## the tests that `make test` leaves out: long ones, and whole rigs of emulated hardware
 	$(BIN)/pytest -n 2 $(SECOND)
-	$(BIN)/pytest -n 4 --dist loadgroup $(SECOND_CLOCK)
+	$(BIN)/pytest -n 6 --dist loadgroup $(SECOND_CLOCK)
 
 lint: $(VENV)/.test-ready  ## style and likely bugs (ruff)
 	$(BIN)/ruff check .

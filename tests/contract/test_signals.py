@@ -164,7 +164,7 @@ def test_a_terminal_that_stands_still_a_full_disk_and_no_descriptors(emulator, t
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", FAULTS if ALL else FAULTS[:1])
-def test_a_controller_that_fails(half_speed, emulator, tmp_path, fault):
+def test_a_controller_that_fails(emulator, tmp_path, fault):
     text = controller_text().replace("def _hold(", f"def _hold(*_):\n    {fault}\n\n\ndef _unused(")
     with host(emulator, tmp_path, text) as running:
         _, errors = running.ends()
