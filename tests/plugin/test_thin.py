@@ -13,16 +13,22 @@ from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.sim.sensor.switches import PHYSICS
 
 # N, of films of 81 x 61 nodes: the middle of what they say at random places (`bench thin`)
-FILM = {"blade 0.4 x 12 mm": 0.58, "rod of 1 mm radius": 0.26, "pin of 0.5 mm radius": 0.128}
+FILM = {
+    "blade 0.4 x 12 mm": (0.58, 0.25),
+    "rod of 1 mm radius": (0.26, 0.25),
+    "pin of 0.5 mm radius": (0.128, 0.15),
+    "pin of 1 mm radius": (0.160, 0.15),
+    "pin of 1.5 mm radius": (0.191, 0.15),
+}
 
 
-@pytest.mark.parametrize("name", FILM)
-def test_what_is_thin_is_felt_between_the_vertices_and_fast(name):
-    """On a row of vertices and off it, at 10 and 100 mm/s: within 25 % of the film (`bench thin`
-    has the distribution; triangles were 1.1 to 1.8 times), and alike within 10 %."""
+@pytest.mark.parametrize(("name", "film", "share"), [(name, *each) for name, each in FILM.items()])
+def test_what_is_thin_is_felt_between_the_vertices_and_fast(name, film, share):
+    """On a row of vertices and off it, at 10 and 100 mm/s: within a `share` of the film (`bench
+    thin` has the distribution; triangles were 1.1 to 1.8 times), and alike within 10 %."""
     places = (0.08e-3, -1.07e-3), (-2.23e-3, -0.58e-3)
     forces = [press(BODIES[name], at, speed).force for at in places for speed in (0.01, 0.1)]
-    assert forces == pytest.approx([FILM[name]] * 4, rel=0.25)
+    assert forces == pytest.approx([film] * 4, rel=share)
     assert forces == pytest.approx([np.mean(forces)] * 4, rel=0.1)
 
 

@@ -18,7 +18,6 @@ Round objects that are larger than the mesh are left to `facets.StandOff`, faces
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -26,38 +25,28 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor import cores, features, shapes
+from mjtactile.sim.sensor.cells import (
+    FOOT,
+    REACH,
+    REACHED,
+    Cells,
+    axes_of,
+    deepest,
+    hints_of,
+    lie,
+    stand_back,
+)
 from mjtactile.sim.sensor.mesh import MembraneMesh
-from mjtactile.sim.sensor.spread import WIDEST, depth_beyond_mesh, depth_of_neighbours, profile
+from mjtactile.sim.sensor.spread import depth_under_end
 
 EVERY = 0.01
 SETTLE = 0.02
 """s: how often to look, and the time constant with which they stand back."""
-REACH = 0.6
-"""Half width of the cell in which a vertex looks for contact, in cells: a little more than a
-half."""
 _TAKES = 0.52
-"""The same for a vertex whose sphere is at home: else two would give a ball between them to each
-other for ever."""
-_GRID = np.stack(np.meshgrid(*[np.linspace(-REACH, REACH, 7)] * 2, indexing="ij"), axis=-1).reshape(
-    -1, 2
-)
-_AROUND = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
-_ZOOMS = (0.1, 0.035, 0.012)  # of a cell: the finer grids
-# cells: a sphere stands with all of these on a face
-_FOOT = 0.06 * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-# cells: where it is asked
-_BESIDE = 0.3 * np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-# cells that a shape falls away by there, if it juts out: a ball of two spacings does by 0.03
-_JUTS = 0.04
-_MISSED = 100.0  # cells, in place of infinity
-# cells of height that a detour of one cell costs: of equally high places the nearest to the vertex
-# counts
-_CENTRED = 0.1
+"""Half width of the cell in which a vertex looks for contact, in cells, if its sphere is at home:
+with REACH, two would give a ball between them to each other for ever."""
 _SLACKEST = 0.01  # strain whose tension is the least to reckon with
 _STILL = 1e-5  # m, below which a sphere is back at its vertex
-# cells from contact, within which a vertex moves its sphere, and looks
-_NEAR = 0.3
-_REACHED = 0.8
 _SHARP = tuple(
     int(kind)
     for kind in (
@@ -66,42 +55,16 @@ _SHARP = tuple(
         mujoco.mjtGeom.mjGEOM_MESH,
     )
 )
-_WIDER = 2.5  # than where else a shape juts: a pin that fits between vertices is as wide as a cell
 _MOST_FACES = 4000  # of the hull of something thin
 _PACE = 7.5e-3  # m/s, with which they stand back from what is thin: contact must not be lost
 _EASE = 0.5  # of a change of a load, that a look follows
 _APART = 0.15  # cells between points inside of what is thin
-_BLUNT = (
-    0.3  # cells: radius of a sphere that meets what is thin, with its top where the sheet is: a
-)
-# sheet under pressure jumps by a tenth of a cell, and would be in it, and be pushed out sideways
+# cells: radius of a sphere that meets what is thin, with its top where the sheet is: a sheet under
+# pressure jumps by a tenth of a cell, and would be in it, and be pushed out sideways
+_BLUNT = 0.3
+# cells, by which a sphere stands before a flat end at most; chosen by pins of 1 and 1.5 mm radius
+_FORWARD = 0.1
 _HALF = 0.5  # of a thin thing's half width, within which a sphere's feet stand on it
-# where a shape is sampled around a contact, in cells
-_RINGS = (0.15, 0.373)
-_ANGLES = np.arange(8) * np.pi / 4
-
-
-class _Cells(NamedTuple):
-    """Vertices as a shape sees them: `places` (k, 3) m in its frame, `axes` (3, 3) of the sheet,
-    the third its outward normal, and `sizes` (k,) m of the vertices' cells."""
-
-    places: Array
-    axes: Array
-    sizes: Array
-
-    def of(self, rows: NDArray[np.int64]) -> _Cells:
-        return _Cells(self.places[rows], self.axes, self.sizes[rows])
-
-    def gaps(self, entry: shapes.Entry, shifts: Array) -> Array:
-        """Distances (k, s), in cells, outward to the shape at `shifts` (k, s, 2) in cells from the
-        vertices."""
-        points = (
-            self.places[:, None] + self.sizes[:, None, None] * (shifts @ self.axes[:2])
-        ).reshape(-1, 3)
-        return (
-            entry(points, np.broadcast_to(self.axes[2], points.shape)).reshape(shifts.shape[:2])
-            / self.sizes[:, None]
-        )
 
 
 def missed(model: mujoco.MjModel, carrier: int, mesh: MembraneMesh) -> tuple[float, str]:
@@ -233,7 +196,7 @@ class ContactPoints:
             if not len(close) or self._is_far(geom, vertices[close]):
                 continue
             normal = self._upright[close].sum(axis=0)
-            axes = _axes(normal / np.linalg.norm(normal))
+            axes = axes_of(normal / np.linalg.norm(normal))
             cells = self._seen_from(geom, vertices[close], axes, self._sizes[close])
             if geom in self._round:  # but for its ends
                 at_end = np.flatnonzero(
@@ -242,16 +205,16 @@ class ContactPoints:
                 close = close[at_end]
                 cells = cells.of(at_end)
             hints = None
-            foot = _FOOT
+            foot = FOOT
             if geom in self._cores:
-                hints = _hints(cells, entry, self._cores[geom])
+                hints = hints_of(cells, entry, self._cores[geom])
                 thin = features.feature_radius(self._model, geom) / self._sizes[0]
-                foot = min(1.0, _HALF * thin / np.abs(_FOOT).max()) * _FOOT
-                if hints[1].min(initial=np.inf) < _REACHED:
+                foot = min(1.0, _HALF * thin / np.abs(FOOT).max()) * FOOT
+                if hints[1].min(initial=np.inf) < REACHED:
                     self._every = (
                         EVERY if self._is_touched() else 0.0
                     )  # it is met from the first step
-            rows, at, gaps = _deepest(cells, entry, self._reach[close], foot, hints)
+            rows, at, gaps = deepest(cells, entry, self._reach[close], foot, hints)
             better = gaps < nearest[close[rows]]
             rows = rows[better]
             at = at[better]
@@ -271,15 +234,32 @@ class ContactPoints:
                 rows = rows[pressed]
                 at = at[pressed]
                 touching = touching[pressed]
-                shape: dict[str, Any] = {}
-                if geom in self._cores:
-                    shape["turns"] = _lie(cells.of(rows), self._cores[geom], at)
-                    shape["width"] = self._width(geom, cells.axes[2]) / self._sizes[0]
-                back = _stand_back(
-                    cells.of(rows), entry, at, bearing[touching], self._flat[touching], **shape
-                )
+                back = self._stand_back(geom, entry, cells.of(rows), at, bearing, touching)
                 behind[touching] = -(self._sizes[touching] * back)[:, None] * axes[2]
         return goal, behind, blunt, nearest
+
+    def _stand_back(
+        self,
+        geom: int,
+        entry: shapes.Entry,
+        cells: Cells,
+        at: Array,
+        loads: Array,
+        touching: NDArray[np.int64],
+    ) -> Array:
+        """How far (k,), in cells, the spheres at shifts `at` (k, 2) from the vertices `touching`
+        (k,) stand back."""
+        flat = self._flat[touching]
+        loads = loads[touching]
+        if geom not in self._cores:
+            return stand_back(cells, entry, at, loads, flat)
+        size = self._sizes[0]
+        end = self._end(geom, cells.axes[2]) / size
+        if end:
+            return np.maximum(depth_under_end(loads, end, flat / size), -_FORWARD)
+        turns = lie(cells, self._cores[geom], at)
+        width = self._width(geom) / size
+        return stand_back(cells, entry, at, loads, flat, turns=turns, width=width)
 
     def _take(self, blunt: NDArray[np.bool_], gaps: Array) -> None:
         """Have the spheres of these vertices be `blunt`, and those others small again. What is in
@@ -301,14 +281,17 @@ class ContactPoints:
         numbers = self._data.contact.geom - self._first
         return bool(((numbers >= 0) & (numbers < len(self._sizes))).any())
 
-    def _width(self, geom: int, outward: Array) -> float:
-        """Half width, m, of the flat face with which something thin presses along the unit vector
-        `outward` of its frame; 0 of what is round."""
-        kind = int(self._model.geom_type[geom])
-        if kind == int(mujoco.mjtGeom.mjGEOM_BOX):
+    def _width(self, geom: int) -> float:
+        """Half width, m, of the flat edge of a blade; 0 of what is round."""
+        if int(self._model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_BOX):
             return features.feature_radius(self._model, geom)
+        return 0.0
+
+    def _end(self, geom: int, outward: Array) -> float:
+        """Radius, m, of the flat end with which a pin presses along the unit vector `outward` of
+        its frame; 0 of what presses otherwise."""
         on_end = abs(float(outward[2])) > features.END
-        if kind == int(mujoco.mjtGeom.mjGEOM_CYLINDER) and on_end:
+        if on_end and int(self._model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_CYLINDER):
             return float(self._model.geom_size[geom, 0])
         return 0.0
 
@@ -323,7 +306,7 @@ class ContactPoints:
         data = self._data
         return (p_W - data.xpos[self._body]) @ data.xmat[self._body].reshape(3, 3)
 
-    def _seen_from(self, geom: int, vertices: Array, axes: Array, sizes: Array) -> _Cells:
+    def _seen_from(self, geom: int, vertices: Array, axes: Array, sizes: Array) -> Cells:
         """Cells around `vertices` (k, 3) m in S, of `sizes` (k,) m, with `axes` (3, 3) in S, as the
         geom sees them."""
         data = self._data
@@ -331,7 +314,7 @@ class ContactPoints:
         R_WG = data.geom_xmat[geom].reshape(3, 3)
         turn = R_WS.T @ R_WG  # rows are vectors
         shift = (data.xpos[self._body] - data.geom_xpos[geom]) @ R_WG
-        return _Cells(vertices @ turn + shift, axes @ turn, sizes)
+        return Cells(vertices @ turn + shift, axes @ turn, sizes)
 
     def _normals(self, p_SV: Array) -> Array:
         """Outward unit normals (k, 3) of the sheet at the vertices: of the triangles around each,
@@ -375,147 +358,3 @@ def _widen(model: mujoco.MjModel, bodies: NDArray[np.int64], size: float) -> Non
 def _is_sharp(model: mujoco.MjModel, geom: int, mesh: MembraneMesh) -> bool:
     small = features.feature_radius(model, geom) < features.RESOLVED * mesh.spacing
     return small or int(model.geom_type[geom]) in _SHARP
-
-
-def _axes(normal: Array) -> Array:
-    """Unit vectors, rows of (3, 3): two in the plane with this `normal` (3,), the first along x as
-    far as it goes; the normal."""
-    first = np.array([normal[2], 0.0, -normal[0]])
-    first /= max(float(np.linalg.norm(first)), 1e-9)
-    return np.stack([first, np.cross(normal, first), normal])
-
-
-def _hints(cells: _Cells, entry: shapes.Entry, core: Array) -> tuple[Array, Array]:
-    """Shifts (k, 2), in cells, to where something thin, with the points `core` (m, 3) m inside,
-    reaches farthest into each cell; gaps (k,) there, `_MISSED` where it does not."""
-    outward = cells.axes[2]
-    heights = core @ outward + entry(core, np.broadcast_to(outward, core.shape))
-    shifts = (core @ cells.axes[:2].T)[None] - (cells.places @ cells.axes[:2].T)[:, None]
-    shifts /= cells.sizes[:, None, None]
-    gaps = (heights - (cells.places @ outward)[:, None]) / cells.sizes[:, None]
-    gaps = np.where(np.abs(shifts).max(axis=2) < REACH, gaps, _MISSED)
-    chosen = (gaps + _CENTRED * (shifts * shifts).sum(axis=2)).argmin(axis=1)
-    row = np.arange(len(chosen))
-    return shifts[row, chosen], gaps[row, chosen]
-
-
-def _deepest(
-    cells: _Cells, entry: shapes.Entry, reach: Array, foot: Array, hints: tuple[Array, Array] | None
-) -> tuple[NDArray[np.int64], Array, Array]:
-    """Rows of those cells that a shape juts into; shifts (k, 2), in cells, to where it reaches
-    farthest in; gaps (k,) there.
-
-    A shape that reaches farthest in at a cell's border, or beyond its `reach`, does so in the next
-    cell, too: along that axis the vertex stays. A sphere stands with all of its `foot` (f, 2), in
-    cells, on the shape; `hints` are shifts and gaps of what is thin.
-    """
-    uneven = _uneven(
-        cells.gaps(entry, np.broadcast_to(_AROUND, (len(cells.sizes), *_AROUND.shape)))
-    )
-    rows = uneven if hints is None else np.union1d(uneven, np.flatnonzero(hints[1] < _NEAR))
-    if not len(rows):
-        return rows, np.zeros((0, 2)), np.zeros(0)
-    cells = cells.of(rows)
-    grid = np.broadcast_to(_GRID, (len(rows), *_GRID.shape))
-    gaps = cells.gaps(entry, grid)
-    if hints is not None:
-        grid = np.concatenate([grid, hints[0][rows, None]], axis=1)
-        gaps = np.concatenate([gaps, hints[1][rows, None]], axis=1)
-    near = gaps.min(axis=1) < _NEAR
-    reach = reach[rows[near]]
-    shifts = _least(grid[near], gaps[near])
-    rows = rows[near]
-    cells = cells.of(np.flatnonzero(near))
-    for step in _ZOOMS:
-        grid = np.clip(shifts[:, None] + step * _AROUND, -REACH, REACH)
-        feet = (grid[:, :, None] + foot).reshape(len(grid), len(_AROUND) * len(foot), 2)
-        shifts = _least(
-            grid, cells.gaps(entry, feet).reshape(len(grid), len(_AROUND), len(foot)).max(axis=2)
-        )
-    shifts = np.where(np.abs(shifts) > reach[:, None] - 1e-6, 0.0, shifts)
-    juts = _juts(cells, entry, shifts, 1.0 if hints is None else _WIDER)
-    kept = np.flatnonzero(juts.any(axis=1))
-    cells = cells.of(kept)
-    at = np.where(juts[kept], shifts[kept], 0.0)
-    gaps = cells.gaps(entry, at[:, None])[:, 0]
-    if hints is not None:  # at the end of what is thin, the vertex would stay beside it
-        beside = gaps >= _MISSED
-        at[beside] = shifts[kept[beside]]
-        gaps[beside] = cells.of(np.flatnonzero(beside)).gaps(entry, at[beside, None])[:, 0]
-    return rows[kept], at, gaps
-
-
-def _juts(cells: _Cells, entry: shapes.Entry, at: Array, wider: float) -> NDArray[np.bool_]:
-    """Whether the shape falls away on both sides of `at` (k, 2), along each of the two axes (k, 2),
-    `wider` times as far from it as usual:
-    not at the edge of a face, where a sphere would now and then be on one side, now on the other,
-    of what slides over it."""
-    gaps = np.minimum(cells.gaps(entry, at[:, None] + wider * _BESIDE), _MISSED)
-    falls = gaps[:, 1:] - gaps[:, :1]
-    return np.stack([falls[:, :2].min(axis=1), falls[:, 2:].min(axis=1)], axis=1) > _JUTS
-
-
-def _uneven(gaps: Array) -> NDArray[np.int64]:
-    """Cells that something near bends in sharply, or does not fill, by the gaps (k, 9) at it and
-    its neighbours."""
-    square = np.minimum(gaps, _MISSED).reshape(-1, 3, 3)
-    bends = np.stack(
-        [
-            square[:, 0] - 2 * square[:, 1] + square[:, 2],
-            square[:, :, 0] - 2 * square[:, :, 1] + square[:, :, 2],
-        ],
-        axis=1,
-    ).reshape(-1, 6)
-    smooth = (np.abs(bends) < 1 / features.RESOLVED).all(axis=1)
-    return np.flatnonzero(~smooth & (gaps.min(axis=1) < _REACHED))
-
-
-def _least(grid: Array, gaps: Array) -> Array:
-    """Of the points `grid` (k, s, 2) those (k, 2) with the smallest gaps (k, s), or nearest to the
-    middle of the cell."""
-    chosen = (gaps + _CENTRED * (grid * grid).sum(axis=2)).argmin(axis=1)
-    return grid[np.arange(len(grid)), chosen]
-
-
-def _stand_back(
-    cells: _Cells,
-    entry: shapes.Entry,
-    at: Array,
-    loads: Array,
-    flat: Array,
-    *,
-    turns: Array | float = 0.2,
-    width: float = 0.0,
-) -> Array:
-    """How far (k,), in cells, the spheres at shifts `at` (k, 2) from the vertices `flat` (k, 2) m
-    stand back under `loads`.
-
-    Of what is thin, `turns` (k,) are the angles in the sheet under which it lies there, and `width`
-    is half of that of the face that presses, in cells.
-    """
-    angles = _ANGLES + np.broadcast_to(turns, len(at))[:, None]
-    circle = np.stack([np.cos(angles), np.sin(angles)], axis=2)
-    rings = np.concatenate([np.zeros((len(at), 1, 2)), *(r * circle for r in _RINGS)], axis=1)
-    gaps = cells.gaps(entry, at[:, None] + rings)
-    near, far = (
-        np.clip(gaps[:, 1 + i * 8 : 9 + i * 8] - gaps[:, :1], -3 * r, 3 * r)
-        for i, r in enumerate(_RINGS)
-    )
-    # without the sheet's own slope
-    even = [np.maximum((rise[:, :4] + rise[:, 4:]) / 2, 0.0) for rise in (near, far)]
-    own, radii = depth_beyond_mesh(loads, *profile(even[0], even[1], _RINGS), width)
-    places = flat / cells.sizes[:, None]
-    return np.maximum(own + depth_of_neighbours(loads, radii, places, places + at), 0.0)
-
-
-def _lie(cells: _Cells, core: Array, at: Array) -> Array:
-    """Angles (k,) in the sheet under which something thin lies near the shifts `at` (k, 2), by the
-    points `core` (m, 3) m inside; any where it stands on end."""
-    flat = cells.axes[:2]
-    off = ((core @ flat.T)[None] - (cells.places @ flat.T)[:, None]) / cells.sizes[:, None, None]
-    off -= at[:, None]
-    near = (np.linalg.norm(off, axis=2) < WIDEST).astype(float)
-    xx, yy, xy = (
-        (near * off[..., i] * off[..., j]).sum(axis=1) for i, j in ((0, 0), (1, 1), (0, 1))
-    )
-    return np.arctan2(2 * xy, xx - yy) / 2

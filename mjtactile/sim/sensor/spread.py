@@ -58,7 +58,7 @@ def depth_beyond_mesh(
     contact.
 
     `slope` and `curvature` (k, d) are the shape's in d directions around the contact, evenly spread
-    over half a turn; `width` is half of that of a flat end, on whose rim the sheet hangs.
+    over half a turn; `width` is half of that of a flat edge, on whose rim the sheet hangs.
     """
     radii = contact_radius(load[:, None], slope, curvature)
     on_rim = radii.max(axis=1) < width
@@ -72,6 +72,15 @@ def depth_beyond_mesh(
     compact = np.where(on_rim, 0.0, compact)
     deepening = _LINE + (compact - _LINE) * shortest / longest
     return load * (np.log(MESH_RADIUS / radius) + deepening), radius
+
+
+def depth_under_end(load: Array, width: float, vertices: Array) -> Array:
+    """How much deeper (k,) a sheet is than its mesh under a flat round end of radius `width`, on
+    whose rim it hangs, by the `load` (k,) on each of the vertices (k, 2) that bear on it. Below 0:
+    an end that is wider than the mesh's point goes less deep."""
+    apart = np.linalg.norm(vertices[:, None] - vertices, axis=-1)
+    np.fill_diagonal(apart, MESH_RADIUS)
+    return np.log(apart / width) @ load
 
 
 def _deepening(mean: Array, steep: Array) -> Array:

@@ -1,0 +1,209 @@
+"""A shape as the pieces of sheet around the vertices see it: where it reaches farthest into each
+cell, and how far a sphere there stands back. Pure functions.
+
+Lengths are in cells, the root of the area that a vertex stands for, unless m is said.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.core.types import Array
+from mjtactile.sim.sensor import features, shapes
+from mjtactile.sim.sensor.spread import WIDEST, depth_beyond_mesh, depth_of_neighbours, profile
+
+REACH = 0.6
+"""Half width of the cell in which a vertex looks for contact, in cells: a little more than a
+half."""
+REACHED = 0.8
+"""Cells from contact within which a vertex looks."""
+FOOT = 0.06 * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+"""Cells: a sphere stands with all of these on a face."""
+_NEAR = 0.3  # cells from contact, within which a vertex moves its sphere
+_GRID = np.stack(np.meshgrid(*[np.linspace(-REACH, REACH, 7)] * 2, indexing="ij"), axis=-1).reshape(
+    -1, 2
+)
+_AROUND = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+_ZOOMS = (0.1, 0.035, 0.012)  # of a cell: the finer grids
+# cells: where it is asked
+_BESIDE = 0.3 * np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+# cells that a shape falls away by there, if it juts out: a ball of two spacings does by 0.03
+_JUTS = 0.04
+_MISSED = 100.0  # cells, in place of infinity
+# cells of height that a detour of one cell costs: of equally high places the nearest to the vertex
+# counts
+_CENTRED = 0.1
+_WIDER = 2.5  # than where else a shape juts: a pin that fits between vertices is as wide as a cell
+# where a shape is sampled around a contact, in cells
+_RINGS = (0.15, 0.373)
+_ANGLES = np.arange(8) * np.pi / 4
+
+
+class Cells(NamedTuple):
+    """Vertices as a shape sees them: `places` (k, 3) m in its frame, `axes` (3, 3) of the sheet,
+    the third its outward normal, and `sizes` (k,) m of the vertices' cells."""
+
+    places: Array
+    axes: Array
+    sizes: Array
+
+    def of(self, rows: NDArray[np.int64]) -> Cells:
+        return Cells(self.places[rows], self.axes, self.sizes[rows])
+
+    def gaps(self, entry: shapes.Entry, shifts: Array) -> Array:
+        """Distances (k, s), in cells, outward to the shape at `shifts` (k, s, 2) in cells from the
+        vertices."""
+        points = (
+            self.places[:, None] + self.sizes[:, None, None] * (shifts @ self.axes[:2])
+        ).reshape(-1, 3)
+        return (
+            entry(points, np.broadcast_to(self.axes[2], points.shape)).reshape(shifts.shape[:2])
+            / self.sizes[:, None]
+        )
+
+
+def axes_of(normal: Array) -> Array:
+    """Unit vectors, rows of (3, 3): two in the plane with this `normal` (3,), the first along x as
+    far as it goes; the normal."""
+    first = np.array([normal[2], 0.0, -normal[0]])
+    first /= max(float(np.linalg.norm(first)), 1e-9)
+    return np.stack([first, np.cross(normal, first), normal])
+
+
+def hints_of(cells: Cells, entry: shapes.Entry, core: Array) -> tuple[Array, Array]:
+    """Shifts (k, 2), in cells, to where something thin, with the points `core` (m, 3) m inside,
+    reaches farthest into each cell; gaps (k,) there, `_MISSED` where it does not."""
+    outward = cells.axes[2]
+    heights = core @ outward + entry(core, np.broadcast_to(outward, core.shape))
+    shifts = (core @ cells.axes[:2].T)[None] - (cells.places @ cells.axes[:2].T)[:, None]
+    shifts /= cells.sizes[:, None, None]
+    gaps = (heights - (cells.places @ outward)[:, None]) / cells.sizes[:, None]
+    gaps = np.where(np.abs(shifts).max(axis=2) < REACH, gaps, _MISSED)
+    chosen = (gaps + _CENTRED * (shifts * shifts).sum(axis=2)).argmin(axis=1)
+    row = np.arange(len(chosen))
+    return shifts[row, chosen], gaps[row, chosen]
+
+
+def deepest(
+    cells: Cells, entry: shapes.Entry, reach: Array, foot: Array, hints: tuple[Array, Array] | None
+) -> tuple[NDArray[np.int64], Array, Array]:
+    """Rows of those cells that a shape juts into; shifts (k, 2), in cells, to where it reaches
+    farthest in; gaps (k,) there.
+
+    A shape that reaches farthest in at a cell's border, or beyond its `reach`, does so in the next
+    cell, too: along that axis the vertex stays. A sphere stands with all of its `foot` (f, 2), in
+    cells, on the shape; `hints` are shifts and gaps of what is thin.
+    """
+    uneven = _uneven(
+        cells.gaps(entry, np.broadcast_to(_AROUND, (len(cells.sizes), *_AROUND.shape)))
+    )
+    rows = uneven if hints is None else np.union1d(uneven, np.flatnonzero(hints[1] < _NEAR))
+    if not len(rows):
+        return rows, np.zeros((0, 2)), np.zeros(0)
+    cells = cells.of(rows)
+    grid = np.broadcast_to(_GRID, (len(rows), *_GRID.shape))
+    gaps = cells.gaps(entry, grid)
+    if hints is not None:
+        grid = np.concatenate([grid, hints[0][rows, None]], axis=1)
+        gaps = np.concatenate([gaps, hints[1][rows, None]], axis=1)
+    near = gaps.min(axis=1) < _NEAR
+    reach = reach[rows[near]]
+    shifts = _least(grid[near], gaps[near])
+    rows = rows[near]
+    cells = cells.of(np.flatnonzero(near))
+    for step in _ZOOMS:
+        grid = np.clip(shifts[:, None] + step * _AROUND, -REACH, REACH)
+        feet = (grid[:, :, None] + foot).reshape(len(grid), len(_AROUND) * len(foot), 2)
+        shifts = _least(
+            grid, cells.gaps(entry, feet).reshape(len(grid), len(_AROUND), len(foot)).max(axis=2)
+        )
+    shifts = np.where(np.abs(shifts) > reach[:, None] - 1e-6, 0.0, shifts)
+    juts = _juts(cells, entry, shifts, 1.0 if hints is None else _WIDER)
+    kept = np.flatnonzero(juts.any(axis=1))
+    cells = cells.of(kept)
+    at = np.where(juts[kept], shifts[kept], 0.0)
+    gaps = cells.gaps(entry, at[:, None])[:, 0]
+    if hints is not None:  # at the end of what is thin, the vertex would stay beside it
+        beside = gaps >= _MISSED
+        at[beside] = shifts[kept[beside]]
+        gaps[beside] = cells.of(np.flatnonzero(beside)).gaps(entry, at[beside, None])[:, 0]
+    return rows[kept], at, gaps
+
+
+def stand_back(
+    cells: Cells,
+    entry: shapes.Entry,
+    at: Array,
+    loads: Array,
+    flat: Array,
+    *,
+    turns: Array | float = 0.2,
+    width: float = 0.0,
+) -> Array:
+    """How far (k,), in cells, the spheres at shifts `at` (k, 2) from the vertices `flat` (k, 2) m
+    stand back under `loads`.
+
+    Of what is thin, `turns` (k,) are the angles in the sheet under which it lies there, and `width`
+    is half of that of the face that presses, in cells.
+    """
+    angles = _ANGLES + np.broadcast_to(turns, len(at))[:, None]
+    circle = np.stack([np.cos(angles), np.sin(angles)], axis=2)
+    rings = np.concatenate([np.zeros((len(at), 1, 2)), *(r * circle for r in _RINGS)], axis=1)
+    gaps = cells.gaps(entry, at[:, None] + rings)
+    near, far = (
+        np.clip(gaps[:, 1 + i * 8 : 9 + i * 8] - gaps[:, :1], -3 * r, 3 * r)
+        for i, r in enumerate(_RINGS)
+    )
+    # without the sheet's own slope
+    even = [np.maximum((rise[:, :4] + rise[:, 4:]) / 2, 0.0) for rise in (near, far)]
+    own, radii = depth_beyond_mesh(loads, *profile(even[0], even[1], _RINGS), width)
+    places = flat / cells.sizes[:, None]
+    return np.maximum(own + depth_of_neighbours(loads, radii, places, places + at), 0.0)
+
+
+def lie(cells: Cells, core: Array, at: Array) -> Array:
+    """Angles (k,) in the sheet under which something thin lies near the shifts `at` (k, 2), by the
+    points `core` (m, 3) m inside; any where it stands on end."""
+    flat = cells.axes[:2]
+    off = ((core @ flat.T)[None] - (cells.places @ flat.T)[:, None]) / cells.sizes[:, None, None]
+    off -= at[:, None]
+    near = (np.linalg.norm(off, axis=2) < WIDEST).astype(float)
+    xx, yy, xy = (
+        (near * off[..., i] * off[..., j]).sum(axis=1) for i, j in ((0, 0), (1, 1), (0, 1))
+    )
+    return np.arctan2(2 * xy, xx - yy) / 2
+
+
+def _juts(cells: Cells, entry: shapes.Entry, at: Array, wider: float) -> NDArray[np.bool_]:
+    """Whether the shape falls away on both sides of `at` (k, 2), along each of the two axes (k, 2),
+    `wider` times as far from it as usual:
+    not at the edge of a face, where a sphere would now and then be on one side, now on the other,
+    of what slides over it."""
+    gaps = np.minimum(cells.gaps(entry, at[:, None] + wider * _BESIDE), _MISSED)
+    falls = gaps[:, 1:] - gaps[:, :1]
+    return np.stack([falls[:, :2].min(axis=1), falls[:, 2:].min(axis=1)], axis=1) > _JUTS
+
+
+def _uneven(gaps: Array) -> NDArray[np.int64]:
+    """Cells that something near bends in sharply, or does not fill, by the gaps (k, 9) at it and
+    its neighbours."""
+    square = np.minimum(gaps, _MISSED).reshape(-1, 3, 3)
+    bends = np.stack(
+        [
+            square[:, 0] - 2 * square[:, 1] + square[:, 2],
+            square[:, :, 0] - 2 * square[:, :, 1] + square[:, :, 2],
+        ],
+        axis=1,
+    ).reshape(-1, 6)
+    smooth = (np.abs(bends) < 1 / features.RESOLVED).all(axis=1)
+    return np.flatnonzero(~smooth & (gaps.min(axis=1) < REACHED))
+
+
+def _least(grid: Array, gaps: Array) -> Array:
+    """Of the points `grid` (k, s, 2) those (k, 2) with the smallest gaps (k, s), or nearest to the
+    middle of the cell."""
+    chosen = (gaps + _CENTRED * (grid * grid).sum(axis=2)).argmin(axis=1)
+    return grid[np.arange(len(grid)), chosen]
