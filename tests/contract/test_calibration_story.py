@@ -6,6 +6,8 @@ user has: a printed board, a load cell, a caliper, a pressure of zero. The test 
 reads the instruments, in the emulated world.
 """
 
+# pyright: reportOptionalMemberAccess=false, reportArgumentType=false
+
 import contextlib
 import json
 import sys

@@ -5,6 +5,8 @@ The emulated rig runs in real time beside other work, so that its time-outs are 
 none is asserted.
 """
 
+# pyright: reportOptionalMemberAccess=false, reportArgumentType=false
+
 import math
 from dataclasses import replace
 from pathlib import Path
