@@ -153,7 +153,7 @@ def test_a_leak_is_named(tmp_path):
 def test_a_hand_whose_left_chamber_leaks(tmp_path):
     """The commands of a grasp, given to a simulated hand without the leak."""
     scenario = Scenario(seed=SEED, effects="-images")
-    specimens = (SpecimenConfig("left", leak=0.01 * ML_S_KPA),)
+    specimens = (SpecimenConfig("left", leak=0.02 * ML_S_KPA),)
     rig = build_sim_rig(scenario, file=load_sim_rig("sim"), drawn=Drawn(specimens=specimens))
     try:
         session = Session(rig, threads=0)
@@ -167,8 +167,8 @@ def test_a_hand_whose_left_chamber_leaks(tmp_path):
     shadow, _ = shadow_of(tmp_path, until=3.0, causes=("leak", "gauge", "stiffness", "opening"))
     assert named(shadow).cause.name == "leak"
     left, right = named(shadow).amounts
-    # 30 Pa in 3 s are read to 5 Pa each
-    assert left == pytest.approx(0.01 * ML_S_KPA, rel=0.3) and right < 0.3 * left
+    # 60 Pa in 3 s are read to 5 Pa each
+    assert left == pytest.approx(0.02 * ML_S_KPA, rel=0.3) and right < 0.3 * left
 
 
 def test_a_recording_that_says_no_object_is_refused(tmp_path, capsys):
