@@ -33,7 +33,7 @@ class SimCamera:
         camera really is, which markers it does not see, and what its pictures suffer. Raises
         InputError where that is something, and no pictures are drawn, or where touch is to be
         drawn in their place, which grasps alone can do."""
-        if effects & CAMERA and Effect.CHAIN not in effects:
+        if Effect.CHAIN not in effects:
             raise InputError("touch is drawn in grasps only", field="--effects -chain")
         self._sensor = sensor
         self._suffered = TroubledPicture(specimen.camera, seed)

@@ -33,6 +33,7 @@ def pressed(estimator, rest, rng, count):
         1,
         np.zeros((2, estimator.design.markers.count)),
         0.0,
+        np.zeros(0),
     )
 
 
@@ -79,7 +80,5 @@ def test_nothing_presses():
         pass
 
     rest.c = c
-    assert (
-        find_patches(estimator, Shape(c, pull, 600.0, 1.0, None, 1, np.zeros((2, 81)), 0.0), rest)
-        == ()
-    )
+    shape = Shape(c, pull, 600.0, 1.0, None, 1, np.zeros((2, 81)), 0.0, np.zeros(0))
+    assert find_patches(estimator, shape, rest) == ()

@@ -239,7 +239,9 @@ class FakeWorld:
         self.time = 0.0
         self.calls = []
 
-    def after_each_step(self, call):
+    def after_each_stretch(self, call, due):
+        """Steps are stretches here, so short that nothing is due within one."""
+        assert due() > self.time - 1e-9
         self.calls.append(call)
 
     def set_finger_target(self, opening, force):
