@@ -14,7 +14,6 @@ import time
 import gymnasium
 import numpy as np
 from stable_baselines3 import PPO  # pyright: ignore[reportMissingImports]
-from stable_baselines3.common.callbacks import BaseCallback  # pyright: ignore[reportMissingImports]
 from stable_baselines3.common.vec_env import DummyVecEnv  # pyright: ignore[reportMissingImports]
 
 import mjtactile
@@ -49,24 +48,6 @@ class Scaled(gymnasium.Wrapper):
         return (shown / SCALE).astype(np.float32), total, terminated, truncated, info
 
 
-class Clock(BaseCallback):
-    """Ends the training after so many seconds, and says how it goes."""
-
-    def __init__(self, seconds):
-        super().__init__()
-        self.end = time.monotonic() + seconds
-        self.outcomes = []
-
-    def _on_step(self):
-        self.outcomes += [info["outcome"] for info in self.locals["infos"] if "outcome" in info]
-        return time.monotonic() < self.end
-
-    def _on_rollout_end(self):
-        last = self.outcomes[-50:]
-        held = f"held {last.count('held')} of the last {len(last)}"
-        print(f"{self.num_timesteps} decisions, {len(self.outcomes)} grasps: {held}", flush=True)
-
-
 def make(number):
     env = gymnasium.make(
         "mjtactile.gym:mjtactile/Grasp-v0",
@@ -82,30 +63,20 @@ def make(number):
 def save(model, path):
     """As `controllers/policy.py` reads it: tanh between layers, with the scale in the first."""
     layers = [*model.policy.mlp_extractor.policy_net, model.policy.action_net]
-    weights = [one for one in layers if hasattr(one, "weight")]
     arrays = {}
-    for k, layer in enumerate(weights):
-        w = layer.weight.detach().numpy()
-        arrays[f"w{k}"] = w / SCALE if k == 0 else w
+    for k, layer in enumerate(one for one in layers if hasattr(one, "weight")):
+        arrays[f"w{k}"] = layer.weight.detach().numpy() / (SCALE if k == 0 else 1.0)
         arrays[f"b{k}"] = layer.bias.detach().numpy()
     np.savez(path, **arrays)
 
 
 def main(path="policy.npz", seconds="600"):
     envs = DummyVecEnv([lambda k=k: make(k) for k in range(ENVIRONMENTS)])
-    model = PPO(
-        "MlpPolicy",
-        envs,
-        n_steps=64,
-        batch_size=128,
-        gamma=0.98,
-        ent_coef=0.003,
-        learning_rate=1e-3,
-        policy_kwargs={"net_arch": [32, 32], "log_std_init": -0.5},
-        seed=1,
-        device="cpu",
-    )
-    model.learn(10_000_000, callback=Clock(float(seconds)))
+    net = {"net_arch": [32, 32], "log_std_init": -0.5}
+    model = PPO("MlpPolicy", envs, 1e-3, 64, 128, gamma=0.98, policy_kwargs=net, verbose=1)
+    end = time.monotonic() + float(seconds)
+    while time.monotonic() < end:
+        model.learn(64 * ENVIRONMENTS, reset_num_timesteps=False)
     save(model, path)
 
 

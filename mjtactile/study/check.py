@@ -12,8 +12,8 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.experiments.press import PressPlan, press
 from mjtactile.sim.scenes.indentation import Indenter
-from mjtactile.study.bench import Bench
 from mjtactile.study.reach import BALL_RADIUS, Reacher
+from mjtactile.study.stand import Stand
 
 _SPACING = 1.7e-3  # m between the sheet's vertices: a coarser mesh is stiffer than rubber
 _MARGIN = 6e-3  # m from the frame, in which no ball presses
@@ -71,7 +71,7 @@ def check(
         The presses that were felt and could be predicted.
     """
     rng = np.random.default_rng(seed)
-    reacher = Reacher(Bench(design))
+    reacher = Reacher(Stand(design))
     sides = np.array([design.frame.length, design.frame.width]) / 2 - _MARGIN
     mesh = mesh_of(design)
     found = []

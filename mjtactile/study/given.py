@@ -14,7 +14,6 @@ from mjtactile.core.errors import InputError, MjtactileError
 from mjtactile.core.optics import Camera, project
 from mjtactile.core.types import Array
 from mjtactile.sim.picture.sighting import Sighter
-from mjtactile.study.bench import Bench
 from mjtactile.study.files import (
     extent_of,
     radius_share,
@@ -25,6 +24,7 @@ from mjtactile.study.files import (
 )
 from mjtactile.study.reach import Reach, Reacher
 from mjtactile.study.score import Score, score
+from mjtactile.study.stand import Stand
 
 _MARGIN = 5e-3  # m from the frame to the outermost places of the map
 _SPACING = 5e-3  # m between them, about
@@ -82,17 +82,17 @@ def study(design: SensorDesign, force: float, *, say: Say = lambda _: None) -> G
     Raises:
         InputError: The sheet finds no rest, or markers are out of the picture.
     """
-    bench = Bench(design)
+    stand = Stand(design)
     say("what it reaches")
-    own = score(design, force, bench=bench)
-    reacher = Reacher(bench)
+    own = score(design, force, stand=stand)
+    reacher = Reacher(stand)
     places = face_places(design)
     face = []
     for number, place in enumerate(places):
         if number % 10 == 0:
             say(f"its face: {number} of {len(places)} places")
         face.append(reacher.at(place, force))
-    picture = picture_of(bench)
+    picture = picture_of(stand)
     changes = []
     for what, changed in variants(design, picture.longest_lens):
         say(f"what would it buy: {what}")
@@ -109,16 +109,16 @@ def face_places(design: SensorDesign) -> list[Array]:
     return [np.array([x, y]) for y in lines[1] for x in lines[0]]
 
 
-def picture_of(bench: Bench) -> Picture:
+def picture_of(stand: Stand) -> Picture:
     """How the picture is used.
 
     Args:
-        bench: The sensor.
+        stand: The sensor.
 
     Returns:
         Shares of width and height, and the longest lens.
     """
-    design = bench.design
+    design = stand.design
     camera = Camera.from_design(design.camera, design.glass)
     sides = np.array([design.frame.length, design.frame.width]) / 2
     corners = sides * [[-1, -1], [-1, 1], [1, -1], [1, 1]]
@@ -128,19 +128,19 @@ def picture_of(bench: Bench) -> Picture:
     size = np.array([design.camera.width, design.camera.height])
     inside = np.clip(uv, -0.5, size - 0.5)
     used = np.ptp(inside, axis=0) / size
-    return Picture(float(used[0]), float(used[1]), _longest_lens(bench))
+    return Picture(float(used[0]), float(used[1]), _longest_lens(stand))
 
 
-def _longest_lens(bench: Bench) -> float:
-    flat = np.zeros_like(bench.film.rest.x)
+def _longest_lens(stand: Stand) -> float:
+    flat = np.zeros_like(stand.film.rest.x)
     low, high = 1.0, _LONGEST
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
-        sighter = Sighter(scaled_lens(bench.design, middle))
+        sighter = Sighter(scaled_lens(stand.design, middle))
         seen = [
-            sighter.sight(*bench.poses(x), errors=False).ellipses for x in (flat, bench.film.rest.x)
+            sighter.sight(*stand.poses(x), errors=False).ellipses for x in (flat, stand.film.rest.x)
         ]
-        whole = all(one is not None and len(one) == bench.circles for one in seen)
+        whole = all(one is not None and len(one) == stand.circles for one in seen)
         low, high = (middle, high) if whole else (low, middle)
     return low
 

@@ -16,7 +16,7 @@ from mjtactile.sensing.body.families import FAMILIES, Family, Hint
 from mjtactile.sensing.body.fit import Data, Prior
 from mjtactile.sensing.body.forward import Forward
 from mjtactile.sensing.body.words import said_cov
-from mjtactile.study.bench import Bench, Coming
+from mjtactile.study.stand import Coming, Stand
 
 EDGE_RADIUS = 2.5e-3
 """m: what an edge is rounded by; the sheet leaves what is sharper before its faces begin."""
@@ -55,15 +55,15 @@ class Reach:
 
 
 class Reacher:
-    """Says what a sensor on the `bench` reaches."""
+    """Says what a sensor on the `stand` reaches."""
 
-    def __init__(self, bench: Bench):
-        self.bench = bench
-        self._settings = bench.chain.settings
-        rest = bench.reference.first
-        self._forward = Forward(bench.design, rest, self._settings.body.spacing)
+    def __init__(self, stand: Stand):
+        self.stand = stand
+        self._settings = stand.chain.settings
+        rest = stand.reference.first
+        self._forward = Forward(stand.design, rest, self._settings.body.spacing)
         self._by_gas = self._forward.by_gas()
-        frame = bench.design.frame
+        frame = stand.design.frame
         self._sides = np.array([frame.length, frame.width]) / 2 - _FRAME
 
     def at(self, place: Array, force: float, *, edges: bool = True) -> Reach:
@@ -79,14 +79,14 @@ class Reacher:
         """
         x, y = (float(v) for v in place)
         edge_sd = self.edge_sd(place, force) if edges else math.nan
-        pressed = self.bench.press(ball(place, BALL_RADIUS), force)
-        felt = None if pressed is None else self.bench.feel(pressed.state)
+        pressed = self.stand.press(ball(place, BALL_RADIUS), force)
+        felt = None if pressed is None else self.stand.feel(pressed.state)
         if pressed is None or felt is None or felt.touch.traction is None or not felt.ok:
             unknown = math.nan
             return Reach(x, y, force, unknown, unknown, unknown, unknown, edge_sd, unknown)
         wrench = felt.touch.traction.wrench
         cov = felt.touch.traction.wrench_cov
-        noise = math.sqrt(self.bench.noise(felt)[2, 2])
+        noise = math.sqrt(self.stand.noise(felt)[2, 2])
         height = pressed.height
         acts = place_sd(wrench, cov, height)
         sd = math.sqrt(cov[2, 2])
@@ -133,13 +133,13 @@ class Reacher:
         it of an image in which all fits: by how its markers' heights go with them
         (docs/equations.md, Eq. F18-F20)."""
         over = self._hint(place, force)
-        pressed = self.bench.press(
+        pressed = self.stand.press(
             lambda height: family.build(theta, replace(over, height=height))[0], force
         )
         if pressed is None:
             return None
         hint = replace(over, height=pressed.height)
-        data = self._data(Touch(0.0, 0.0, force, 0.0, True, markers=self.bench.see(pressed.state)))
+        data = self._data(Touch(0.0, 0.0, force, 0.0, True, markers=self.stand.see(pressed.state)))
         believed = Prior(theta / family.sd, np.eye(len(theta)))
         try:
             at = fit.begin(self._forward, family, hint, theta, data, believed, pressed.state)
@@ -155,7 +155,7 @@ class Reacher:
     def _data(self, touch: Touch) -> Data:
         inverse = self._settings.inverse
         drift = (inverse.drift_gas, inverse.drift_camera)
-        raised = np.zeros(self.bench.design.markers.count)
+        raised = np.zeros(self.stand.design.markers.count)
         return Data.of(touch, raised, self._by_gas, self._settings.body, drift)
 
     def _hint(self, place: Array, force: float) -> Hint:

@@ -10,8 +10,8 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
-from mjtactile.study.bench import Bench
 from mjtactile.study.reach import Reacher, ball
+from mjtactile.study.stand import Stand
 
 RADII = (2e-3, 3e-3, 4e-3, 6e-3, 8e-3, 12e-3, 16e-3)  # m, that are tried
 TOLD = 0.25
@@ -54,13 +54,13 @@ class Score:
         }
 
 
-def score(design: SensorDesign, force: float, *, bench: Bench | None = None) -> Score:
+def score(design: SensorDesign, force: float, *, stand: Stand | None = None) -> Score:
     """Predict what a sensor reaches.
 
     Args:
         design: The sensor.
         force: N, that presses where force, place, edge and radius are asked for.
-        bench: Of that design, where there is one.
+        stand: Of that design, where there is one.
 
     Returns:
         The numbers.
@@ -68,13 +68,13 @@ def score(design: SensorDesign, force: float, *, bench: Bench | None = None) -> 
     Raises:
         InputError: The sheet finds no rest, or markers are out of the picture.
     """
-    bench = bench or Bench(design)
-    reacher = Reacher(bench)
+    stand = stand or Stand(design)
+    reacher = Reacher(stand)
     half = np.array([design.frame.length, design.frame.width]) / 2
     places = [half * share for share in _PLACES]
     reaches = [reacher.at(place, force) for place in places]
-    zero = bench.chain.settings.zero
-    seen = zero.touch_sd * bench.level_noise()
+    zero = stand.chain.settings.zero
+    seen = zero.touch_sd * stand.level_noise()
     return Score(
         touch=max(zero.touch_least, seen),
         seen=seen,
@@ -83,7 +83,7 @@ def score(design: SensorDesign, force: float, *, bench: Bench | None = None) -> 
         place_sd=_rms([one.place_sd for one in reaches]),
         edge_sd=_rms([one.edge_sd for one in reaches]),
         radius=smallest_radius(reacher, places, force),
-        most=largest_force(bench),
+        most=largest_force(stand),
     )
 
 
@@ -98,24 +98,24 @@ def smallest_radius(reacher: Reacher, places: list[Array], force: float) -> floa
     return smallest
 
 
-def largest_force(bench: Bench) -> float:
+def largest_force(stand: Stand) -> float:
     """The largest force, N, of a ball in the middle that the film carries and the chain feels
     within a tenth, in steps of a quarter; NaN: not even a quarter of a newton."""
     held, lost = -1, _STEPS
     while lost - held > 1:
         middle = (held + lost) // 2
-        if _felt_right(bench, _LEAST * _MORE**middle):
+        if _felt_right(stand, _LEAST * _MORE**middle):
             held = middle
         else:
             lost = middle
     return math.nan if held < 0 else _LEAST * _MORE**held
 
 
-def _felt_right(bench: Bench, force: float) -> bool:
-    pressed = bench.press(ball(np.zeros(2), RANGE_RADIUS), force)
+def _felt_right(stand: Stand, force: float) -> bool:
+    pressed = stand.press(ball(np.zeros(2), RANGE_RADIUS), force)
     if pressed is None:
         return False
-    felt = bench.feel(pressed.state)
+    felt = stand.feel(pressed.state)
     if not felt.ok or felt.touch.traction is None:
         return False
     return bool(abs(-felt.touch.traction.wrench[2] - force) < _FELT_RIGHT * force)

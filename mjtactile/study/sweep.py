@@ -12,9 +12,9 @@ from scipy.stats import qmc
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError, MjtactileError
 from mjtactile.core.types import Array
-from mjtactile.study.bench import Bench
 from mjtactile.study.files import rebuilt, scaled_lens, with_markers
 from mjtactile.study.score import Score, score
+from mjtactile.study.stand import Stand
 
 # What is drawn, with its range: markers a millimetre along the longer side, their radius over their
 # pitch, the lens as a share of the longest, thickness and pressure times the file's (evenly in
@@ -131,7 +131,7 @@ def _tried(design: SensorDesign, numbers: Array, force: float, wish: Wish) -> Tr
         made = rebuilt(made_of(design, numbers))
         if made.markers.count > _MOST_MARKERS or radius_px(made) < _FEWEST_PX:
             return None
-        reached = score(made, force, bench=Bench(made))
+        reached = score(made, force, stand=Stand(made))
     except (InputError, MjtactileError):  # it cannot be built, or not be felt with
         return None
     if not math.isfinite(reached.force_sd):

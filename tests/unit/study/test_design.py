@@ -10,9 +10,9 @@ import pytest
 from mjtactile import InputError, load_sensor
 from mjtactile.cli import main
 from mjtactile.study import files, sweep
-from mjtactile.study.bench import Bench
 from mjtactile.study.reach import Reacher, ball, place_sd
 from mjtactile.study.score import Score
+from mjtactile.study.stand import Stand
 
 MIDDLE = np.zeros(2)
 PLACES = ((1e-3, 0.7e-3), (-3.1e-3, 2.2e-3), (4.3e-3, -1.4e-3))
@@ -20,7 +20,7 @@ PLACES = ((1e-3, 0.7e-3), (-3.1e-3, 2.2e-3), (4.3e-3, -1.4e-3))
 
 @pytest.fixture(scope="module")
 def paper16():
-    return Bench(load_sensor("paper16"))
+    return Stand(load_sensor("paper16"))
 
 
 def test_a_marker_is_known_as_a_circle_of_its_pixels_is(paper16):
@@ -31,7 +31,7 @@ def test_a_marker_is_known_as_a_circle_of_its_pixels_is(paper16):
     rest = paper16.film.rest
 
     def sd(changed):
-        return np.sqrt(np.trace(Bench(changed).see(rest).cov_p, axis1=1, axis2=2))
+        return np.sqrt(np.trace(Stand(changed).see(rest).cov_p, axis1=1, axis2=2))
 
     def with_camera(**values):
         return replace(design, camera=replace(camera, **values))
@@ -69,7 +69,7 @@ def test_twice_the_markers_tell_an_edge_by_the_root_of_two_better():
     sds = []
     for design in (few, many):
         design = replace(design, markers=replace(design.markers, radius=radius))
-        reacher = Reacher(Bench(design))
+        reacher = Reacher(Stand(design))
         edges = [reacher.edge_sd(np.array(place), 0.3) for place in PLACES]
         sds.append(np.sqrt(np.mean(np.square(edges))))
     wanted = math.sqrt(many.markers.count / few.markers.count)
@@ -125,7 +125,7 @@ def test_what_is_missed():
 
 def test_markers_out_of_the_picture_are_refused():
     with pytest.raises(InputError, match=r"circles lie whole in the picture"):
-        Bench(files.scaled_lens(load_sensor("dense"), 1.9))
+        Stand(files.scaled_lens(load_sensor("dense"), 1.9))
 
 
 @pytest.mark.parametrize(

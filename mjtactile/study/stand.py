@@ -1,4 +1,4 @@
-"""A sensor file on the bench: its film, its camera's exact view, and its sensing chain at rest."""
+"""A sensor file on the stand: its film, its camera's exact view, and its sensing chain at rest."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Felt:
         return self.touch.status == OK and self.touch.traction is not None
 
 
-class Bench:
+class Stand:
     """One sensor at rest, with exact references.
 
     Args:
