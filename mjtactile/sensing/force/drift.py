@@ -106,14 +106,21 @@ class CameraBelief:
 
         Returns:
             The belief after it. With J = root^-T (left^-1 - 1) root^-1 the information of the
-            image, P^-1 grows by J, and the mean moves by P root^-T left^-1 found.
+            image, P^-1 grows by J, and the mean moves by P root^-T left^-1 found. An image from
+            which no such numbers come tells nothing.
         """
-        back = np.linalg.inv(root[:, :MODES])
-        after = np.linalg.inv(left[:MODES, :MODES])
-        told = weight * back.T @ (after - np.eye(MODES)) @ back
-        remains = np.linalg.inv(np.eye(MODES) + self.known.T @ told @ self.known)
-        known = self.known @ np.linalg.cholesky((remains + remains.T) / 2)
+        nothing = CameraBelief(self.mean, self.known, time)
+        try:
+            back = np.linalg.inv(root[:, :MODES])
+            after = np.linalg.inv(left[:MODES, :MODES])
+            told = weight * back.T @ (after - np.eye(MODES)) @ back
+            remains = np.linalg.inv(np.eye(MODES) + self.known.T @ told @ self.known)
+            known = self.known @ np.linalg.cholesky((remains + remains.T) / 2)
+        except np.linalg.LinAlgError:
+            return nothing
         moved = known @ (known.T @ (back.T @ (after @ found[:MODES])))
+        if not np.isfinite(known).all() or not np.isfinite(moved).all():
+            return nothing
         return CameraBelief(self.mean + weight * moved, known, time)
 
 

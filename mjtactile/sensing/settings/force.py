@@ -291,7 +291,7 @@ class GaugeSettings:
     deviation_most: float = number(4.5, "sd by which one reading may surprise", "trial")
     surprise_most: float = number(1.7, "sd by which the mean of several may", "4 sd of that mean")
     telling: float = number(4.0, "of a reading's variance: what is known worse is told", "trial")
-    blend: float = number(0.3, "of the newest reading in that mean", "trial")
+    blend: float = number(0.3, "of the newest reading in that mean", "trial", high=1.0)
     shortest: float = number(0.02, "s, in which a surprise has come about", "trial")
     moved_most: float = number(
         60.0, "Pa in an image, from which on the force is unknown", "bench trust: valves, holes"
@@ -308,7 +308,7 @@ class ZeroSettings:
         5.0, "sd of the noise that a force, or its level, must exceed to be a touch", TRIED
     )
     touch_least: float = number(0.02, "N that it must exceed too", TRIED)
-    blend: float = number(0.5, "of the newest image in the level", TRIED)
+    blend: float = number(0.5, "of the newest image in the level", TRIED, high=1.0)
     jump_sd: float = number(
         4.0, "sd; a larger change is no noise: the level follows at once", TRIED
     )

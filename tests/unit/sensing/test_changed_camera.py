@@ -141,3 +141,14 @@ def test_overexposed_references_are_refused(sensor):
     perception.take_flat([bright(image) for image in images.flat])
     with pytest.raises(DeviceError, match="rest reference: the picture is overexposed"):
         perception.take_rest([white(image) for image in images.rest], sheet_images.GAUGE)
+
+
+@pytest.mark.parametrize(
+    "left", [np.zeros((MODES, MODES)), 1e9 * np.eye(MODES), np.nan * np.eye(MODES)]
+)
+def test_an_image_that_breaks_the_numbers_tells_nothing_of_the_camera(left):
+    """A covariance that is singular, grows, or is no number: the belief stays, and the loop runs."""
+    before = CameraBelief.unseen(DEFAULTS.inverse)
+    after = before.told(np.ones(MODES), left, before.root, 1.0)
+    assert np.isfinite(after.known).all() and np.isfinite(after.mean).all()
+    assert np.linalg.det(after.known) > 0
