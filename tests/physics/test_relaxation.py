@@ -39,10 +39,7 @@ class Patch:
         for `elapsed` s since the last call."""
         self.sheet._advance(self.flat * [1 + by, 1 + by, 1], elapsed)
         lasting = self.sheet._memory[0, 0]
-        scale = self.sheet._scale[0]
-        shear = self.sheet._shear
         mine = self.relaxation.quick * lasting - self.sheet._memory[0, 1:].sum(axis=0)
-        assert scale * shear > 0
         return float((lasting - self.at_rest)[0]), float((mine - self.at_rest)[0])
 
 
