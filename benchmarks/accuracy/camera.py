@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.settings import SENSOR, attempt
-from mjtactile.core.design import CameraDesign, MarkerLayout, SensorDesign, load_sensor
+from mjtactile.core.design import SensorDesign, load_sensor
+from mjtactile.core.sensor_parts import CameraDesign, MarkerLayout
 from mjtactile.core.types import Array
 from mjtactile.sensing.perception import Perception
 from mjtactile.sim import truth

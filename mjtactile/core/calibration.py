@@ -20,7 +20,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from mjtactile.core.design import Pinhole, SensorDesign
+from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.fields import (
     KPA,
@@ -37,6 +37,7 @@ from mjtactile.core.fields import (
     text,
     write,
 )
+from mjtactile.core.sensor_parts import Pinhole
 from mjtactile.core.toml import Section, read_json
 from mjtactile.core.types import (
     Array,

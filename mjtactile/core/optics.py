@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mjtactile.core.design import Glass, Pinhole
 from mjtactile.core.errors import InputError
+from mjtactile.core.sensor_parts import Glass, Pinhole
 from mjtactile.core.types import Array
 
 _NEWTON_STEPS = 30

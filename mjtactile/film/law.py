@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mjtactile.core.design import Membrane
 from mjtactile.core.rubber import Law, equibiaxial_stress, shear_modulus
+from mjtactile.core.sensor_parts import Membrane
 from mjtactile.core.types import Array
 
 DEGREE = 10

@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import lambertw
 
-from mjtactile.core.design import Membrane
 from mjtactile.core.rubber import Law
+from mjtactile.core.sensor_parts import Membrane
 from mjtactile.core.types import Array
 
 # stretches of 0.47 to 2.7; linear between: q is good to 1e-6

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mjtactile.core import geometry, optics
-from mjtactile.core.design import CameraDesign
 from mjtactile.core.errors import InputError
+from mjtactile.core.sensor_parts import CameraDesign
 from mjtactile.core.types import Array, CirclePoses, Ellipses
 from mjtactile.sensing.image import ellipse
 

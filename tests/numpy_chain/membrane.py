@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mjtactile.core.design import Membrane
 from mjtactile.core.rubber import shear_modulus, thickness_over_area
+from mjtactile.core.sensor_parts import Membrane
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor.mesh import MembraneMesh
 from mjtactile.sim.sensor.rubber import EdgeMatrices

@@ -8,9 +8,10 @@ import pytest
 from membrane_scenes import scene, settle
 
 from mjtactile.core import resources, theory
-from mjtactile.core.design import Frame, MarkerLayout, Membrane, load_sensor
+from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.rubber import Law
+from mjtactile.core.sensor_parts import Frame, MarkerLayout, Membrane
 from mjtactile.sim.sensor.limits import STRETCHED
 from mjtactile.sim.sensor.mesh import MarkerInterpolator, make_mesh, to_square
 

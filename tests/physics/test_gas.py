@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from mjtactile.core.design import Chamber
 from mjtactile.core.errors import InputError
+from mjtactile.core.sensor_parts import Chamber
 from mjtactile.sim.sensor.gas import Gas
 
 AMBIENT = 101325.0

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from membrane_scenes import scene, settle
 
-from mjtactile.core.design import Chamber, Frame, Membrane, load_sensor
+from mjtactile.core.design import load_sensor
 from mjtactile.core.rubber import Law
+from mjtactile.core.sensor_parts import Chamber, Frame, Membrane
 from mjtactile.sim.attach import attach_membrane, recommend_options
 from mjtactile.sim.scenes.world import World
 from mjtactile.sim.sensor.chamber import ChamberGeometry

@@ -11,9 +11,10 @@ from membrane_scenes import scene, settle
 from reference_membrane import ReferenceMembrane
 
 from mjtactile.core import theory
-from mjtactile.core.design import Frame, load_sensor
+from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import SimulationError
 from mjtactile.core.rubber import Law, thickness_over_area
+from mjtactile.core.sensor_parts import Frame
 from mjtactile.sensing.force.sheet import Gas, Sheet
 from mjtactile.sensing.law import SheetLaw
 from mjtactile.sim import truth

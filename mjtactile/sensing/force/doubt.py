@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjtactile.core.design import MarkerLayout, SensorDesign
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.sensor_parts import MarkerLayout
 from mjtactile.core.types import Array
 from mjtactile.sensing.settings import DEFAULTS, DoubtSettings
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mjtactile.core.design import Chamber
+from mjtactile.core.sensor_parts import Chamber
 from mjtactile.core.types import Array, PressureReading
 from mjtactile.sensing.force.sheet import Gas
 from mjtactile.sensing.settings import DEFAULTS, GaugeSettings

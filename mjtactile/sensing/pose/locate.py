@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mjtactile.core import optics
-from mjtactile.core.design import CameraDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.images import decode
+from mjtactile.core.sensor_parts import CameraDesign
 from mjtactile.core.types import Array, CirclePoses, Ellipses, Image
 from mjtactile.sensing.image.exposure import is_overexposed
 from mjtactile.sensing.image.gamma import UNKNOWN, Gamma, estimate_gamma, linear_light

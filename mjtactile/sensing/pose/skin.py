@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core import optics
-from mjtactile.core.design import CameraDesign
 from mjtactile.core.errors import InputError
+from mjtactile.core.sensor_parts import CameraDesign
 from mjtactile.core.types import Array, CirclePoses, Ellipses, Image
 from mjtactile.sensing.image.markers import Polarity, grey_image
 from mjtactile.sensing.image.thorough import detect_thoroughly

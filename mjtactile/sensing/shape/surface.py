@@ -32,7 +32,8 @@ from scipy.linalg import solve_banded
 
 from mjtactile.core import geometry
 from mjtactile.core.bspline import Cubic
-from mjtactile.core.design import Frame, SensorDesign
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.sensor_parts import Frame
 from mjtactile.core.status import OK, Status, StatusCode
 from mjtactile.core.types import Array, Markers, Surface
 from mjtactile.kernels import band_stride, kernel

@@ -19,9 +19,10 @@ import cv2
 import numpy as np
 
 from mjtactile.core import optics
-from mjtactile.core.design import Frame, SensorDesign
+from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.optics import Camera
+from mjtactile.core.sensor_parts import Frame
 from mjtactile.core.types import Array
 from mjtactile.kernels import kernel
 from mjtactile.sim.picture.light import BLOCK_PX, Floats, Light, block_slopes

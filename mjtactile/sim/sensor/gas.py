@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import math
 
-from mjtactile.core.design import Chamber
 from mjtactile.core.errors import InputError
+from mjtactile.core.sensor_parts import Chamber
 
 # Pa and K: both are 0.03 Pa of a gas that weighs on the sheet with 1000
 _LEVEL = 0.01

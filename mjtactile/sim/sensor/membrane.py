@@ -12,7 +12,8 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from mjtactile.core.design import Membrane, SensorDesign
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.sensor_parts import Membrane
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
 FLEX = "membrane"

@@ -16,9 +16,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mjtactile.core.design import Membrane
 from mjtactile.core.relaxation import Relaxation
 from mjtactile.core.rubber import shear_modulus
+from mjtactile.core.sensor_parts import Membrane
 from mjtactile.core.types import Array
 from mjtactile.kernels import bound
 from mjtactile.sim.sensor.mesh import MembraneMesh

@@ -16,9 +16,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjtactile.core.design import Chamber, SensorDesign
+from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.rubber import Law
+from mjtactile.core.sensor_parts import Chamber
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor.chamber import ChamberGeometry, GasTendon
 from mjtactile.sim.sensor.gas import Gas

@@ -9,9 +9,10 @@ from dataclasses import replace
 import pytest
 
 from mjtactile.core import fields, resources
-from mjtactile.core.design import Frame, SensorDesign, load_sensor, sensor_from_table
+from mjtactile.core.design import SensorDesign, load_sensor, sensor_from_table
 from mjtactile.core.errors import InputError
 from mjtactile.core.rubber import Law
+from mjtactile.core.sensor_parts import Frame
 
 DENSE = resources.find("dense", "models/sensors", ".toml")
 

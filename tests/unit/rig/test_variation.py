@@ -11,9 +11,10 @@ import pytest
 from scipy.stats import kstest, truncnorm
 
 from mjtactile.core import resources
-from mjtactile.core.design import Chamber, load_sensor
+from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
+from mjtactile.core.sensor_parts import Chamber
 from mjtactile.core.toml import read_toml
 from mjtactile.core.types import Command
 from mjtactile.rig.file import load_sim_rig

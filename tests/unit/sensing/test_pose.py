@@ -6,8 +6,8 @@ import pytest
 
 from benchmarks.paper import sine_rule
 from mjtactile.core import geometry, optics
-from mjtactile.core.design import CameraDesign
 from mjtactile.core.errors import InputError
+from mjtactile.core.sensor_parts import CameraDesign
 from mjtactile.core.types import Ellipses
 from mjtactile.sensing.image import ellipse
 from mjtactile.sensing.pose import circles

@@ -15,7 +15,8 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from mjtactile.core import geometry
-from mjtactile.core.design import Leds, load_sensor
+from mjtactile.core.design import load_sensor
+from mjtactile.core.sensor_parts import Leds
 from mjtactile.sim.picture.renderer import Effects, Renderer
 
 RAYS = 16

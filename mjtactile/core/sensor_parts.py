@@ -1,0 +1,299 @@
+"""The parts that a sensor is made of: frame, membrane, markers, chamber, glass, camera, light; each
+a section of a sensor file.
+
+Every quantity is SI inside. The file's keys carry the unit; each field says its own, with its range
+(`mjtactile.core.fields`). The format: docs/sensors.md.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from mjtactile.core.fields import KPA, ML, ML_S_KPA, MM, number, numbers, read, whole, write_fields
+from mjtactile.core.rubber import Law, equibiaxial_stress
+from mjtactile.core.toml import Section
+from mjtactile.core.types import Array
+
+SHAPES = ("rectangle", "circle")
+# A number without unit that a file writes as a whole one stays whole: fingerprints of sensor files
+# (`mjtactile.core.calibration`) tell 600 from 600.0.
+ONE = 1
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Rigid frame, m; a circle has its diameter for both length and width. Sensing handles
+    rectangles only, and refuses a circle."""
+
+    length: float = number("length_mm", 2, 500, MM, about="inner opening along x")
+    width: float = number("width_mm", 2, 500, MM, about="inner opening along y")
+    rim: float = number(
+        "rim_mm", 0, 100, MM, default=0.003, about="width of the wall around the opening"
+    )
+    shape: str = "rectangle"
+
+    @classmethod
+    def from_section(cls, section: Section) -> Frame:
+        """A rectangle by length and width (`shape` may be left out), or a circle by its
+        diameter."""
+        shape = section.text("shape", SHAPES, default="rectangle")
+        if shape == "rectangle":
+            return read(cls, section, shape=shape)
+        diameter = section.number("diameter_mm", 2, 500, MM)
+        return read(cls, section, shape=shape, length=diameter, width=diameter)
+
+    def to_table(self) -> dict[str, Any]:
+        """What stands in the file."""
+        table = write_fields(self)
+        if self.shape == "circle":
+            table["shape"] = self.shape
+            table["diameter_mm"] = table.pop("length_mm")
+            del table["width_mm"]
+        return table
+
+    @property
+    def area(self) -> float:
+        """Area of the opening, m^2."""
+        return self.length * self.width * (math.pi / 4 if self.shape == "circle" else 1.0)
+
+
+@dataclass(frozen=True)
+class Membrane:
+    """Rubber sheet, SI: Pa, kg/m^3, m; `law` of its stress."""
+
+    thickness: float = number(
+        "thickness_mm", 0.01, 5, MM, about="of the sheet before it is stretched"
+    )
+    young: float = number("young_MPa", 0.01, 1000, 1e6, about="Young's modulus")
+    poisson: float = number("poisson_ratio", 0, 0.499, ONE, about="rubber: 0.45 to 0.49")
+    density: float = number("density_kg_m3", 100, 20000, ONE, about="of the rubber")
+    pre_stretch: float = number(
+        "pre_stretch",
+        0.9,
+        2,
+        ONE,
+        default=1.0,
+        about="mounted length over free length, both ways; 1 is none. "
+        "Below 0.95 the sheet folds and is refused",
+    )
+    friction: float = number(
+        "friction",
+        0,
+        5,
+        ONE,
+        default=0.9,
+        about="Coulomb's coefficient of the outside against whatever touches",
+    )
+    law: Law = Law.NEO_HOOKEAN
+
+    @property
+    def pretension(self) -> float:
+        """Tension per length T0, N/m, of the flat mounted sheet, stretched alike in all directions.
+
+        The force per *mounted* length is h S with the second Piola-Kirchhoff stress S (the factor l
+        of the deformation and the factor 1/l of the mounted length cancel).
+        """
+        return self.thickness * equibiaxial_stress(
+            self.pre_stretch, self.young, self.poisson, self.law
+        )
+
+
+@dataclass(frozen=True)
+class MarkerLayout:
+    """Rigid black circles on the inside, a grid about the centre, m. Positions are those of the
+    mounted, flat membrane."""
+
+    rows: int = whole("rows", 2, 200, about="along y")
+    columns: int = whole("columns", 2, 200, about="along x")
+    pitch_x: float = number(
+        "pitch_x_mm", 0.1, 200, MM, about="centre to centre, on the mounted flat membrane"
+    )
+    pitch_y: float = number("pitch_y_mm", 0.1, 200, MM, about="the same along y")
+    radius: float = number("radius_mm", 0.05, 50, MM, about="of each black circle")
+
+    @property
+    def count(self) -> int:
+        """Number of markers, N."""
+        return self.rows * self.columns
+
+    @cached_property
+    def p_SM(self) -> Array:
+        """Marker centres on the flat membrane, (N, 3) m in S; row by row, x fastest. Read-only."""
+        x = (np.arange(self.columns) - (self.columns - 1) / 2) * self.pitch_x
+        y = (np.arange(self.rows) - (self.rows - 1) / 2) * self.pitch_y
+        grid_x, grid_y = np.meshgrid(x, y)
+        p_SM = np.column_stack([grid_x.ravel(), grid_y.ravel(), np.zeros(self.count)])
+        p_SM.flags.writeable = False
+        return p_SM
+
+
+@dataclass(frozen=True)
+class Chamber:
+    """Sealed space behind the flat membrane, SI: m, Pa, K, s, m^3/(s Pa) of volume flow, m^3."""
+
+    depth: float = number(
+        "depth_mm", 0.1, 500, MM, about="flat membrane to glass; no press can be deeper"
+    )
+    heat_ratio: float = number(
+        "heat_ratio",
+        1,
+        1.7,
+        ONE,
+        default=1.0,
+        about="gamma of the gas law p V^gamma: 1 isothermal, "
+        "1.4 air that has no time to take the walls' temperature",
+    )
+    supply_gauge: float = number(
+        "supply_gauge_kPa",
+        -50,
+        100,
+        KPA,
+        default=1000.0,
+        about="what the valve connects to: the working pressure",
+    )
+    ambient: float = number("ambient_kPa", 1, 1000, KPA, default=101325.0, about="absolute")
+    temperature: float = number(
+        "temperature_K", 200, 400, ONE, default=293.15, about="of gas and walls"
+    )
+    heat_exchange: float = number(
+        "heat_exchange_s",
+        1e-3,
+        1e6,
+        ONE,
+        default=math.inf,
+        about="time constant with which the gas takes the walls' temperature; "
+        "a few mm of air need 0.5-2",
+    )
+    valve_conductance: float = number(
+        "valve_mL_s_kPa",
+        1e-3,
+        1e6,
+        ML_S_KPA,
+        default=math.inf,
+        about="flow through the open valve for each kPa; infinite: the pressure follows at once",
+    )
+    leak_conductance: float = number(
+        "leak_mL_s_kPa", 0, 1e6, ML_S_KPA, default=0.0, about="the same of a hole to ambient"
+    )
+    extra_volume: float = number(
+        "extra_volume_mL",
+        -1e4,
+        1e4,
+        ML,
+        default=0.0,
+        about="gas that is not between opening and glass: the hose's, up to the valve; "
+        "less than 0 where the walls slope in",
+    )
+
+
+@dataclass(frozen=True)
+class Glass:
+    """Flat pane normal to the camera's axis, m."""
+
+    thickness: float = number("thickness_mm", 0, 50, MM, about="0: no glass")
+    refractive_index: float = number(
+        "refractive_index", 1, 3, ONE, about="glass 1.52, acrylic 1.49"
+    )
+    distance: float = number(
+        "distance_mm", 0, 1000, MM, about="camera centre to the pane's near face"
+    )
+
+
+@dataclass(frozen=True)
+class Pinhole:
+    """Intrinsics of a camera, pixels."""
+
+    width: int = whole("width_px", 16, 8192, about="of the image")
+    height: int = whole("height_px", 16, 8192, about="of the image")
+    fx: float = number("fx_px", 10, 1e5, ONE, about="focal length along u")
+    fy: float = number("fy_px", 10, 1e5, ONE, about="and along v")
+    cx: float = number(
+        "cx_px",
+        -8192,
+        16384,
+        ONE,
+        about="principal point; the centre of the top-left pixel is (0, 0)",
+    )
+    cy: float = number("cy_px", -8192, 16384, ONE, about="the same along v")
+    distortion: tuple[float, ...] = numbers(
+        "distortion",
+        ("k1", "k2", "p1", "p2", "k3"),
+        -1000,
+        1000,
+        default=(0.0, 0.0, 0.0, 0.0, 0.0),
+        about="k1, k2, p1, p2, k3 as OpenCV and ROS have them (plumb_bob), each in this range",
+    )
+
+    @property
+    def K(self) -> Array:
+        """Intrinsic matrix (3, 3), pixels."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def intrinsics(self) -> dict[str, Any]:
+        """These values by name: of whatever else a subclass knows, nothing."""
+        return {field.name: getattr(self, field.name) for field in fields(Pinhole)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraDesign(Pinhole):
+    """Camera behind the glass, looking along +z of S; m, Hz."""
+
+    distance: float = number("distance_mm", 1, 2000, MM, about="camera centre to the flat membrane")
+    rate: float = number(
+        "rate_Hz",
+        0.1,
+        2000,
+        ONE,
+        default=30.0,
+        about="images a second, and turns of the control loop",
+    )
+    blur_px: float = number(
+        "blur_px",
+        0,
+        20,
+        ONE,
+        default=0.7,
+        about="standard deviation of the image's blur; simulation, "
+        "and what the edges' correction begins from",
+    )
+    noise_dn: float = number(
+        "noise_DN",
+        0,
+        100,
+        ONE,
+        default=2.0,
+        about="standard deviation of a pixel's noise, in grey levels of 8 bit",
+    )
+
+    @property
+    def p_SC(self) -> Array:
+        """Camera centre in S; the camera's axes are parallel to those of S (R_SC = I)."""
+        return np.array([0.0, 0.0, -self.distance])
+
+
+@dataclass(frozen=True)
+class Leds:
+    """LEDs on a ring around the camera, m, and the grey levels (0-255) under them."""
+
+    count: int = whole("count", 0, 1000, default=4, about="on a ring around the camera")
+    ring_radius: float = number("ring_radius_mm", 0, 500, MM, default=0.012, about="of that ring")
+    membrane_dn: float = number(
+        "membrane_DN", 0, 255, ONE, default=185.0, about="grey level of the lit white membrane"
+    )
+    marker_dn: float = number(
+        "marker_DN",
+        0,
+        255,
+        ONE,
+        default=40.0,
+        about="grey level of a black marker, less than the membrane's",
+    )
+    falloff: float = number(
+        "falloff", 0, 1, ONE, default=0.25, about="share of the light lost at the image's corners"
+    )
