@@ -49,7 +49,7 @@ _DOORS = {
         "sensing.force.of_surface",
         "core.optics",
     ),
-    "Sensors and their calibration": ("core.design", "core.calibration"),
+    "Sensors and their calibration": ("core.design", "core.calibration", "core.calibration_parts"),
     "The film": ("film.film", "film.bodies", "film.derivatives", "film.state"),
     "Recordings": ("recording.reader", "recording.writer", "recording.observer", "export.live"),
     "Policies": ("core.policy",),

@@ -13,9 +13,9 @@ from mjtactile.core import system
 
 if TYPE_CHECKING:
     from mjtactile.core.calibration import Calibration as Calibration
-    from mjtactile.core.calibration import Lens as Lens
-    from mjtactile.core.calibration import Stamp as Stamp
     from mjtactile.core.calibration import load_calibration as load_calibration
+    from mjtactile.core.calibration_parts import Lens as Lens
+    from mjtactile.core.calibration_parts import Stamp as Stamp
     from mjtactile.core.design import SensorDesign as SensorDesign
     from mjtactile.core.design import load_sensor as load_sensor
     from mjtactile.core.errors import ControllerError as ControllerError
@@ -73,7 +73,8 @@ if TYPE_CHECKING:
     from mjtactile.sim.attach import recommend_options as recommend_options
 
 _HOMES = {
-    "core.calibration": ("Calibration", "Lens", "Stamp", "load_calibration"),
+    "core.calibration": ("Calibration", "load_calibration"),
+    "core.calibration_parts": ("Lens", "Stamp"),
     "core.design": ("SensorDesign", "load_sensor"),
     "core.errors": (
         "ControllerError",

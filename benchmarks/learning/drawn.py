@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks.accuracy.run import stamp
 from benchmarks.learning.squeeze import squeeze
-from mjtactile.core.calibration import fingerprint
+from mjtactile.core.calibration_parts import fingerprint
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import MjtactileError
 from mjtactile.core.scenario import Scenario

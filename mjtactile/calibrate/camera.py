@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mjtactile.core.calibration import Lens, Stamp
+from mjtactile.core.calibration_parts import Lens, Stamp
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 

@@ -11,7 +11,8 @@ import numpy as np
 
 from mjtactile.calibrate.area import AreaCalibration
 from mjtactile.calibrate.verdict import fit_line
-from mjtactile.core.calibration import Calibration, ForceScale, Stamp
+from mjtactile.core.calibration import Calibration
+from mjtactile.core.calibration_parts import ForceScale, Stamp
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, Image

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from mjtactile.calibrate.verdict import stamp_of
-from mjtactile.core.calibration import Calibration, FrameCalibration, RestMarkers
+from mjtactile.core.calibration import Calibration
+from mjtactile.core.calibration_parts import FrameCalibration, RestMarkers
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Image

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mjtactile.core.calibration import Calibration, Part, load_calibration
+from mjtactile.core.calibration import Calibration, load_calibration
+from mjtactile.core.calibration_parts import Part
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import FINGERS

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.core import calibration
-from mjtactile.core.calibration import Stamp
+from mjtactile.core import calibration_parts
+from mjtactile.core.calibration_parts import Stamp
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
@@ -22,7 +22,7 @@ from mjtactile.recording.files import to_json, versions, write_json
 
 def stamp_of(design: SensorDesign, residuals: Mapping[str, Any]) -> Stamp:
     """The stamp of a calibration's part that was measured now."""
-    return calibration.stamp(design, versions(), to_json(residuals))
+    return calibration_parts.stamp(design, versions(), to_json(residuals))
 
 
 def stamp(kind: str, reasons: Sequence[str]) -> dict[str, Any]:

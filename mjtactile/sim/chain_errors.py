@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core import resources
-from mjtactile.core.calibration import fingerprint
+from mjtactile.core.calibration_parts import fingerprint
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array

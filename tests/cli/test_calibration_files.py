@@ -7,14 +7,8 @@ import pytest
 
 from mjtactile.cli import main
 from mjtactile.core import resources
-from mjtactile.core.calibration import (
-    Calibration,
-    ForceScale,
-    Lens,
-    ValveZero,
-    load_calibration,
-    stamp,
-)
+from mjtactile.core.calibration import Calibration, load_calibration
+from mjtactile.core.calibration_parts import ForceScale, Lens, ValveZero, stamp
 from mjtactile.core.design import load_sensor
 from mjtactile.rig.file import load_rig_file
 from mjtactile.rig.gripper import calibrated_gripper

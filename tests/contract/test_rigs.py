@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mjtactile.core.calibration import Calibration, ForceScale, Lens, stamp
+from mjtactile.core.calibration import Calibration
+from mjtactile.core.calibration_parts import ForceScale, Lens, stamp
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.core.scenario import Scenario

@@ -7,15 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mjtactile.core.calibration import (
+from mjtactile.core.calibration import Calibration, load_calibration
+from mjtactile.core.calibration_parts import (
     KINDS,
-    Calibration,
     ForceScale,
     FrameCalibration,
     Lens,
     RestMarkers,
     ValveZero,
-    load_calibration,
     stamp,
 )
 from mjtactile.core.design import load_sensor

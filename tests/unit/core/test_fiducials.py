@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mjtactile.core import resources
-from mjtactile.core.calibration import fingerprint
+from mjtactile.core.calibration_parts import fingerprint
 from mjtactile.core.design import load_sensor, sensor_from_table
 from mjtactile.core.errors import InputError
 from mjtactile.core.fiducials import Fiducials

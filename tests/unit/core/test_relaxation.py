@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mjtactile.core.calibration import fingerprint
+from mjtactile.core.calibration_parts import fingerprint
 from mjtactile.core.design import load_sensor, sensor_from_table
 from mjtactile.core.errors import InputError
 from mjtactile.core.relaxation import Relaxation, decades, relaxed_modulus

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mjtactile.core.calibration import RestMarkers
+from mjtactile.core.calibration_parts import RestMarkers
 from mjtactile.core.design import load_sensor
 from mjtactile.core.fields import from_table
 from mjtactile.core.toml import Section

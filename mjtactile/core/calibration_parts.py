@@ -1,0 +1,209 @@
+"""The parts of a finger's calibration: what was measured of its lens, of the camera's place in the
+frame with the markers' sizes, of the pressure sensor's zero, and of the force's scale.
+
+A part says with what sensor file, when and by which versions it was measured, and its residuals.
+"""
+
+from __future__ import annotations
+
+import datetime
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.fields import KPA, MM, NumberArray, Table, entry, given, number, part, text
+from mjtactile.core.sensor_parts import Pinhole
+from mjtactile.core.toml import Section
+from mjtactile.core.types import Array, FiducialsSeen, Markers, Traction
+
+_FAR = 1e9  # no number of a calibration is larger
+
+
+@dataclass(frozen=True)
+class Stamp:
+    """Where a part of a calibration comes from.
+
+    Attributes:
+        date: ISO 8601, UTC.
+        fingerprint: Of the sensor file then.
+        versions: Of the software.
+        residuals: What the measurement says of itself.
+    """
+
+    date: str = text("date")
+    fingerprint: str = text("fingerprint")
+    versions: Mapping[str, str] = entry(Table(key="versions"), default_factory=dict)
+    residuals: Mapping[str, Any] = entry(Table(key="residuals"), default_factory=dict)
+
+
+def stamp(design: SensorDesign, versions: Mapping[str, str], residuals: Mapping[str, Any]) -> Stamp:
+    """The stamp of a part that was measured now, on a sensor of this sensor file."""
+    return Stamp(now(), fingerprint(design), versions, residuals)
+
+
+def fingerprint(design: SensorDesign) -> str:
+    """SHA-256 of all values of a sensor file; comments and layout do not count."""
+    values = asdict(replace(design, calibration=None))
+    for added in ("fiducials", "relaxation"):  # fingerprints of files from before them stay
+        if values[added] is None:
+            del values[added]
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class Lens(Pinhole):
+    """The intrinsics of one camera, as measured.
+
+    Attributes:
+        kind: "lens".
+        rests_on: Parts that this one was measured with: when one of them is newer, this one is
+            outdated.
+        of_sensor: Whether it is outdated when the sensor file has changed.
+        stamp: Where it comes from.
+    """
+
+    kind: ClassVar[str] = "lens"
+    rests_on: ClassVar[tuple[str, ...]] = ()
+    """Parts that this one was measured with: when one of them is newer, this one is outdated."""
+    of_sensor: ClassVar[bool] = False
+    """Whether it is outdated when the sensor file has changed."""
+
+    stamp: Stamp = field(kw_only=True)
+
+
+@dataclass(frozen=True, eq=False)
+class RestMarkers:
+    """The membrane at rest: `markers` in S, the chamber's `pressure_gauge` Pa, and whether it was
+    `sealed`."""
+
+    markers: Markers
+    pressure_gauge: float
+    sealed: bool
+
+    def to_table(self) -> dict[str, Any]:
+        """What stands in the file."""
+        m = self.markers
+        seen = m.fiducials
+        return {
+            "pressure_kPa": self.pressure_gauge / KPA,
+            "sealed": self.sealed,
+            "ids": m.ids.tolist(),
+            "p_SM_mm": (m.p_SM / MM).tolist(),
+            "n_S": m.n_S.tolist(),
+            "cov_p_mm2": (m.cov_p / MM**2).tolist(),
+            **(
+                {} if seen is None or not seen.has_levels else {"fiducials": _fiducials_table(seen)}
+            ),
+        }
+
+    @classmethod
+    def from_section(cls, section: Section) -> RestMarkers:
+        """The markers stand in lists of one length."""
+        ids = section.array("ids", (None,))
+        n = len(ids)
+        markers = Markers(
+            ids.astype(np.int64),
+            section.array("p_SM_mm", (n, 3)) * MM,
+            section.array("n_S", (n, 3)),
+            section.array("cov_p_mm2", (n, 3, 3)) * MM**2,
+            fiducials=_fiducials_seen(section.optional("fiducials")),
+        )
+        pressure = section.number("pressure_kPa", -_FAR, _FAR, KPA)
+        return cls(markers, pressure, section.flag("sealed", True))
+
+
+def _fiducials_table(seen: FiducialsSeen) -> dict[str, Any]:
+    return {name: np.asarray(value).tolist() for name, value in vars(seen).items()}
+
+
+def _fiducials_seen(section: Section | None) -> FiducialsSeen | None:
+    """What stands in the file of the fiducials; None: nothing does."""
+    if section is None:
+        return None
+    ids = section.array("ids", (None,))
+    n = len(ids)
+    seen = FiducialsSeen(
+        ids.astype(np.int64),
+        section.array("center_px", (n, 2)),
+        section.array("radius_px", (n,)),
+        section.array("cov", (n, 3, 3)),
+        section.array("inside", (n,)),
+        section.array("outside", (n,)),
+        section.array("blur_px", (n,)),
+    )
+    section.done()
+    return seen
+
+
+@dataclass(frozen=True, eq=False)
+class FrameCalibration:
+    """Camera pose `R_SC` (3, 3), `p_SC` (3,) m in the sensor's frame, true over nominal radius of
+    each marker, `scale` (N,); of the flat membrane `residual_px` and `scale_sd`, and where it was
+    measured the membrane at `rest` with the `stiffness` it shows over the sensor file's."""
+
+    kind: ClassVar[str] = "frame"
+    rests_on: ClassVar[tuple[str, ...]] = ("lens",)
+    of_sensor: ClassVar[bool] = True
+
+    R_SC: Array = entry(NumberArray(key="R_SC", shape=(3, 3)))
+    p_SC: Array = entry(NumberArray(key="p_SC_mm", shape=(3,), unit=MM))
+    scale: Array = entry(NumberArray(key="scale", shape=(None,)))
+    residual_px: float = number("residual_px", 0, _FAR)
+    scale_sd: float = number("scale_sd", 0, _FAR)
+    stamp: Stamp = given()
+    rest: RestMarkers | None = part("rest", RestMarkers, default=None)
+    stiffness: float | None = number("stiffness", 0, _FAR, default=None)
+
+
+@dataclass(frozen=True)
+class ValveZero:
+    """What the chamber's pressure sensor shows at ambient pressure, `offset` Pa, with its noise,
+    `noise_sd` Pa."""
+
+    kind: ClassVar[str] = "valve"
+    rests_on: ClassVar[tuple[str, ...]] = ()
+    of_sensor: ClassVar[bool] = False
+
+    offset: float = number("offset_Pa", -_FAR, _FAR)
+    noise_sd: float = number("noise_sd_Pa", 0, _FAR)
+    stamp: Stamp = given()
+
+
+@dataclass(frozen=True)
+class ForceScale:
+    """True over felt force, `scale` with its standard deviation `sd`, from loads up to `largest`
+    N."""
+
+    kind: ClassVar[str] = "force"
+    rests_on: ClassVar[tuple[str, ...]] = ("lens", "valve")
+    of_sensor: ClassVar[bool] = True
+
+    scale: float = number("scale", 0.1, 10)
+    sd: float = number("scale_sd", 0, 10)
+    largest: float = number("largest_N", 0, _FAR)
+    stamp: Stamp = given()
+
+    def apply(self, traction: Traction) -> Traction:
+        """The traction times the scale, whose own uncertainty adds to the wrench's: cov' = k^2 cov
+        + sd^2 w w^T."""
+        wrench = traction.wrench
+        k = self.scale
+        cov = k**2 * traction.wrench_cov + self.sd**2 * np.outer(wrench, wrench)
+        return replace(traction, force=k * traction.force, wrench=k * wrench, wrench_cov=cov)
+
+
+Part = Lens | FrameCalibration | ValveZero | ForceScale
+KINDS: dict[str, type[Part]] = {
+    part.kind: part for part in (Lens, FrameCalibration, ValveZero, ForceScale)
+}
+"""The parts by name, in the order in which they are measured."""
+
+
+def now() -> str:
+    """ISO 8601, UTC."""
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
