@@ -23,41 +23,22 @@ from mjtactile.core.calibration import Calibration
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.optics import Camera
-from mjtactile.core.status import OK, Status, StatusCode
-from mjtactile.core.types import (
-    Array,
-    Contact,
-    Ellipses,
-    FeltShape,
-    Image,
-    Markers,
-    PressureReading,
-    Sighting,
-    Surface,
-    Touch,
-    Traction,
-)
+from mjtactile.core.status import OK, Status
+from mjtactile.core.types import Array, FeltShape, Image, Markers, PressureReading, Surface, Touch
 from mjtactile.sensing.body.finder import ShapeFinder
 from mjtactile.sensing.body.motion import rubber_step
-from mjtactile.sensing.estimate import Estimate, ShapeEstimator
-from mjtactile.sensing.force import bulge, zero
+from mjtactile.sensing.estimate import ShapeEstimator
+from mjtactile.sensing.force import bulge
 from mjtactile.sensing.force.inverse import InverseMembrane, InverseRest
 from mjtactile.sensing.force.relaxing import RubberMemory
-from mjtactile.sensing.image import tracking
-from mjtactile.sensing.image.exposure import is_overexposed
-from mjtactile.sensing.image.markers import grey_image
-from mjtactile.sensing.known import KnownCamera
-from mjtactile.sensing.pose import fixed, identity
-from mjtactile.sensing.pose.circles import estimate_poses
+from mjtactile.sensing.judgement import TouchJudge
 from mjtactile.sensing.pose.reference import FlatReference, measure_flat
 from mjtactile.sensing.settings import DEFAULTS, Settings
 from mjtactile.sensing.shape.surface import SurfaceFitter
 from mjtactile.sensing.shaped import finder_gauge, with_shape
+from mjtactile.sensing.sight import MarkerSight, average, moved
 from mjtactile.sensing.state import ChainState, Reference
 from mjtactile.sensing.touch import slip
-from mjtactile.sensing.touch.patches import find_patches, together
-
-_OVERLOADS_SURE = 2  # images in a row: a torn picture is no overload
 
 
 class Chain:
@@ -90,16 +71,10 @@ class Chain:
         self.inverse = InverseMembrane(
             design, settings.inverse, settings.prior, settings.doubt, settings.fiducials
         )
-        self.known = (
-            None if design.fiducials is None else KnownCamera(design, self.camera, settings)
-        )
-        self._circles = design.markers.count + (0 if self.known is None else self.known.count)
         self.estimator = ShapeEstimator(design, self.inverse, settings)
         self.fitter = SurfaceFitter(design, settings.surface)
-        # seen 60 degrees aslant and from half as far again
-        self._smallest_px = max(
-            1.5, 0.33 * self.camera.fx * design.markers.radius / design.camera.distance
-        )
+        self.sight = MarkerSight(design, self.camera, self.estimator, settings)
+        self._judge = TouchJudge(self.inverse, self._measured.force, settings)
 
     def begin(self) -> ChainState:
         """Make the state before anything was measured: what the sensor file says.
@@ -144,7 +119,7 @@ class Chain:
         """
         nominal = replace(state, flat=FlatReference.nominal(self.design))
         seen = [
-            self._locate(nominal, image, self.design.markers.p_SM, "flat reference")
+            self.sight.locate(nominal, image, self.design.markers.p_SM, "flat reference")
             for image in images
         ]
         flat = measure_flat(self.design, self.camera, seen, self.settings.reference)
@@ -195,12 +170,12 @@ class Chain:
         expected = self.design.markers.p_SM
         seen = []
         for image in images:
-            markers = self._locate(state, image, expected, "rest reference")
-            expected = _moved(expected, markers)
+            markers = self.sight.locate(state, image, expected, "rest reference")
+            expected = moved(expected, markers)
             seen.append(markers)
         if not seen:
             raise DeviceError(f"sensor {self.design.name}: rest reference: no images")
-        return _average(seen)
+        return average(seen)
 
     def set_rest(
         self,
@@ -227,12 +202,20 @@ class Chain:
         Raises:
             DeviceError: The markers are no bulge of the sensor file's.
         """
-        self._require(markers, "rest reference")
+        self.sight.require(markers, "rest reference")
         inflated_s = math.inf if math.isinf(time) else time - state.flat_at
         rest = self.inverse.rest_state(
             markers, pressure_gauge, sealed=sealed, inflated_s=inflated_s
         )
-        self._check_rest(state, markers, rest, pressure_gauge)
+        bulge.require_bulge(
+            self.design,
+            markers,
+            self.inverse.positions(rest.c)[markers.ids, 2],
+            rest,
+            state.flat.residual_px,
+            lens_measured=self._measured.lens is not None,
+            settings=self.settings,
+        )
         return replace(
             state,
             reference=Reference(rest, self.fitter.fit(markers), rest, markers.fiducials),
@@ -249,41 +232,6 @@ class Chain:
         if self.inverse.rubber is None:
             return None
         return self.inverse.rubber.begin(rest.c, rest.young, inflated_s, time)
-
-    def _check_rest(
-        self, state: ChainState, markers: Markers, rest: InverseRest, pressure_gauge: float
-    ) -> None:
-        """Raise DeviceError where the membrane is no bulge of the sensor file's, in height or in
-        shape."""
-        most = self.settings.reference.stiffness_off_most
-        if not 1 / most < rest.stiffness_scale < most:
-            height = 1e3 * float(np.abs(markers.p_SM[:, 2]).max())
-            raise DeviceError(
-                f"sensor {self.design.name}: at {pressure_gauge:.0f} Pa the markers stand "
-                f"{height:.2f} mm high at most, as if the membrane were "
-                f"{rest.stiffness_scale:.1f} times as stiff as in the sensor file: does the valve "
-                "move, and are the membrane's young_MPa and thickness_mm right?"
-            )
-        # hardly a bulge, and no stiffness was fitted to it
-        if pressure_gauge <= self.settings.inverse.informative_pressure:
-            return
-        z = self.inverse.positions(rest.c)[markers.ids, 2]
-        misfit = bulge.misfit(
-            self.design,
-            markers,
-            z,
-            state.flat.residual_px,
-            lens_measured=self._measured.lens is not None,
-            s=self.settings.reference,
-        )
-        if misfit > self.settings.reference.bulge_misfit_most:
-            off = 1e3 * float(np.abs(markers.p_SM[:, 2] - z).max())
-            raise DeviceError(
-                f"sensor {self.design.name}: at rest the membrane is not the bulge that "
-                f"{pressure_gauge:.0f} Pa make: markers are up to {off:.2f} mm off "
-                f"({np.sqrt(misfit):.1f} standard deviations, rms); does something touch it? Else "
-                "the lens is not as in the sensor file: `mjtactile calibrate camera`"
-            )
 
     # -- what touches
     # --------------------------------------------------------------------------------
@@ -403,34 +351,7 @@ class Chain:
         Returns:
             The markers in S, and the state in which they are expected where they are now.
         """
-        ellipses, tracks = self._ellipses(state, image)
-        if self.known is not None:
-            ellipses, state = self.known.look(state, ellipses)
-        poses = estimate_poses(ellipses, self.camera, self.design.markers.radius)
-        poses = state.flat.to_nominal(self.design, poses)
-        markers = identity.identify(
-            poses,
-            self.design,
-            state.expected,
-            state.flat.scale,
-            self.settings.identity,
-            darkness=ellipses.darkness,
-        )
-        if self.known is not None:
-            markers = self.known.undone(state, markers)
-        return markers, replace(state, expected=_moved(state.expected, markers), tracks=tracks)
-
-    def _ellipses(self, state: ChainState, image: Image) -> tuple[Ellipses, tracking.Tracks | None]:
-        """The markers' ellipses in the image, and what finds them in the next."""
-        if isinstance(image, Sighting) and image.ellipses is not None:
-            return image.ellipses, None
-        return tracking.follow(
-            image,
-            state.tracks,
-            self._circles,
-            min_radius_px=self._smallest_px,
-            settings=self.settings,
-        )
+        return self.sight.see(state, image)
 
     def enough(self, markers: Markers) -> Status:
         """Judge whether so many markers were seen that the shape is no guess.
@@ -441,11 +362,7 @@ class Chain:
         Returns:
             "ok", or why not.
         """
-        seen = len(markers)
-        if self.estimator.are_enough(seen):
-            return OK
-        text = f"only {seen} of {self.design.markers.count} markers seen"
-        return Status(StatusCode.TOO_FEW_MARKERS, text)
+        return self.sight.enough(markers)
 
     def feel(
         self,
@@ -483,195 +400,15 @@ class Chain:
         estimate = self.estimator.estimate(state, reference, markers, time, reading)
         unknown = replace(unknown, markers=estimate.markers)
         if not self.estimator.is_explained(estimate.shape):
-            state = self._lost(estimate.state)
-            status = self._why_lost(state)
+            state = self._judge.lost(estimate.state)
+            status = self._judge.why_lost(state)
             lost = slip.unknown(status.code, "shape not explained")
             return replace(unknown, slip=lost, status=status), state
         if self.inverse.rubber is not None and state.rubber is not None:
             scale = estimate.rest.young
             rubber = self.inverse.rubber.after(state.rubber, estimate.shape.c, scale, time)
             estimate = replace(estimate, state=replace(estimate.state, rubber=rubber))
-        moved = estimate.rest.pressure_gauge - reference.rest.pressure_gauge
-        moved = moved if math.isfinite(moved) else 0.0  # no gauge
-        traction = self._traction(estimate, moved, time)
-        return self._judge(replace(unknown, traction=traction), traction, estimate, moved)
-
-    def _lost(self, state: ChainState) -> ChainState:
-        """After an image that nothing explains. The next one begins where the last that something
-        did left off (a torn picture is gone then), unless that is long ago."""
-        shape = state.shape
-        force = state.lost_at
-        if force is None and shape is not None:
-            force = self.inverse.force(shape)
-        missed = state.unexplained + 1
-        if missed > self.settings.inverse.remembered_images:
-            shape = None
-        return replace(state.without_history(), shape=shape, unexplained=missed, lost_at=force)
-
-    def _why_lost(self, state: ChainState) -> Status:
-        """What an image that nothing explains says: one of several after a large force was too much
-        of it."""
-        force = state.lost_at
-        most = self.settings.inverse.overload_least
-        if force is None or state.unexplained < _OVERLOADS_SURE or np.linalg.norm(force) < most:
-            return Status(StatusCode.NO_SHAPE, "the markers fit no membrane shape")
-        return Status(
-            StatusCode.OVERLOADED,
-            "overloaded: the markers fit no membrane shape since they showed "
-            f"{-force[2]:.1f} N of pressing and {np.hypot(force[0], force[1]):.1f} N of shear",
-        )
-
-    def _traction(self, estimate: Estimate, moved: float, time: float) -> Traction:
-        """The tractions, as a measured force scale has them; `moved` Pa by which the chamber's
-        pressure has changed."""
-        before = estimate.state.detection
-        elapsed = math.inf if before is None else time - before.time
-        traction = self.inverse.traction(estimate.shape, estimate.state.shape, elapsed, moved)
-        if estimate.other is not None:
-            other = self.inverse.traction(estimate.other).wrench - traction.wrench
-            traction = replace(traction, wrench_cov=traction.wrench_cov + np.outer(other, other))
-        force = self._measured.force
-        return traction if force is None else force.apply(traction)
-
-    def _patches(self, estimate: Estimate) -> tuple[Contact, ...]:
-        """Where it is touched, with the forces as a measured force scale has them."""
-        patches = find_patches(self.inverse, estimate.shape, estimate.rest, self.settings.patches)
-        force = self._measured.force
-        if force is None:
-            return patches
-        return tuple(replace(patch, force=force.scale * patch.force) for patch in patches)
-
-    def _judge(
-        self, touch: Touch, traction: Traction, estimate: Estimate, moved: float
-    ) -> tuple[Touch, ChainState]:
-        """Whether it is touched, where, and whether it slips; or what is doubtful about it."""
-        s = self.settings
-        state = estimate.state
-        shape = estimate.shape
-        before = state.detection
-        found = zero.detect_touch(touch.time, traction, before, s.zero)
-        patches = self._patches(estimate) if found.touching else ()
-        judged, history = slip.judge(touch.time, self.inverse, shape, patches, state.slip, s.slip)
-        state = replace(
-            state, shape=shape, detection=found, slip=history, unexplained=0, lost_at=None
-        )
-        quiet = (
-            before is not None
-            and not found.touching
-            and found.time - found.quiet_since > s.zero.quiet
-        )
-        if quiet and before is not None:
-            state = self._with_zero_followed(state, estimate, found.time - before.time)
-        sd = float(np.sqrt(traction.wrench_cov[2, 2]))
-        if abs(moved) > s.gauge.moved_most:
-            text = f"the chamber's pressure has moved by {moved:+.0f} Pa since the last image"
-            status = Status(StatusCode.AIR_MOVES, text)
-            lost = slip.unknown(status.code, "the air moves")
-            return replace(touch, slip=lost, status=status), state
-        pulled = found.force < -max(s.zero.pull_most, s.zero.touch_sd * sd)
-        if quiet and (pulled or shape.drift > s.zero.drift_most):
-            status = Status(
-                StatusCode.REFERENCE_LOST,
-                "the membrane seems pulled, or shifted: the rest reference is lost (temperature, "
-                "camera)",
-            )
-            lost = slip.unknown(status.code, "no zero")
-            return replace(touch, slip=lost, status=status), state
-        felt = replace(
-            touch,
-            force_normal=found.force,
-            force_normal_sd=sd,
-            touching=found.touching,
-            contact=together(patches, (len(traction.y), len(traction.x))),
-            patches=patches,
-            slip=judged,
-        )
-        return felt, state
-
-    def _with_zero_followed(
-        self, state: ChainState, estimate: Estimate, elapsed: float
-    ) -> ChainState:
-        """The rest reference follows a membrane that nothing has touched for a while."""
-        if state.reference is None:
-            return state
-        rest = estimate.rest
-        followed = zero.follow(
-            self.inverse,
-            zero.Zero.of(rest) if state.apart is None else zero.Zero(rest, state.apart),
-            estimate.shape,
-            estimate.markers,
-            elapsed,
-            self.settings.zero,
-        )
-        return replace(
-            state,
-            reference=replace(state.reference, rest=followed.rest),
-            apart=followed.apart,
-            gas=None if state.gas is None else state.gas.corrected(followed.share),
-        )
-
-    def _locate(self, state: ChainState, image: Image, expected: Array, what: str) -> Markers:
-        self._require_levels(image, what)
-        markers, _ = self.see(replace(state, expected=expected, reference=None), image)
-        self._require(markers, what)
-        return markers
-
-    def _require_levels(self, image: Image, what: str) -> None:
-        """Raise DeviceError for a picture that is white around most circles: how large they are
-        changes with the light then."""
-        if isinstance(image, Sighting):
-            return
-        settings = self.settings
-        ellipses, _ = tracking.follow(
-            image, None, self._circles, min_radius_px=self._smallest_px, settings=settings
-        )
-        if is_overexposed(grey_image(image), ellipses, "dark", settings.locate):
-            raise DeviceError(
-                f"sensor {self.design.name}: {what}: the picture is overexposed, white around "
-                "most markers; less light, exposure or gain"
-            )
-
-    def _require(self, markers: Markers, what: str) -> None:
-        """Raise DeviceError for too few markers, or places that are no numbers."""
-        known = int(np.isfinite(markers.p_SM).all(axis=1).sum())
-        if known < len(markers) or self.enough(markers) != OK:
-            raise DeviceError(
-                f"sensor {self.design.name}: {what}: only {known} of {self.design.markers.count} "
-                "markers found; check lighting, focus and the sensor file"
-            )
-
-
-def _moved(expected: Array, markers: Markers) -> Array:
-    """`expected` with the markers that were seen where they are now."""
-    expected = expected.copy()
-    expected[markers.ids] = markers.p_SM
-    return expected
-
-
-def _average(seen: Sequence[Markers]) -> Markers:
-    """Mean of repeated measurements of markers at rest; a marker counts when at least half of them
-    saw it."""
-    count = np.bincount(np.concatenate([m.ids for m in seen]))
-    total = np.zeros((len(count), 3))
-    normal = np.zeros((len(count), 3))
-    cov = np.zeros((len(count), 3, 3))
-    dark = np.zeros(len(count))
-    for m in seen:
-        total[m.ids] += m.p_SM
-        normal[m.ids] += m.n_S
-        cov[m.ids] += m.cov_p
-        dark[m.ids] += np.nan if m.darkness is None else m.darkness
-    ids = np.flatnonzero(count >= len(seen) / 2)
-    n = count[ids][:, None]
-    direction = normal[ids] / np.linalg.norm(normal[ids], axis=1, keepdims=True)
-    mean = dark[ids] / count[ids]
-    darkness = mean if np.isfinite(mean).all() else None
-    fiducials = [m.fiducials for m in seen if m.fiducials is not None]
-    return Markers(
-        ids,
-        total[ids] / n,
-        direction,
-        cov[ids] / n[..., None] ** 2,
-        darkness,
-        fixed.average(fiducials) if fiducials else None,
-    )
+        air_moved = estimate.rest.pressure_gauge - reference.rest.pressure_gauge
+        air_moved = air_moved if math.isfinite(air_moved) else 0.0  # no gauge
+        traction = self._judge.traction(estimate, air_moved, time)
+        return self._judge.judge(replace(unknown, traction=traction), traction, estimate, air_moved)

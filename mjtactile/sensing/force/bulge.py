@@ -13,8 +13,10 @@ from __future__ import annotations
 import numpy as np
 
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Array, Markers
-from mjtactile.sensing.settings import DEFAULTS, ReferenceSettings
+from mjtactile.sensing.force.inverse import InverseRest
+from mjtactile.sensing.settings import DEFAULTS, ReferenceSettings, Settings
 
 
 def misfit(
@@ -38,3 +40,51 @@ def misfit(
     )
     off = markers.p_SM[:, 2] - z
     return float(off @ np.linalg.solve(modes @ modes.T + np.diag(own), off)) / len(off)
+
+
+def require_bulge(
+    design: SensorDesign,
+    markers: Markers,
+    z: Array,
+    rest: InverseRest,
+    flat_px: float,
+    *,
+    lens_measured: bool,
+    settings: Settings = DEFAULTS,
+) -> None:
+    """Refuse a rest that is no bulge of the sensor file's, in height or in shape.
+
+    Args:
+        design: The sensor's values.
+        markers: At rest.
+        z: Their heights (n,) m by the best-fitting bulge.
+        rest: What was made of them.
+        flat_px: The rms residual of the flat reference.
+        lens_measured: Whether the lens was calibrated.
+        settings: The stages' chosen numbers.
+
+    Raises:
+        DeviceError: It is none.
+    """
+    pressure_gauge = rest.gas.gauge
+    most = settings.reference.stiffness_off_most
+    if not 1 / most < rest.stiffness_scale < most:
+        height = 1e3 * float(np.abs(markers.p_SM[:, 2]).max())
+        raise DeviceError(
+            f"sensor {design.name}: at {pressure_gauge:.0f} Pa the markers stand "
+            f"{height:.2f} mm high at most, as if the membrane were "
+            f"{rest.stiffness_scale:.1f} times as stiff as in the sensor file: does the valve "
+            "move, and are the membrane's young_MPa and thickness_mm right?"
+        )
+    # hardly a bulge, and no stiffness was fitted to it
+    if pressure_gauge <= settings.inverse.informative_pressure:
+        return
+    squares = misfit(design, markers, z, flat_px, lens_measured=lens_measured, s=settings.reference)
+    if squares > settings.reference.bulge_misfit_most:
+        off = 1e3 * float(np.abs(markers.p_SM[:, 2] - z).max())
+        raise DeviceError(
+            f"sensor {design.name}: at rest the membrane is not the bulge that "
+            f"{pressure_gauge:.0f} Pa make: markers are up to {off:.2f} mm off "
+            f"({np.sqrt(squares):.1f} standard deviations, rms); does something touch it? Else "
+            "the lens is not as in the sensor file: `mjtactile calibrate camera`"
+        )

@@ -40,7 +40,7 @@ class IdentitySettings:
 @dataclass(frozen=True)
 class ReferenceSettings:
     """Which flat and resting membranes are believed (sensing/pose/reference.py,
-    sensing/force/bulge.py, sensing/chain.py)."""
+    sensing/force/bulge.py)."""
 
     radius_range: float = number(
         0.1, "share by which a marker's size may be off the sensor file's", TRIED

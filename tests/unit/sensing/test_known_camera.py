@@ -119,7 +119,7 @@ def test_gas_that_is_lost_without_a_gauge_is_told_from_the_camera(share, load):
 def covered(*ids, of=DESIGN):
     """A change of the picture that blackens a square over these fiducials."""
     sensor, _ = begun()
-    places = sensor.chain.known._circles.places_px[list(ids)]
+    places = sensor.chain.sight.known._circles.places_px[list(ids)]
 
     def change(image):
         pixels = image.pixels.copy()
@@ -170,7 +170,7 @@ def test_a_sensor_without_them_knows_nothing_of_it():
     sensor.take_flat(images.flat)
     sensor.take_rest(images.rest, sheet_images.GAUGE)
     touch = sensor.perceive(images.rest[0], 0.0)
-    assert sensor.chain.known is None
+    assert sensor.chain.sight.known is None
     assert touch.camera is None
     assert touch.markers.fiducials is None
 
@@ -205,7 +205,7 @@ def test_they_are_rows_of_the_same_fit():
 
 def test_one_that_is_far_off_counts_for_nothing():
     sensor, _ = begun()
-    finder = sensor.chain.known._camera
+    finder = sensor.chain.sight.known._camera
     rest = sensor.state.reference.fiducials
     center = rest.center_px + [0.5, -0.2]
     assert isinstance(finder, CameraFinder)

@@ -1,0 +1,151 @@
+"""What an estimate says of the touch: whether the membrane is touched, where, and whether it slips;
+or what is doubtful about it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from mjtactile.core.calibration_parts import ForceScale
+from mjtactile.core.status import Status, StatusCode
+from mjtactile.core.types import Contact, Touch, Traction
+from mjtactile.sensing.estimate import Estimate
+from mjtactile.sensing.force import zero
+from mjtactile.sensing.force.inverse import InverseMembrane
+from mjtactile.sensing.settings import Settings
+from mjtactile.sensing.state import ChainState
+from mjtactile.sensing.touch import slip
+from mjtactile.sensing.touch.patches import find_patches, together
+
+_OVERLOADS_SURE = 2  # images in a row: a torn picture is no overload
+
+
+class TouchJudge:
+    """Judges estimates of one sensor; nothing changes.
+
+    Args:
+        inverse: Its tractions.
+        force: Its measured force scale; None: nothing was measured.
+        settings: The stages' chosen numbers.
+    """
+
+    def __init__(self, inverse: InverseMembrane, force: ForceScale | None, settings: Settings):
+        self._inverse = inverse
+        self._force = force
+        self._settings = settings
+
+    def lost(self, state: ChainState) -> ChainState:
+        """After an image that nothing explains. The next one begins where the last that something
+        did left off (a torn picture is gone then), unless that is long ago."""
+        shape = state.shape
+        force = state.lost_at
+        if force is None and shape is not None:
+            force = self._inverse.force(shape)
+        missed = state.unexplained + 1
+        if missed > self._settings.inverse.remembered_images:
+            shape = None
+        return replace(state.without_history(), shape=shape, unexplained=missed, lost_at=force)
+
+    def why_lost(self, state: ChainState) -> Status:
+        """What an image that nothing explains says: one of several after a large force was too much
+        of it."""
+        force = state.lost_at
+        most = self._settings.inverse.overload_least
+        if force is None or state.unexplained < _OVERLOADS_SURE or np.linalg.norm(force) < most:
+            return Status(StatusCode.NO_SHAPE, "the markers fit no membrane shape")
+        return Status(
+            StatusCode.OVERLOADED,
+            "overloaded: the markers fit no membrane shape since they showed "
+            f"{-force[2]:.1f} N of pressing and {np.hypot(force[0], force[1]):.1f} N of shear",
+        )
+
+    def traction(self, estimate: Estimate, moved: float, time: float) -> Traction:
+        """The tractions, as a measured force scale has them; `moved` Pa by which the chamber's
+        pressure has changed."""
+        before = estimate.state.detection
+        elapsed = math.inf if before is None else time - before.time
+        traction = self._inverse.traction(estimate.shape, estimate.state.shape, elapsed, moved)
+        if estimate.other is not None:
+            other = self._inverse.traction(estimate.other).wrench - traction.wrench
+            traction = replace(traction, wrench_cov=traction.wrench_cov + np.outer(other, other))
+        force = self._force
+        return traction if force is None else force.apply(traction)
+
+    def _patches(self, estimate: Estimate) -> tuple[Contact, ...]:
+        """Where it is touched, with the forces as a measured force scale has them."""
+        patches = find_patches(self._inverse, estimate.shape, estimate.rest, self._settings.patches)
+        force = self._force
+        if force is None:
+            return patches
+        return tuple(replace(patch, force=force.scale * patch.force) for patch in patches)
+
+    def judge(
+        self, touch: Touch, traction: Traction, estimate: Estimate, moved: float
+    ) -> tuple[Touch, ChainState]:
+        """Whether it is touched, where, and whether it slips; or what is doubtful about it."""
+        s = self._settings
+        state = estimate.state
+        shape = estimate.shape
+        before = state.detection
+        found = zero.detect_touch(touch.time, traction, before, s.zero)
+        patches = self._patches(estimate) if found.touching else ()
+        judged, history = slip.judge(touch.time, self._inverse, shape, patches, state.slip, s.slip)
+        state = replace(
+            state, shape=shape, detection=found, slip=history, unexplained=0, lost_at=None
+        )
+        quiet = (
+            before is not None
+            and not found.touching
+            and found.time - found.quiet_since > s.zero.quiet
+        )
+        if quiet and before is not None:
+            state = self._with_zero_followed(state, estimate, found.time - before.time)
+        sd = float(np.sqrt(traction.wrench_cov[2, 2]))
+        if abs(moved) > s.gauge.moved_most:
+            text = f"the chamber's pressure has moved by {moved:+.0f} Pa since the last image"
+            status = Status(StatusCode.AIR_MOVES, text)
+            lost = slip.unknown(status.code, "the air moves")
+            return replace(touch, slip=lost, status=status), state
+        pulled = found.force < -max(s.zero.pull_most, s.zero.touch_sd * sd)
+        if quiet and (pulled or shape.drift > s.zero.drift_most):
+            status = Status(
+                StatusCode.REFERENCE_LOST,
+                "the membrane seems pulled, or shifted: the rest reference is lost (temperature, "
+                "camera)",
+            )
+            lost = slip.unknown(status.code, "no zero")
+            return replace(touch, slip=lost, status=status), state
+        felt = replace(
+            touch,
+            force_normal=found.force,
+            force_normal_sd=sd,
+            touching=found.touching,
+            contact=together(patches, (len(traction.y), len(traction.x))),
+            patches=patches,
+            slip=judged,
+        )
+        return felt, state
+
+    def _with_zero_followed(
+        self, state: ChainState, estimate: Estimate, elapsed: float
+    ) -> ChainState:
+        """The rest reference follows a membrane that nothing has touched for a while."""
+        if state.reference is None:
+            return state
+        rest = estimate.rest
+        followed = zero.follow(
+            self._inverse,
+            zero.Zero.of(rest) if state.apart is None else zero.Zero(rest, state.apart),
+            estimate.shape,
+            estimate.markers,
+            elapsed,
+            self._settings.zero,
+        )
+        return replace(
+            state,
+            reference=replace(state.reference, rest=followed.rest),
+            apart=followed.apart,
+            gas=None if state.gas is None else state.gas.corrected(followed.share),
+        )

@@ -1,0 +1,168 @@
+"""Markers in images: found, identified, and judged whether they are enough."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import DeviceError
+from mjtactile.core.optics import Camera
+from mjtactile.core.status import OK, Status, StatusCode
+from mjtactile.core.types import Array, Ellipses, Image, Markers, Sighting
+from mjtactile.sensing.estimate import ShapeEstimator
+from mjtactile.sensing.image import tracking
+from mjtactile.sensing.image.exposure import is_overexposed
+from mjtactile.sensing.image.markers import grey_image
+from mjtactile.sensing.known import KnownCamera
+from mjtactile.sensing.pose import fixed, identity
+from mjtactile.sensing.pose.circles import estimate_poses
+from mjtactile.sensing.settings import Settings
+from mjtactile.sensing.state import ChainState
+
+
+class MarkerSight:
+    """Sees the markers of one sensor; nothing changes.
+
+    Args:
+        design: The sensor's values, with its measured lens.
+        camera: Its camera.
+        estimator: Says how many markers are enough.
+        settings: The stages' chosen numbers.
+    """
+
+    def __init__(
+        self, design: SensorDesign, camera: Camera, estimator: ShapeEstimator, settings: Settings
+    ):
+        self.design = design
+        self.camera = camera
+        self.settings = settings
+        self.known = None if design.fiducials is None else KnownCamera(design, camera, settings)
+        self._are_enough = estimator.are_enough
+        self._circles = design.markers.count + (0 if self.known is None else self.known.count)
+        # seen 60 degrees aslant and from half as far again
+        self._smallest_px = max(
+            1.5, 0.33 * camera.fx * design.markers.radius / design.camera.distance
+        )
+
+    def see(self, state: ChainState, image: Image) -> tuple[Markers, ChainState]:
+        """The markers of one image in S, and the state that expects them there; see
+        `Chain.see`."""
+        ellipses, tracks = self._ellipses(state, image)
+        if self.known is not None:
+            ellipses, state = self.known.look(state, ellipses)
+        poses = estimate_poses(ellipses, self.camera, self.design.markers.radius)
+        poses = state.flat.to_nominal(self.design, poses)
+        markers = identity.identify(
+            poses,
+            self.design,
+            state.expected,
+            state.flat.scale,
+            self.settings.identity,
+            darkness=ellipses.darkness,
+        )
+        if self.known is not None:
+            markers = self.known.undone(state, markers)
+        return markers, replace(state, expected=moved(state.expected, markers), tracks=tracks)
+
+    def _ellipses(self, state: ChainState, image: Image) -> tuple[Ellipses, tracking.Tracks | None]:
+        """The markers' ellipses in the image, and what finds them in the next."""
+        if isinstance(image, Sighting) and image.ellipses is not None:
+            return image.ellipses, None
+        return tracking.follow(
+            image,
+            state.tracks,
+            self._circles,
+            min_radius_px=self._smallest_px,
+            settings=self.settings,
+        )
+
+    def enough(self, markers: Markers) -> Status:
+        """Whether so many markers were seen that the shape is no guess; see `Chain.enough`."""
+        seen = len(markers)
+        if self._are_enough(seen):
+            return OK
+        text = f"only {seen} of {self.design.markers.count} markers seen"
+        return Status(StatusCode.TOO_FEW_MARKERS, text)
+
+    def locate(self, state: ChainState, image: Image, expected: Array, what: str) -> Markers:
+        """Find the markers of one image for a reference.
+
+        Args:
+            state: With the flat reference.
+            image: The image.
+            expected: Where they are about, (N, 3) m in S.
+            what: The reference, for messages.
+
+        Returns:
+            The markers.
+
+        Raises:
+            DeviceError: The picture is overexposed, or too few are seen.
+        """
+        self._require_levels(image, what)
+        markers, _ = self.see(replace(state, expected=expected, reference=None), image)
+        self.require(markers, what)
+        return markers
+
+    def _require_levels(self, image: Image, what: str) -> None:
+        """Raise DeviceError for a picture that is white around most circles: how large they are
+        changes with the light then."""
+        if isinstance(image, Sighting):
+            return
+        settings = self.settings
+        ellipses, _ = tracking.follow(
+            image, None, self._circles, min_radius_px=self._smallest_px, settings=settings
+        )
+        if is_overexposed(grey_image(image), ellipses, "dark", settings.locate):
+            raise DeviceError(
+                f"sensor {self.design.name}: {what}: the picture is overexposed, white around "
+                "most markers; less light, exposure or gain"
+            )
+
+    def require(self, markers: Markers, what: str) -> None:
+        """Raise DeviceError for too few markers, or places that are no numbers."""
+        known = int(np.isfinite(markers.p_SM).all(axis=1).sum())
+        if known < len(markers) or self.enough(markers) != OK:
+            raise DeviceError(
+                f"sensor {self.design.name}: {what}: only {known} of {self.design.markers.count} "
+                "markers found; check lighting, focus and the sensor file"
+            )
+
+
+def moved(expected: Array, markers: Markers) -> Array:
+    """`expected` with the markers that were seen where they are now."""
+    expected = expected.copy()
+    expected[markers.ids] = markers.p_SM
+    return expected
+
+
+def average(seen: Sequence[Markers]) -> Markers:
+    """Mean of repeated measurements of markers at rest; a marker counts when at least half of them
+    saw it."""
+    count = np.bincount(np.concatenate([m.ids for m in seen]))
+    total = np.zeros((len(count), 3))
+    normal = np.zeros((len(count), 3))
+    cov = np.zeros((len(count), 3, 3))
+    dark = np.zeros(len(count))
+    for m in seen:
+        total[m.ids] += m.p_SM
+        normal[m.ids] += m.n_S
+        cov[m.ids] += m.cov_p
+        dark[m.ids] += np.nan if m.darkness is None else m.darkness
+    ids = np.flatnonzero(count >= len(seen) / 2)
+    n = count[ids][:, None]
+    direction = normal[ids] / np.linalg.norm(normal[ids], axis=1, keepdims=True)
+    mean = dark[ids] / count[ids]
+    darkness = mean if np.isfinite(mean).all() else None
+    fiducials = [m.fiducials for m in seen if m.fiducials is not None]
+    return Markers(
+        ids,
+        total[ids] / n,
+        direction,
+        cov[ids] / n[..., None] ** 2,
+        darkness,
+        fixed.average(fiducials) if fiducials else None,
+    )
