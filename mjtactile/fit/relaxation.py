@@ -23,7 +23,8 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.fit.evidence import calibration_of, pressures_at
 from mjtactile.recording.reader import Recording, load_recording
-from mjtactile.sensing.force.inverse import InverseMembrane, InverseRest
+from mjtactile.sensing.force.inverse import InverseMembrane
+from mjtactile.sensing.force.rest import InverseRest
 from mjtactile.sensing.force.sheet import Gas
 from mjtactile.sensing.perception import Perception
 

@@ -29,8 +29,9 @@ from mjtactile.sensing.body.finder import ShapeFinder
 from mjtactile.sensing.body.motion import rubber_step
 from mjtactile.sensing.estimate import ShapeEstimator
 from mjtactile.sensing.force import bulge
-from mjtactile.sensing.force.inverse import InverseMembrane, InverseRest
+from mjtactile.sensing.force.inverse import InverseMembrane
 from mjtactile.sensing.force.relaxing import RubberMemory
+from mjtactile.sensing.force.rest import InverseRest
 from mjtactile.sensing.judgement import TouchJudge
 from mjtactile.sensing.pose.reference import FlatReference, measure_flat
 from mjtactile.sensing.settings import DEFAULTS, Settings

@@ -12,8 +12,10 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Markers, PressureReading
 from mjtactile.sensing.force.camera import CameraSeen
 from mjtactile.sensing.force.drift import MODES, CameraBelief
+from mjtactile.sensing.force.gain import Shape
 from mjtactile.sensing.force.gauge import GasState, GaugeFilter
-from mjtactile.sensing.force.inverse import InverseMembrane, InverseRest, Shape
+from mjtactile.sensing.force.inverse import InverseMembrane
+from mjtactile.sensing.force.rest import InverseRest
 from mjtactile.sensing.settings import Settings
 from mjtactile.sensing.state import KNOCKS_SURE, ChainState, Reference
 

@@ -11,7 +11,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.optics import Camera
 from mjtactile.core.types import Ellipses, Markers
 from mjtactile.sensing.force.camera import KNOWN_MODES, CameraFinder, CameraSeen
-from mjtactile.sensing.force.inverse import darker
+from mjtactile.sensing.force.rest import darker
 from mjtactile.sensing.pose.fixed import FiducialFinder
 from mjtactile.sensing.pose.picture import UNCHANGED
 from mjtactile.sensing.settings import Settings

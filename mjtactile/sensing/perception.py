@@ -9,7 +9,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import FeltShape, Image, Markers, PressureReading, Touch
 from mjtactile.sensing.body.finder import ShapeFinder, told_nothing
 from mjtactile.sensing.chain import Chain
-from mjtactile.sensing.force.inverse import InverseRest
+from mjtactile.sensing.force.rest import InverseRest
 from mjtactile.sensing.pose.reference import FlatReference
 from mjtactile.sensing.settings import DEFAULTS, Settings
 from mjtactile.sensing.shaped import finder_gauge, with_shape

@@ -10,9 +10,10 @@ from mjtactile.sensing.body.press import Press
 from mjtactile.sensing.force import zero
 from mjtactile.sensing.force.camera import CameraSeen
 from mjtactile.sensing.force.drift import CameraBelief
+from mjtactile.sensing.force.gain import Shape
 from mjtactile.sensing.force.gauge import GasState
-from mjtactile.sensing.force.inverse import InverseRest, Shape
 from mjtactile.sensing.force.relaxing import RubberMemory
+from mjtactile.sensing.force.rest import InverseRest
 from mjtactile.sensing.image import tracking
 from mjtactile.sensing.pose.reference import FlatReference
 from mjtactile.sensing.touch import slip

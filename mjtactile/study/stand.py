@@ -16,7 +16,8 @@ from mjtactile.core.status import OK
 from mjtactile.core.types import Array, Markers, Sighting, Touch
 from mjtactile.film import Film, FilmState, Obstacle
 from mjtactile.sensing.chain import Chain
-from mjtactile.sensing.force.inverse import InverseMembrane, Shape
+from mjtactile.sensing.force.gain import Shape
+from mjtactile.sensing.force.inverse import InverseMembrane
 from mjtactile.sensing.state import ChainState, Reference
 from mjtactile.sim.picture.sighting import Sighter
 

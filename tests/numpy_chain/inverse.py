@@ -12,10 +12,11 @@ from scipy.linalg import cho_solve, solve_triangular
 from mjtactile.core.bspline import hats
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, Markers
-from mjtactile.sensing.force import inverse
 from mjtactile.sensing.force.drift import CameraBelief, camera_modes, drift_of
-from mjtactile.sensing.force.inverse import STEP_LIMIT, InverseMembrane, InverseRest, Shape
+from mjtactile.sensing.force.gain import NEAR, Shape
+from mjtactile.sensing.force.inverse import STEP_LIMIT, InverseMembrane
 from mjtactile.sensing.force.prior import LoadPrior
+from mjtactile.sensing.force.rest import InverseRest
 from tests.numpy_chain.sheet import Sheet, State
 
 
@@ -44,9 +45,7 @@ class _Gain:
         self, c: Array, markers: Markers, rest: InverseRest, camera: CameraBelief, lost: bool
     ) -> bool:
         """Whether it can be used near `c`, for these markers."""
-        return np.array_equal(self.ids, markers.ids) and bool(
-            np.abs(c - self.c).max() < inverse.NEAR
-        )
+        return np.array_equal(self.ids, markers.ids) and bool(np.abs(c - self.c).max() < NEAR)
 
 
 class DenseInverse(InverseMembrane):

@@ -21,7 +21,7 @@ from mjtactile.sensing.body.motion import Rubber, motion, tracked
 from mjtactile.sensing.body.press import Press, follow
 from mjtactile.sensing.body.search import Films
 from mjtactile.sensing.body.words import words
-from mjtactile.sensing.force.inverse import InverseRest
+from mjtactile.sensing.force.rest import InverseRest
 from mjtactile.sensing.settings import DEFAULTS, BodySettings, Settings
 
 _EDGE = 1.5e-3  # m from the frame, where bodies that go on are cut off

@@ -12,7 +12,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
 from mjtactile.film import Film, FilmState, Obstacle
 from mjtactile.film.state import AREA, FOUND, PRESSURE, STATUS, FilmBatch
-from mjtactile.sensing.force.inverse import InverseRest
+from mjtactile.sensing.force.rest import InverseRest
 
 _MORE = 0.02  # of the pressure, for its derivative
 SUMS = np.array([*range(6), PRESSURE, AREA])

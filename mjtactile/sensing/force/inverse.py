@@ -18,7 +18,6 @@ arithmetic is in mjtactile/kernels/inverse.c.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,9 +30,10 @@ from mjtactile.kernels import kernel
 from mjtactile.sensing.force.camera import CameraSeen, known_modes
 from mjtactile.sensing.force.doubt import AXES, Doubt, Felt
 from mjtactile.sensing.force.drift import CameraBelief, camera_modes, drift_of
+from mjtactile.sensing.force.gain import Gain, Shape
 from mjtactile.sensing.force.prior import LoadPrior
-from mjtactile.sensing.force.relaxing import Relaxing
-from mjtactile.sensing.force.sheet import Gas, Sheet, State, Stiffness
+from mjtactile.sensing.force.rest import InverseRest, MarkedSheet, darker
+from mjtactile.sensing.force.sheet import State, Stiffness
 from mjtactile.sensing.force.slopes import MarkerSlopes
 from mjtactile.sensing.settings import (
     DEFAULTS,
@@ -44,123 +44,13 @@ from mjtactile.sensing.settings import (
 )
 
 REWEIGHTED = 4  # from a cold start: before, loads and a camera that drifted share what is seen
-# m
 STEPS_MAX = 8
-STEP_LIMIT = 2e-3
-# m: a step that ends the iteration; a distance over which stiffness and gains are kept
-SETTLED = 1e-4
-NEAR = 2e-4
-_SD_RATIO = 1.3  # by which the gas's pressure may become better or worse known meanwhile
-_CAMERA_RATIO = 1.5  # the same of what fiducials leave in doubt of the camera
-_GAS_NEAR = 3.0  # Pa, over which the sheet at rest is kept
-_DARKER_NEAR = 0.03  # of darkness, over which the camera's modes are kept
-_REST_STEPS = 6  # the bulge goes with the stiffness to a power between -1 and -1/3
+STEP_LIMIT = 2e-3  # m
+SETTLED = 1e-4  # m: a step that ends the iteration
 REFINE = 5  # cells of the fine grid, for outlines, to a cell of the traction grid
 
 
-@dataclass(frozen=True, eq=False)
-class InverseRest:
-    """What the sensor measured of itself with nothing touching: the `gas`; how many times as stiff
-    as the sensor file's the sheet bulges, `stiffness_scale`, and the factors on Young's modulus,
-    `young`, and on the pre-stretch, `stretch`, that this is put down to (Eq. F25); coefficients
-    `c` (3, n) m of the model that bulges as far as the markers do, and what then remains, `offset`
-    (N, 3) m, measured less modelled marker positions. Where a gauge measures the gas: the sd of its
-    pressure, `gas_sd` Pa, in a chamber of `gas_volume` m^3, and the pressure at rest,
-    `pressure_gauge` Pa. `darkness` (N,) is that of the markers then; NaN, or None: unknown. Of
-    rubber that relaxes the scale is that of its lasting modulus, and `faded` (3, qx, qy) N/m what
-    is lost by now of the stress that a quick deformation meets; None: it does not relax."""
-
-    gas: Gas
-    stiffness_scale: float
-    c: Array
-    offset: Array
-    gas_sd: float | None = None
-    gas_volume: float = math.nan
-    pressure_gauge: float = math.nan
-    darkness: Array | None = None
-    faded: Array | None = None
-    young: float = 1.0
-    stretch: float = 1.0
-
-
-@dataclass(frozen=True, eq=False)
-class Gain:
-    """One linearisation, at `c` (3, n), for markers `ids`: the `stiffness`, the whitened markers'
-    `half` covariance (r, 3 J) by the tractions' prior (r = 3 m positions, and 2 m slopes where they
-    count); `weights` (m, 3, 3) that whiten positions, `slope_weights` (m,) and `tilts` (2, m, 2,
-    3), the whitened slopes' derivatives by the sheet's tangents, or None, and the factors
-    `distrust` (2, m) on the sd of both that they contain; the response (r, 1 + modes) to one sd of
-    `drift` (gas, the camera's modes), the gas's part of it as pressure, Pa, and as a load (3, n),
-    and the share `drift_seen` (1 + modes,) of their variances that estimates have; prior sd (3 J,)
-    of the tractions; the lower factor of the predicted covariance of the whitened markers; and how
-    often it was `reweighted`: tractions had been found before it was made; by how much markers were
-    `darker` than at rest (m,), what was known of the `camera` before, how (m, 3, modes) m markers
-    move with its modes, and the share (modes, modes) of its covariance that is `left`."""
-
-    c: Array
-    ids: NDArray[np.int64]
-    stiffness: Stiffness
-    half: Array
-    weights: Array
-    slope_weights: Array
-    tilts: Array | None
-    distrust: Array
-    drift: Array
-    drift_gas: tuple[float, Array]
-    drift_seen: Array
-    prior: Array
-    innovation: Array
-    reweighted: int
-    gas: tuple[tuple[bool, bool], float]
-    darker: Array
-    camera: CameraBelief | CameraSeen
-    lost: bool
-    modes: Array
-    left: Array
-
-    def serves(
-        self,
-        c: Array,
-        markers: Markers,
-        rest: InverseRest,
-        camera: CameraBelief | CameraSeen,
-        lost: bool,
-    ) -> bool:
-        """Whether it can be used near `c`, for these markers, with what is known of the gas and of
-        the camera."""
-        if lost != self.lost or not _as_well_known(camera, self.camera):
-            return False
-        if not np.array_equal(self.ids, markers.ids) or np.abs(c - self.c).max() >= NEAR:
-            return False
-        if np.abs(darker(markers, rest) - self.darker).max(initial=0.0) > _DARKER_NEAR:
-            return False
-        known, then = self.gas
-        if known != (rest.gas_sd is not None, rest.gas.constant is None):
-            return False
-        return rest.gas_sd is None or then / _SD_RATIO < rest.gas_sd < then * _SD_RATIO
-
-
-@dataclass(frozen=True, eq=False)
-class Shape:
-    """An estimate: coefficients `c` (3, n) m of the deformation, nodal tractions (3, J) Pa, gauge
-    pressure Pa, the mean square `misfit` of the markers over their predicted sd, the gain it came
-    from, and the mean square noise over its sd, `excess` (2, N), of each marker's position and
-    slopes, the mean square `drift` found, over what is to be expected (`drift_of`), and the
-    camera's modes (modes,) beyond what was known of them, `camera`, in units of what was left
-    open. Hand it to the next frame."""
-
-    c: Array
-    traction: Array
-    pressure_gauge: float
-    misfit: float
-    gain: Gain
-    steps: int
-    excess: Array
-    drift: float
-    camera: Array
-
-
-class InverseMembrane:
+class InverseMembrane(MarkedSheet):
     """Traction estimator of one sensor; the inner grid lines of its sheet carry the nodes."""
 
     def __init__(
@@ -171,13 +61,8 @@ class InverseMembrane:
         doubt: DoubtSettings = DEFAULTS.doubt,
         fiducials: FiducialSettings = DEFAULTS.fiducials,
     ):
-        self.design = design
-        self.settings = settings
+        super().__init__(design, settings)
         self._known = fiducials
-        self.sheet = Sheet(design, settings.spans)
-        relaxation = design.relaxation
-        self.rubber = None if relaxation is None else Relaxing(self.sheet, relaxation)
-        self._quick = 1.0 if relaxation is None else relaxation.quick
         ax, ay = self.sheet.axes
         self.x = ax.breaks
         self.y = ay.breaks
@@ -206,8 +91,6 @@ class InverseMembrane:
             np.linspace(-a.length / 2, a.length / 2, REFINE * a.spans + 1) for a in (ax, ay)
         ]
         self._at_fine = [a.at(g) for a, g in zip((ax, ay), self._fine, strict=True)]
-        self._material = design.markers.p_SM
-        self._at_markers = self.sheet.basis(self._material[:, :2])
         sparse = design.markers.pitch_x * design.markers.pitch_y > settings.slopes_cell
         self._slopes = (
             MarkerSlopes(self.sheet, self._material, design.camera.distance, settings)
@@ -215,98 +98,9 @@ class InverseMembrane:
             else None
         )
 
-    # -- the sensor's own rest
-    # --------------------------------------------------------------------------------
-
-    def rest_state(
-        self,
-        markers: Markers,
-        pressure_gauge: float,
-        *,
-        sealed: bool = True,
-        inflated_s: float = math.inf,
-    ) -> InverseRest:
-        """Calibrate on a state with nothing touching and a known gauge pressure, Pa, in which the
-        membrane has been for `inflated_s` s: see `InverseRest`."""
-        valve = Gas(pressure_gauge)
-        scale = young = stretch = 1.0
-        c = self.sheet.equilibrium(valve)
-        height = markers.p_SM[:, 2]
-        if pressure_gauge > self.settings.informative_pressure:
-            for _ in range(_REST_STEPS):
-                modelled = self._at_markers[markers.ids] @ c[2]
-                # pressed in below the frame: no bulge
-                ratio = max(float(modelled @ height / (modelled @ modelled)), 0.01)
-                scale *= np.clip(1 / ratio**self.settings.rest_power, 0.5, 2.0)
-                young, stretch = self._apart(scale, c)
-                faded = self._faded(c, young, inflated_s)
-                quick = young * self._quick
-                c = self.sheet.equilibrium(valve, quick, start=c, faded=faded, stretch=stretch)
-        faded = self._faded(c, young, inflated_s)
-        state = self.sheet.state(c, young * self._quick, faded, stretch)
-        gas = self.sheet.seal(state, pressure_gauge) if sealed else valve
-        offset = np.zeros((self.design.markers.count, 3))
-        offset[markers.ids] = markers.p_SM - self.positions(c)[markers.ids]
-        darkness = np.full(self.design.markers.count, np.nan)
-        if markers.darkness is not None:
-            darkness[markers.ids] = markers.darkness
-        return InverseRest(
-            gas, scale, c, offset, darkness=darkness, faded=faded, young=young, stretch=stretch
-        )
-
-    def _apart(self, scale: float, c: Array) -> tuple[float, float]:
-        """The factors on Young's modulus and pre-stretch that a sheet has which bulges, at `c`, as
-        if it were `scale` times as stiff as its file's (Eq. F25): each is off by a share that goes
-        with its variance, and the pre-stretch by three sd at most."""
-        s = self.settings
-        nominal = self.design.membrane.pre_stretch
-        strain = nominal - 1 + self.sheet.mean_strain(c)
-        off = s.pre_stretch_sd / max(strain, s.pre_stretch_sd)
-        share = off**2 / (off**2 + s.young_sd**2)
-        more = float(np.clip(strain * (scale**share - 1) / s.pre_stretch_sd, -3, 3))
-        more *= s.pre_stretch_sd
-        return scale / (1 + more / strain), 1 + more / nominal
-
-    def volume(self, c: Array) -> float:
-        """Gas volume, m^3, behind the sheet at coefficients `c`."""
-        return self.design.chamber_volume_flat + self.sheet.state(c).volume
-
-    def with_gas(self, rest: InverseRest, gas: Gas, sd: float, volume: float) -> InverseRest:
-        """The same sensor at rest with `gas` in it, whose pressure is known to `sd` Pa in a chamber
-        of `volume` m^3."""
-        rest = self.at_rest(replace(rest, gas=gas))
-        return replace(rest, gas_sd=sd, gas_volume=volume)
-
-    def at_rest(self, rest: InverseRest) -> InverseRest:
-        """The same sensor with the shape and the pressure that it has at rest, now that its gas, or
-        what has faded of its stress, is another."""
-        c = rest.c
-        state = self._state(c, rest)
-        # what holds this bulge, as far as a pressure does
-        held = float((state.elastic * state.gradient).sum() / (state.gradient**2).sum())
-        if abs(self.sheet.gas_pressure(state, rest.gas)[0] - held) > _GAS_NEAR:
-            scale = rest.young * self._quick
-            c = self.sheet.equilibrium(
-                rest.gas, scale, start=c, faded=rest.faded, stretch=rest.stretch
-            )
-            held = self.sheet.gas_pressure(self.sheet.state(c), rest.gas)[0]
-        return replace(rest, c=c, pressure_gauge=held)
-
-    def _state(self, c: Array, rest: InverseRest) -> State:
-        """The sheet of this sensor at `c` (3, n) m."""
-        return self.sheet.state(c, rest.young * self._quick, rest.faded, rest.stretch)
-
-    def _faded(self, c: Array, scale: float, inflated_s: float) -> Array | None:
-        """What has faded (3, qx, qy) N/m of a sheet that has been at `c` for `inflated_s` s."""
-        return None if self.rubber is None else self.rubber.begin(c, scale, inflated_s, 0.0).total
-
     def force(self, shape: Shape) -> Array:
         """Net force (3,) N on the sheet."""
         return shape.traction @ self.node_area
-
-    def positions(self, c: Array) -> Array:
-        """Marker centres (N, 3) m in S."""
-        return self._material + self._at_markers @ c.T
 
     # -- one frame
     # --------------------------------------------------------------------------------
@@ -593,21 +387,6 @@ class InverseMembrane:
         """Share (6,) of the wrench's predicted variances: more where markers misfit or show
         drift."""
         return np.maximum(max(1.0, shape.misfit) * self._posterior_share, shape.drift - 1)
-
-
-def darker(markers: Markers, rest: InverseRest) -> Array:
-    """By how much the darkness (m,) of each marker has changed since `rest`; 0 where unknown."""
-    if markers.darkness is None or rest.darkness is None:
-        return np.zeros(len(markers))
-    return np.nan_to_num(markers.darkness - rest.darkness[markers.ids])
-
-
-def _as_well_known(one: CameraBelief | CameraSeen, other: CameraBelief | CameraSeen) -> bool:
-    """Whether about as much is known of the camera."""
-    if type(one) is not type(other) or one.root.shape != other.root.shape:
-        return False
-    ratio = np.diagonal(one.root) / np.diagonal(other.root)
-    return bool(ratio.max() < _CAMERA_RATIO and ratio.min() > 1 / _CAMERA_RATIO)
 
 
 def _net(force: Array, positions: Array) -> Array:

@@ -25,7 +25,8 @@ import numpy as np
 
 from mjtactile.core.status import Status, StatusCode
 from mjtactile.core.types import Array, Contact, Slip, SlipState
-from mjtactile.sensing.force.inverse import InverseMembrane, Shape
+from mjtactile.sensing.force.gain import Shape
+from mjtactile.sensing.force.inverse import InverseMembrane
 from mjtactile.sensing.settings import DEFAULTS, SlipSettings
 
 _POINT = 1e-4  # m: a patch is not smaller; one of a single node has no extent of its own

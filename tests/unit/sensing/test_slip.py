@@ -10,7 +10,8 @@ import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.types import SLIP_STATES, Markers
-from mjtactile.sensing.force.inverse import InverseMembrane, InverseRest
+from mjtactile.sensing.force.inverse import InverseMembrane
+from mjtactile.sensing.force.rest import InverseRest
 from mjtactile.sensing.force.sheet import Gas
 from mjtactile.sensing.settings import DEFAULTS
 from mjtactile.sensing.touch import slip

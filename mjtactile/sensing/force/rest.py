@@ -1,0 +1,158 @@
+"""A sensor's sheet with its markers and with nothing touching (docs/equations.md, Eq. F25).
+
+The bulge is not interpolated but computed: the sheet of `mjtactile.sensing.force.sheet`, forward
+solved, as stiff as the markers at rest show it to be.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.types import Array, Markers
+from mjtactile.sensing.force.relaxing import Relaxing
+from mjtactile.sensing.force.sheet import Gas, Sheet, State
+from mjtactile.sensing.settings import InverseSettings
+
+_GAS_NEAR = 3.0  # Pa, over which the sheet at rest is kept
+_REST_STEPS = 6  # the bulge goes with the stiffness to a power between -1 and -1/3
+
+
+@dataclass(frozen=True, eq=False)
+class InverseRest:
+    """What the sensor measured of itself with nothing touching: the `gas`; how many times as stiff
+    as the sensor file's the sheet bulges, `stiffness_scale`, and the factors on Young's modulus,
+    `young`, and on the pre-stretch, `stretch`, that this is put down to (Eq. F25); coefficients
+    `c` (3, n) m of the model that bulges as far as the markers do, and what then remains, `offset`
+    (N, 3) m, measured less modelled marker positions. Where a gauge measures the gas: the sd of its
+    pressure, `gas_sd` Pa, in a chamber of `gas_volume` m^3, and the pressure at rest,
+    `pressure_gauge` Pa. `darkness` (N,) is that of the markers then; NaN, or None: unknown. Of
+    rubber that relaxes the scale is that of its lasting modulus, and `faded` (3, qx, qy) N/m what
+    is lost by now of the stress that a quick deformation meets; None: it does not relax."""
+
+    gas: Gas
+    stiffness_scale: float
+    c: Array
+    offset: Array
+    gas_sd: float | None = None
+    gas_volume: float = math.nan
+    pressure_gauge: float = math.nan
+    darkness: Array | None = None
+    faded: Array | None = None
+    young: float = 1.0
+    stretch: float = 1.0
+
+
+class MarkedSheet:
+    """The sheet of one sensor and the markers on it.
+
+    Args:
+        design: The sensor's values.
+        settings: The stage's chosen numbers.
+    """
+
+    def __init__(self, design: SensorDesign, settings: InverseSettings):
+        self.design = design
+        self.settings = settings
+        self.sheet = Sheet(design, settings.spans)
+        relaxation = design.relaxation
+        self.rubber = None if relaxation is None else Relaxing(self.sheet, relaxation)
+        self._quick = 1.0 if relaxation is None else relaxation.quick
+        self._material = design.markers.p_SM
+        self._at_markers = self.sheet.basis(self._material[:, :2])
+
+    def rest_state(
+        self,
+        markers: Markers,
+        pressure_gauge: float,
+        *,
+        sealed: bool = True,
+        inflated_s: float = math.inf,
+    ) -> InverseRest:
+        """Calibrate on a state with nothing touching and a known gauge pressure, Pa, in which the
+        membrane has been for `inflated_s` s: see `InverseRest`."""
+        valve = Gas(pressure_gauge)
+        scale = young = stretch = 1.0
+        c = self.sheet.equilibrium(valve)
+        height = markers.p_SM[:, 2]
+        if pressure_gauge > self.settings.informative_pressure:
+            for _ in range(_REST_STEPS):
+                modelled = self._at_markers[markers.ids] @ c[2]
+                # pressed in below the frame: no bulge
+                ratio = max(float(modelled @ height / (modelled @ modelled)), 0.01)
+                scale *= np.clip(1 / ratio**self.settings.rest_power, 0.5, 2.0)
+                young, stretch = self._apart(scale, c)
+                faded = self._faded(c, young, inflated_s)
+                quick = young * self._quick
+                c = self.sheet.equilibrium(valve, quick, start=c, faded=faded, stretch=stretch)
+        faded = self._faded(c, young, inflated_s)
+        state = self.sheet.state(c, young * self._quick, faded, stretch)
+        gas = self.sheet.seal(state, pressure_gauge) if sealed else valve
+        offset = np.zeros((self.design.markers.count, 3))
+        offset[markers.ids] = markers.p_SM - self.positions(c)[markers.ids]
+        darkness = np.full(self.design.markers.count, np.nan)
+        if markers.darkness is not None:
+            darkness[markers.ids] = markers.darkness
+        return InverseRest(
+            gas, scale, c, offset, darkness=darkness, faded=faded, young=young, stretch=stretch
+        )
+
+    def _apart(self, scale: float, c: Array) -> tuple[float, float]:
+        """The factors on Young's modulus and pre-stretch that a sheet has which bulges, at `c`, as
+        if it were `scale` times as stiff as its file's (Eq. F25): each is off by a share that goes
+        with its variance, and the pre-stretch by three sd at most."""
+        s = self.settings
+        nominal = self.design.membrane.pre_stretch
+        strain = nominal - 1 + self.sheet.mean_strain(c)
+        off = s.pre_stretch_sd / max(strain, s.pre_stretch_sd)
+        share = off**2 / (off**2 + s.young_sd**2)
+        more = float(np.clip(strain * (scale**share - 1) / s.pre_stretch_sd, -3, 3))
+        more *= s.pre_stretch_sd
+        return scale / (1 + more / strain), 1 + more / nominal
+
+    def volume(self, c: Array) -> float:
+        """Gas volume, m^3, behind the sheet at coefficients `c`."""
+        return self.design.chamber_volume_flat + self.sheet.state(c).volume
+
+    def with_gas(self, rest: InverseRest, gas: Gas, sd: float, volume: float) -> InverseRest:
+        """The same sensor at rest with `gas` in it, whose pressure is known to `sd` Pa in a chamber
+        of `volume` m^3."""
+        rest = self.at_rest(replace(rest, gas=gas))
+        return replace(rest, gas_sd=sd, gas_volume=volume)
+
+    def at_rest(self, rest: InverseRest) -> InverseRest:
+        """The same sensor with the shape and the pressure that it has at rest, now that its gas, or
+        what has faded of its stress, is another."""
+        c = rest.c
+        state = self._state(c, rest)
+        # what holds this bulge, as far as a pressure does
+        held = float((state.elastic * state.gradient).sum() / (state.gradient**2).sum())
+        if abs(self.sheet.gas_pressure(state, rest.gas)[0] - held) > _GAS_NEAR:
+            scale = rest.young * self._quick
+            c = self.sheet.equilibrium(
+                rest.gas, scale, start=c, faded=rest.faded, stretch=rest.stretch
+            )
+            held = self.sheet.gas_pressure(self.sheet.state(c), rest.gas)[0]
+        return replace(rest, c=c, pressure_gauge=held)
+
+    def _state(self, c: Array, rest: InverseRest) -> State:
+        """The sheet of this sensor at `c` (3, n) m."""
+        return self.sheet.state(c, rest.young * self._quick, rest.faded, rest.stretch)
+
+    def _faded(self, c: Array, scale: float, inflated_s: float) -> Array | None:
+        """What has faded (3, qx, qy) N/m of a sheet that has been at `c` for `inflated_s` s."""
+        return None if self.rubber is None else self.rubber.begin(c, scale, inflated_s, 0.0).total
+
+    def positions(self, c: Array) -> Array:
+        """Marker centres (N, 3) m in S."""
+        return self._material + self._at_markers @ c.T
+
+
+def darker(markers: Markers, rest: InverseRest) -> Array:
+    """By how much the darkness (m,) of each marker has changed since `rest`; 0 where unknown."""
+    if markers.darkness is None or rest.darkness is None:
+        return np.zeros(len(markers))
+    return np.nan_to_num(markers.darkness - rest.darkness[markers.ids])
