@@ -27,7 +27,7 @@ from mjtactile.evaluate.episodes import Episode, run_episode
 from mjtactile.film.live import Sticking
 from mjtactile.gym.env import GraspEnv
 from mjtactile.run.progress import Progress
-from mjtactile.sim.sensor.film_sensor import FILM_GRID
+from mjtactile.sim.sensor.films import FILM_GRID
 
 LEVELS = {
     "everything": "auto",

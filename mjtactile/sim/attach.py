@@ -29,7 +29,8 @@ import mujoco
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.sim.sensor import features, limits
-from mjtactile.sim.sensor.film_sensor import FILM_GRID, FilmSensor, add_feeler
+from mjtactile.sim.sensor.film_sensor import FilmSensor
+from mjtactile.sim.sensor.films import FILM_GRID, add_feeler
 from mjtactile.sim.sensor.membrane import ANYTHING, BODY, FLEX, add_membrane
 from mjtactile.sim.sensor.mesh import MembraneMesh, make_mesh
 from mjtactile.sim.sensor.runtime import TactileSensor

@@ -9,27 +9,24 @@ it is always at rest. Gas and valve are the full sensor's.
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
-from mjtactile.film import Film, Status
-from mjtactile.film.live import HEAT_RATIO, LiveFilm, Sticking
+from mjtactile.film import Status
+from mjtactile.film.live import HEAT_RATIO, LiveFilm
 from mjtactile.kernels import bound, words
 from mjtactile.sim.sensor import limits
+from mjtactile.sim.sensor.films import FEELER, bulge_stiffness, film_of, sticking_of
 from mjtactile.sim.sensor.geoms import FeltGeoms
-from mjtactile.sim.sensor.membrane import BODY
-from mjtactile.sim.sensor.mesh import MarkerInterpolator, MembraneMesh
+from mjtactile.sim.sensor.mesh import MembraneMesh
 from mjtactile.sim.sensor.pushes import HOLD, pushes_of
-from mjtactile.sim.sensor.stretches import stretches_of
-from mjtactile.sim.sensor.switches import Effect, make_gas
+from mjtactile.sim.sensor.sheet_sensor import SheetSensor
+from mjtactile.sim.sensor.switches import Effect
 
-FILM_GRID = (21, 16)
 _FLAT = 1.0  # Pa, below which the sheet lies flat
 _PATIENCE = 25  # steps without a solution in a row
 _LATE = 2  # such steps that are not worth a word
@@ -41,25 +38,10 @@ _WRENCH, _MIDDLE, _STRAIN = slice(1, 7), slice(7, 10), slice(12, 15)
 _SOLVED_GAS = slice(57, 59)
 _SLID = 66
 _GAS, _TIME = 2, 6
-_FEELER = "feeler"
 
 
-def add_feeler(body: mujoco.MjsBody, design: SensorDesign) -> None:
-    """Give a sensor without a mesh the one geom that stands for its sheet: it touches nothing, and
-    distances of the sheet from other geoms can be measured with it."""
-    body.add_geom(
-        name=_FEELER,
-        type=mujoco.mjtGeom.mjGEOM_SPHERE,
-        size=[design.membrane.thickness / 2, 0, 0],
-        mass=0.0,
-        contype=0,
-        conaffinity=0,
-        group=4,
-    )
-
-
-class FilmSensor:
-    """Runtime of one sensor without a mesh; see `TactileSensor`, whose properties it has."""
+class FilmSensor(SheetSensor):
+    """Run time of one sensor without a mesh; it has the properties of `TactileSensor`."""
 
     contact = "film"
 
@@ -73,29 +55,22 @@ class FilmSensor:
         effects: frozenset[str],
     ):
         """`mesh` is the film's grid. Raises InputError for a scene that a film cannot feel."""
-        self.design = design
-        self.mesh = mesh
-        self.prefix = prefix
+        super().__init__(model, data, design, mesh, prefix, effects)
         self._model = model
-        self._data = data
-        self._timestep = float(model.opt.timestep)
-        self.body_id = _body(model, prefix + BODY)
         self.flex_id = _NO_FLEX
-        self.vertex_geom_ids = np.array([model.geom(prefix + _FEELER).id])
+        self.vertex_geom_ids = np.array([model.geom(prefix + FEELER).id])
         self.contact_ids = np.array([*self.vertex_geom_ids.repeat(2), self.flex_id])
-        first = int(model.body_geomadr[self.body_id])
-        self.housing_geom_ids = np.arange(first, first + int(model.body_geomnum[self.body_id]))
-        self._film = film = _film_of(design, (mesh.nx, mesh.ny))
+        self._film = film = film_of(design, (mesh.nx, mesh.ny))
         top = float(film.rest.x[2].max())
         half = math.hypot(design.frame.length, design.frame.width) / 2
         reach = math.hypot(half, top) + 1e-3
         self._geoms = FeltGeoms(model, self.body_id, reach)
         self._live = LiveFilm(film, self._geoms.rows, self._geoms.pool)
-        self._sticking = _sticking_of(film)
+        self._sticking = sticking_of(film)
         self._given = np.array(
             [
                 design.membrane.friction if Effect.FRICTION in effects else 0.0,
-                _bulge_stiffness(film),
+                bulge_stiffness(film),
                 0.0,
                 float(model.opt.timestep),
                 math.sqrt(design.frame.area / math.pi),
@@ -107,17 +82,12 @@ class FilmSensor:
         self._memory = np.zeros(_MEMORY)
         self._touched = np.zeros((2, *film.grid), np.uint8)
         self._before = np.zeros((6, *film.grid))
-        self._markers = MarkerInterpolator(mesh, design.markers.p_SM)
-        self._gas = make_gas(design.chamber, effects)
         self._pushes = pushes_of(model, data)
         self._number = self._pushes.join(prefix)
         self._force = np.zeros(model.nv)
         self._hold = np.zeros(HOLD)
         self._pushing = np.zeros(1, np.int64)  # whether it did at the last look
         self._bind()
-        self._time = float(data.time)
-        self.sleepy = True
-        self._volume = design.chamber_volume_flat
         self._gas.advance(self._volume, 0.0)
         self._look()
 
@@ -173,6 +143,10 @@ class FilmSensor:
         if pushes or self._pushing[0]:
             self._pushes.set(self._number, self._force, self._hold)
         self._pushing[0] = pushes
+
+    def _come_to_now(self) -> None:
+        self._look()
+        self._breathe()
 
     def _look(self) -> None:
         """Bring film, gas and what sticks up to the present poses."""
@@ -268,13 +242,6 @@ class FilmSensor:
         """Whether anything touches the film."""
         return self._memory[_BODY] > 0
 
-    def wake(self) -> None:
-        """Nothing to wake; as `TactileSensor` has it."""
-
-    @property
-    def time(self) -> float:
-        return float(self._data.time)
-
     @property
     def wrench(self) -> Array:
         """(6,) N and N m about the origin of S that the world exerts on the film, at the last
@@ -355,67 +322,18 @@ class FilmSensor:
         """A film has no degrees of freedom in the model."""
         return np.empty(0, np.int64)
 
-    def marker_poses(self) -> tuple[Array, Array]:
-        """Marker centres (N, 3) m and outward unit normals (N, 3) in S, in the design's order."""
-        return self._markers.marker_poses(self.p_SV)
-
     def marker_poses_before(self, seconds: float) -> tuple[Array, Array]:
         """Where the markers are: a film at rest has no velocity, and images of it no motion
         blur."""
         return self.marker_poses()
 
-    def height_at(self, x: float, y: float) -> float:
-        """Height, m, of the material point (x, y) of the flat sheet."""
-        at = MarkerInterpolator(self.mesh, np.array([[x, y, 0.0]]))
-        return float(at.marker_poses(self.p_SV)[0][0, 2])
-
-    def stretches(self) -> tuple[Array, Array]:
-        """Principal stretches (m, 2) of each triangle against the free sheet, and areas (m,)
-        m^2."""
-        return stretches_of(self.design, self.mesh, self.p_SV)
-
-    def stretch_and_area(self) -> tuple[float, float]:
-        """Largest principal stretch, and the film's area, m^2."""
-        stretches, areas = self.stretches()
-        return float(stretches.max()), float(areas.sum())
-
-    # -- the chamber, as of `TactileSensor`
-
-    @property
-    def pressure_gauge(self) -> float:
-        """Pa in the chamber, above ambient, at the last `update`."""
-        self._breathe()
-        return self._gas.pressure_gauge
-
     @property
     def gas_time(self) -> float:
         return self.time
 
-    @property
-    def temperature(self) -> float:
-        self._breathe()
-        return self._gas.temperature
-
-    @property
-    def volume(self) -> float:
-        self._breathe()
-        return self._volume
-
-    @property
-    def valve_is_open(self) -> bool:
-        return self._gas.is_open
-
-    def open_valve(self, supply_gauge: float | None = None) -> None:
-        """Connect the chamber to a supply at `supply_gauge` Pa (default: the design's)."""
-        self._look()
-        self._breathe()
-        self._gas.open(self.design.chamber.supply_gauge if supply_gauge is None else supply_gauge)
-
     def close_valve(self) -> None:
         """Trap the gas that is in the chamber now."""
-        self._look()
-        self._breathe()
-        self._gas.close()
+        super().close_valve()
         self._live.settings[1] = 0.0
 
     def inflate(self, displacements: Array, pressure_gauge: float) -> None:
@@ -429,14 +347,6 @@ class FilmSensor:
         self._gas.seal(self._volume, pressure_gauge)
         self._time = self.time
         self._look()
-
-    def puncture(self, conductance: float) -> None:
-        """Make a hole to ambient of `conductance` m^3/(s Pa); 0 mends it."""
-        self._gas.puncture(conductance)
-
-    def warm(self, rate: float) -> None:
-        """From now on, gas and walls get warmer by `rate` K/s."""
-        self._gas.warm(rate)
 
     # -- its limits
 
@@ -459,9 +369,7 @@ class FilmSensor:
             misplaced = self._memory[_STATUS] in (Status.AT_THE_RIM, Status.ON_THE_GLASS)
             if misplaced or self._memory[_LOST] >= _PATIENCE:
                 return f"sensor {self.prefix!r}: {self._reason()}; leave the sheet on"
-        if self._volume <= 0:
-            return f"sensor {self.prefix!r}: the chamber has no volume left"
-        return None
+        return self._empty()
 
     def _reason(self) -> str:
         return _REASONS.get(Status(int(self._memory[_STATUS])), "its pressure jumps")
@@ -476,37 +384,3 @@ _REASONS = {
     Status.GOES_THROUGH: "what touches is so thin that it goes through between the film's nodes",
     Status.OVERSTRETCHED: "the sheet is stretched beyond what its rubber's law is known for",
 }
-
-
-@lru_cache(maxsize=64)
-def _film_of(design: SensorDesign, grid: tuple[int, int]) -> Film:
-    """The film of a sensor, made once a process and shared: nothing in it changes."""
-    return Film(design, grid)
-
-
-@lru_cache(maxsize=64)
-def _sticking_of(film: Film) -> Sticking:
-    """The film's sheet in the plane, inverted once a process."""
-    sticking = Sticking(film)
-    sticking.compliance.flags.writeable = False
-    return sticking
-
-
-@lru_cache(maxsize=64)
-def _bulge_stiffness(film: Film) -> float:
-    """dp/dV, Pa/m^3, of the bulge about its rest."""
-    step = 0.05 * film.pressure_gauge
-    other = Film(film.design, film.grid, film.pressure_gauge + step)
-    return step / (other.rest.volume - film.rest.volume)
-
-
-def _body(model: mujoco.MjModel, name: str) -> int:
-    found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
-    if found < 0:
-        raise InputError(
-            f"the model has no body {name!r}; was it compiled from the spec that the sensor was "
-            "attached to?",
-            source="bind",
-            field="model",
-        )
-    return found

@@ -16,26 +16,22 @@ from mjtactile.sim.sensor import limits
 from mjtactile.sim.sensor.approach import Approach, refuse_thin
 from mjtactile.sim.sensor.facets import StandOff
 from mjtactile.sim.sensor.membrane import FLEX, ContactStiffness, pre_stretch, touch_with
-from mjtactile.sim.sensor.mesh import MarkerInterpolator, MembraneMesh
+from mjtactile.sim.sensor.mesh import MembraneMesh
 from mjtactile.sim.sensor.points import ContactPoints, missed
 from mjtactile.sim.sensor.relaxing import Relaxing
 from mjtactile.sim.sensor.rubber import Rubber
+from mjtactile.sim.sensor.sheet_sensor import SheetSensor, require
 from mjtactile.sim.sensor.sleep import Sleeper
 from mjtactile.sim.sensor.stiction import Stiction
-from mjtactile.sim.sensor.stretches import stretches_of
-from mjtactile.sim.sensor.switches import PHYSICS, make_gas, make_geometry, make_load
+from mjtactile.sim.sensor.switches import PHYSICS, make_geometry, make_load
 from mjtactile.sim.sensor.turning import Turning
 
 GLASS_MARGIN = 0.02
 """Share of the chamber's depth in front of the glass that the membrane may not enter."""
 
 
-class TactileSensor:
-    """Runtime of one sensor in a compiled model: gas, valve, marker poses.
-
-    Positions are in the sensor's frame S, in m; pressures in Pa above ambient; volumes in m^3. The
-    valve starts open to a supply at 0 Pa, so that the membrane starts, and stays, flat.
-    """
+class TactileSensor(SheetSensor):
+    """Run time of one sensor whose sheet is a mesh in the model."""
 
     def __init__(
         self,
@@ -49,19 +45,12 @@ class TactileSensor:
     ):
         """`contact`: what of the membrane touches, "vertices", "elements", "both", or "auto" by the
         scene's smallest feature."""
-        self.design = design
-        self.mesh = mesh
-        self.prefix = prefix
-        self._data = data
-        self._timestep = float(model.opt.timestep)
-        self.flex_id = _require(model, mujoco.mjtObj.mjOBJ_FLEX, prefix + FLEX)
-        self.body_id = _require(model, mujoco.mjtObj.mjOBJ_BODY, prefix + "sensor")
+        super().__init__(model, data, design, mesh, prefix, effects)
+        self.flex_id = require(model, mujoco.mjtObj.mjOBJ_FLEX, prefix + FLEX)
         names = [f"{prefix}v{v}" for v in mesh.interior]
         self.vertex_geom_ids = np.array(
-            [_require(model, mujoco.mjtObj.mjOBJ_GEOM, name) for name in names]
+            [require(model, mujoco.mjtObj.mjOBJ_GEOM, name) for name in names]
         )
-        self.housing_geom_ids = _geoms_of(model, self.body_id)
-        """The sensor's frame, glass and camera block."""
         self.contact_ids = np.array(
             [self.vertex_geom_ids[0], self.vertex_geom_ids[-1], self.flex_id]
         )
@@ -110,15 +99,9 @@ class TactileSensor:
         self._flat = mesh.p_SV[mesh.interior].ravel()
         self._moved = np.empty_like(self._flat)
         self._geometry = make_geometry(mesh, design.chamber_volume_flat, effects)
-        self._markers = MarkerInterpolator(mesh, design.markers.p_SM)
-        self._gas = make_gas(design.chamber, effects)
-        self._time = float(data.time)
         self._sleeper = Sleeper(
             model, data, mesh, self._tendon, self.flex_id, self.body_id, self.vertex_geom_ids
         )
-        self.sleepy = True
-        """Whether the sensor may fall asleep while nothing is near it and nothing moves
-        (sleep.py)."""
         self._follow()
 
     def update(self) -> None:
@@ -163,6 +146,10 @@ class TactileSensor:
             self._time = float(self._data.time)  # nothing has flowed meanwhile
             self._follow()
 
+    def _come_to_now(self) -> None:
+        self.wake()
+        self._follow()
+
     def _follow(self) -> None:
         np.add(self._flat, self._tendon.displacements, out=self._moved)
         p_SV = self._p_SV
@@ -191,11 +178,6 @@ class TactileSensor:
             self._stiction.update(self._stand_off.margins)
         else:
             self._margins[:] = self._stand_off.margins  # only vertices remember
-
-    @property
-    def time(self) -> float:
-        """Simulated time now, s."""
-        return float(self._data.time)
 
     @property
     def p_SV(self) -> Array:
@@ -235,35 +217,12 @@ class TactileSensor:
         """The degrees of freedom of the vertices, x, y, z of one after the other."""
         return np.arange(self._tendon.dofs.start, self._tendon.dofs.stop)
 
-    def marker_poses(self) -> tuple[Array, Array]:
-        """Marker centres `p_SM` (N, 3) m and outward unit normals `n_S` (N, 3), in the order of the
-        design's layout."""
-        return self._markers.marker_poses(self.p_SV)
-
     def marker_poses_before(self, seconds: float) -> tuple[Array, Array]:
         """Where the markers were `seconds` ago, if they moved as they do now; for motion blur."""
         p_SV = self.p_SV
         velocity = np.asarray(self._data.qvel)[self._tendon.dofs].reshape(-1, 3)
         p_SV[self.mesh.interior] -= seconds * velocity
         return self._markers.marker_poses(p_SV)
-
-    def height_at(self, x: float, y: float) -> float:
-        """Height, m, of the material point (x, y) of the flat sheet, from the spline that carries
-        the markers."""
-        return float(
-            MarkerInterpolator(self.mesh, np.array([[x, y, 0.0]])).marker_poses(self.p_SV)[0][0, 2]
-        )
-
-    def stretch_and_area(self) -> tuple[float, float]:
-        """Largest principal stretch against the free sheet over all triangles, and the membrane's
-        area, m^2."""
-        stretches, areas = self.stretches()
-        return float(stretches.max()), float(areas.sum())
-
-    def stretches(self) -> tuple[Array, Array]:
-        """Principal stretches (m, 2), small and large, of each triangle against the free sheet, and
-        its area (m,) m^2."""
-        return stretches_of(self.design, self.mesh, self.p_SV)
 
     def tensions(self) -> Array:
         """Tension (n,) N/m of the sheet at its vertices, not negative: the geometric mean of its
@@ -285,43 +244,9 @@ class TactileSensor:
         )
 
     @property
-    def pressure_gauge(self) -> float:
-        """Gauge pressure in the chamber, Pa, at the last `update`."""
-        return self._gas.pressure_gauge
-
-    @property
     def gas_time(self) -> float:
         """When `pressure_gauge` was so, s."""
         return self.time if self.is_asleep else self._time
-
-    @property
-    def temperature(self) -> float:
-        """Temperature of the gas in the chamber, K, at the last `update`."""
-        return self._gas.temperature
-
-    @property
-    def volume(self) -> float:
-        """Gas volume, m^3, at the last `update`."""
-        return self._volume
-
-    @property
-    def valve_is_open(self) -> bool:
-        return self._gas.is_open
-
-    def open_valve(self, supply_gauge: float | None = None) -> None:
-        """Connect the chamber to a supply at `supply_gauge` Pa (default: the design's).
-
-        The pressure follows at once, or through the valve's conductance where the design gives one.
-        """
-        self.wake()
-        self._follow()
-        self._gas.open(self.design.chamber.supply_gauge if supply_gauge is None else supply_gauge)
-
-    def close_valve(self) -> None:
-        """Trap the gas that is in the chamber now."""
-        self.wake()
-        self._follow()
-        self._gas.close()
 
     def inflate(self, displacements: Array, pressure_gauge: float) -> None:
         """Put the vertices at `displacements` (3 k,) m in S, at rest, and seal the chamber at
@@ -334,16 +259,6 @@ class TactileSensor:
         if self._relaxing:
             self._relaxing.settle(self.p_SV)
         self._follow()
-
-    def puncture(self, conductance: float) -> None:
-        """Make a hole to ambient of `conductance` m^3/(s Pa); 0 mends it."""
-        self.wake()
-        self._gas.puncture(conductance)
-
-    def warm(self, rate: float) -> None:
-        """From now on, gas and walls get warmer by `rate` K/s."""
-        self.wake()
-        self._gas.warm(rate)
 
     def flags(self) -> limits.Flags:
         """What makes the present numbers less good than they look; empty when nothing does."""
@@ -361,8 +276,8 @@ class TactileSensor:
                 f"sensor {self.prefix!r}: the membrane is pushed against the glass "
                 f"({depth * 1e3:g} mm deep)"
             )
-        if self._volume <= 0:
-            return f"sensor {self.prefix!r}: the chamber has no volume left"
+        if (empty := self._empty()) is not None:
+            return empty
         reach = 2 * max(self.design.frame.length, self.design.frame.width)
         if most > reach:
             pressure = self.pressure_gauge
@@ -387,20 +302,3 @@ def _relaxing(design: SensorDesign, mesh: MembraneMesh) -> Relaxing | None:
             field="effects",
         )
     return Relaxing(mesh, design.membrane, design.relaxation)
-
-
-def _geoms_of(model: mujoco.MjModel, body: int) -> NDArray[np.int64]:
-    first = int(model.body_geomadr[body])
-    return np.arange(first, first + int(model.body_geomnum[body]))
-
-
-def _require(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:
-    found = mujoco.mj_name2id(model, kind, name)
-    if found < 0:
-        raise InputError(
-            f"the model has no {kind.name.removeprefix('mjOBJ_').lower()} {name!r}; was it "
-            "compiled from the spec that the sensor was attached to?",
-            source="bind",
-            field="model",
-        )
-    return found

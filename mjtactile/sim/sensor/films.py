@@ -1,0 +1,51 @@
+"""The films of sensors without a mesh, each made once a process, and the geom that stands for one
+in MuJoCo's model."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import mujoco
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.film import Film
+from mjtactile.film.live import Sticking
+
+FILM_GRID = (21, 16)
+FEELER = "feeler"
+
+
+def add_feeler(body: mujoco.MjsBody, design: SensorDesign) -> None:
+    """Give a sensor without a mesh the one geom that stands for its sheet: it touches nothing, and
+    distances of the sheet from other geoms can be measured with it."""
+    body.add_geom(
+        name=FEELER,
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        size=[design.membrane.thickness / 2, 0, 0],
+        mass=0.0,
+        contype=0,
+        conaffinity=0,
+        group=4,
+    )
+
+
+@lru_cache(maxsize=64)
+def film_of(design: SensorDesign, grid: tuple[int, int]) -> Film:
+    """The film of a sensor, made once a process and shared: nothing in it changes."""
+    return Film(design, grid)
+
+
+@lru_cache(maxsize=64)
+def sticking_of(film: Film) -> Sticking:
+    """The film's sheet in the plane, inverted once a process."""
+    sticking = Sticking(film)
+    sticking.compliance.flags.writeable = False
+    return sticking
+
+
+@lru_cache(maxsize=64)
+def bulge_stiffness(film: Film) -> float:
+    """dp/dV, Pa/m^3, of the bulge about its rest."""
+    step = 0.05 * film.pressure_gauge
+    other = Film(film.design, film.grid, film.pressure_gauge + step)
+    return step / (other.rest.volume - film.rest.volume)

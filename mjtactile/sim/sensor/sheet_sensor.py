@@ -1,0 +1,173 @@
+"""`SheetSensor`: what each sensor at run time has, whether its sheet is a mesh in MuJoCo's model or
+a film beside it: markers on a sheet, and a chamber with gas and a valve behind it."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import mujoco
+import numpy as np
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Array
+from mjtactile.sim.sensor.membrane import BODY
+from mjtactile.sim.sensor.mesh import MarkerInterpolator, MembraneMesh
+from mjtactile.sim.sensor.stretches import stretches_of
+from mjtactile.sim.sensor.switches import make_gas
+
+
+class SheetSensor(ABC):
+    """Run time of one sensor in a compiled model, but for its sheet.
+
+    Positions are in the sensor's frame S, in m; pressures in Pa above ambient; volumes in m^3. The
+    valve starts open to a supply at 0 Pa, so that the membrane starts, and stays, flat.
+
+    Args:
+        model: The compiled model.
+        data: Its data.
+        design: The sensor's values.
+        mesh: Of the sheet.
+        prefix: Of the sensor's names in the model.
+        effects: The effects that are on.
+
+    Raises:
+        InputError: The model has no such sensor.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        design: SensorDesign,
+        mesh: MembraneMesh,
+        prefix: str,
+        effects: frozenset[str],
+    ):
+        self.design = design
+        self.mesh = mesh
+        self.prefix = prefix
+        self._data = data
+        self._timestep = float(model.opt.timestep)
+        self.body_id = require(model, mujoco.mjtObj.mjOBJ_BODY, prefix + BODY)
+        first = int(model.body_geomadr[self.body_id])
+        self.housing_geom_ids = np.arange(first, first + int(model.body_geomnum[self.body_id]))
+        """The sensor's frame, glass and camera block."""
+        self._markers = MarkerInterpolator(mesh, design.markers.p_SM)
+        self._gas = make_gas(design.chamber, effects)
+        self._volume = design.chamber_volume_flat
+        self._time = float(data.time)
+        self.sleepy = True
+        """Whether the sensor may fall asleep while nothing is near it and nothing moves
+        (sleep.py)."""
+
+    @property
+    @abstractmethod
+    def p_SV(self) -> Array:
+        """Vertex positions (n, 3) m in S, rim included, now."""
+
+    @abstractmethod
+    def _come_to_now(self) -> None:
+        """Bring sheet and gas up to the present state, awake, before the valve is moved."""
+
+    def wake(self) -> None:  # noqa: B027 a film never sleeps
+        """Go on from where the sensor fell asleep; needed by hand only after a change of the
+        model's own numbers."""
+
+    def _breathe(self) -> None:  # noqa: B027 a mesh does so at every step
+        """Take the gas to the sheet's present volume, where `update` has not."""
+
+    @property
+    def time(self) -> float:
+        """Simulated time now, s."""
+        return float(self._data.time)
+
+    # -- the sheet
+
+    def marker_poses(self) -> tuple[Array, Array]:
+        """Marker centres `p_SM` (N, 3) m and outward unit normals `n_S` (N, 3), in the order of the
+        design's layout."""
+        return self._markers.marker_poses(self.p_SV)
+
+    def height_at(self, x: float, y: float) -> float:
+        """Height, m, of the material point (x, y) of the flat sheet, from the spline that carries
+        the markers."""
+        at = MarkerInterpolator(self.mesh, np.array([[x, y, 0.0]]))
+        return float(at.marker_poses(self.p_SV)[0][0, 2])
+
+    def stretches(self) -> tuple[Array, Array]:
+        """Principal stretches (m, 2), small and large, of each triangle against the free sheet, and
+        its area (m,) m^2."""
+        return stretches_of(self.design, self.mesh, self.p_SV)
+
+    def stretch_and_area(self) -> tuple[float, float]:
+        """Largest principal stretch against the free sheet over all triangles, and the membrane's
+        area, m^2."""
+        stretches, areas = self.stretches()
+        return float(stretches.max()), float(areas.sum())
+
+    # -- the chamber
+
+    @property
+    def pressure_gauge(self) -> float:
+        """Gauge pressure in the chamber, Pa, at the last `update`."""
+        self._breathe()
+        return self._gas.pressure_gauge
+
+    @property
+    def temperature(self) -> float:
+        """Temperature of the gas in the chamber, K, at the last `update`."""
+        self._breathe()
+        return self._gas.temperature
+
+    @property
+    def volume(self) -> float:
+        """Gas volume, m^3, at the last `update`."""
+        self._breathe()
+        return self._volume
+
+    @property
+    def valve_is_open(self) -> bool:
+        return self._gas.is_open
+
+    def open_valve(self, supply_gauge: float | None = None) -> None:
+        """Connect the chamber to a supply at `supply_gauge` Pa (default: the design's).
+
+        The pressure follows at once, or through the valve's conductance where the design gives one.
+        """
+        self._come_to_now()
+        self._gas.open(self.design.chamber.supply_gauge if supply_gauge is None else supply_gauge)
+
+    def close_valve(self) -> None:
+        """Trap the gas that is in the chamber now."""
+        self._come_to_now()
+        self._gas.close()
+
+    def puncture(self, conductance: float) -> None:
+        """Make a hole to ambient of `conductance` m^3/(s Pa); 0 mends it."""
+        self.wake()
+        self._gas.puncture(conductance)
+
+    def warm(self, rate: float) -> None:
+        """From now on, gas and walls get warmer by `rate` K/s."""
+        self.wake()
+        self._gas.warm(rate)
+
+    def _empty(self) -> str | None:
+        """What to say of a chamber without gas; None: it has some."""
+        if self._volume > 0:
+            return None
+        return f"sensor {self.prefix!r}: the chamber has no volume left"
+
+
+def require(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:
+    """The id of what a sensor has in its model; InputError where it is not there."""
+    found = mujoco.mj_name2id(model, kind, name)
+    if found < 0:
+        raise InputError(
+            f"the model has no {kind.name.removeprefix('mjOBJ_').lower()} {name!r}; was it "
+            "compiled from the spec that the sensor was attached to?",
+            source="bind",
+            field="model",
+        )
+    return found
