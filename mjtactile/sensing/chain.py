@@ -40,6 +40,7 @@ from mjtactile.sensing.shaped import finder_gauge, with_shape
 from mjtactile.sensing.sight import MarkerSight, average, moved
 from mjtactile.sensing.state import ChainState, Reference
 from mjtactile.sensing.touch import slip
+from mjtactile.sensing.touch.moving import with_motion
 
 
 class Chain:
@@ -295,7 +296,11 @@ class Chain:
             )
         found = finder.follow(touch, before.press, self._rest_markers(after), rubber)
         felt = with_shape(touch, found.shape, found.load)
-        return felt, replace(after, press=found.press)
+        after = replace(after, press=found.press)
+        if felt.slip is None:
+            return felt, after
+        judged, history = with_motion(felt.slip, after.slip, found.shape.motion, self.settings.slip)
+        return replace(felt, slip=judged), replace(after, slip=history)
 
     def _require_reference(self, state: ChainState, what: str) -> Reference:
         if state.reference is None:

@@ -130,7 +130,8 @@ class Slip:
         state: One of SLIP_STATES. "none": nothing touches; "slipping": all of the contact slides,
             as seen, whatever the friction; "incipient": most of the friction is used up, as far as
             it is known.
-        velocity: (2,) m/s of the object over the membrane, S; noise while it sticks.
+        velocity: (2,) m/s of the object over the membrane, S; noise while it sticks. By the
+            body's own place where its shape is read, else by the centre of what presses.
         distance: m slipped since the touch began.
         stick_ratio: Share of the contact whose shear is below what friction can hold there.
         status: "ok", or why nothing is known.

@@ -199,6 +199,13 @@ class SlipSettings:
         "shear over normal force: what slips below it rolls, or is as smooth as nothing dry",
         _SLID,
     )
+    body_speed: float = number(
+        3e-3, "m/s of a known body along the shear, over the rubber: less is no slip", _SLID
+    )
+    body_spin: float = number(
+        0.5, "rad/s of it about its normal, over the rubber: less is no slip", _SLID
+    )
+    body_sure: float = number(6.0, "sd of these speeds, that they must be above", _SLID)
     incipient: float = number(0.7, "share of the friction limit from which on slip begins", TRIED)
     least_force: float = number(
         0.05, "N; below, neither the patch nor its shear are known well enough", TRIED

@@ -13,10 +13,12 @@ import pytest
 
 import benchmarks.film
 from mjtactile import Chain, Film, load_sensor
-from mjtactile.core.types import Markers, Touch
+from mjtactile.core.types import BodyMotion, FeltShape, Markers, Slip, Touch
+from mjtactile.sensing.body.finder import Found
 from mjtactile.sensing.body.forward import Forward
 from mjtactile.sensing.body.motion import Rubber, rubber_step
 from mjtactile.sensing.shaped import with_shape
+from mjtactile.sensing.touch.slip import SlipHistory, SlipSample
 
 NOISE = np.array([3.4e-6, 3.4e-6, 19e-6])  # m: `dense`, one image
 
@@ -244,6 +246,30 @@ def test_a_ball_that_is_dragged_over_still_rubber_rolls_or_slides(sensor, fine_f
     # a ball that goes along x without sliding turns about y
     assert motion.rolling[1] == pytest.approx(motion.velocity[0] / radius, rel=0.15)
     assert np.isnan(motion.spinning)
+
+
+class Told:
+    """A finder of shapes that says how a body moves."""
+
+    def __init__(self, motion):
+        self.shape = FeltShape("unknown", {}, motion=motion)
+
+    def follow(self, touch, press, p_rest, rubber):
+        return Found(self.shape, None, None)
+
+
+def test_the_chain_hears_of_a_body_that_turns_on_the_spot(sensor):
+    """Its centre of pressure stays where it is: only the shape's motion tells."""
+    chain, state, _ = sensor
+    sample = SlipSample(0.0, np.zeros(2), np.zeros(3), np.array([0.5, 0.0, 0.0]))
+    before = replace(state, slip=SlipHistory((sample,), np.ones(1), np.zeros((1, 3)), 0.0, 0.9))
+    touch = Touch(0.0, 0.0, 1.0, 0.1, True, slip=Slip("sticking", np.zeros(2), 0.0, 0.5))
+    zero, none = np.zeros(2), np.zeros((2, 2))
+    for spinning, said in ((0.0, "sticking"), (1.0, "slipping")):
+        motion = BodyMotion(zero, none, zero, none, zero, spinning, 0.05)
+        felt, after = chain.follow_shape(before, before, touch, Told(motion))
+        assert felt.slip.state == said
+        assert after.slip.distance == felt.slip.distance
 
 
 def test_rubber_that_turns_and_goes_is_told_apart():

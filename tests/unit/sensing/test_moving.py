@@ -1,0 +1,84 @@
+"""Slip by a known body's motion: closed cases of rates, shear and what the rubber does itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mjtactile.core.types import BodyMotion, Slip
+from mjtactile.sensing.settings import DEFAULTS
+from mjtactile.sensing.touch.moving import slides, spins, with_motion
+from mjtactile.sensing.touch.slip import SlipHistory, SlipSample
+
+S = DEFAULTS.slip
+STICKS = Slip("sticking", np.zeros(2), 0.0, 0.5)
+
+
+def motion(velocity=(0.0, 0.0), sd=1e-3, spinning=0.0, spinning_sd=0.05):
+    """Of a body whose rolling is not asked about."""
+    nothing = np.full((2, 2), np.nan)
+    return BodyMotion(
+        np.array(velocity),
+        sd**2 * np.eye(2),
+        np.full(2, np.nan),
+        nothing,
+        np.zeros(2),
+        spinning,
+        spinning_sd,
+    )
+
+
+def history(ratio=(0.5, 0.0, 0.0), dragged=0.0):
+    """Two images 0.1 s apart, the rubber dragged by so many m along x meanwhile."""
+    samples = tuple(
+        SlipSample(0.1 * k, np.zeros(2), np.array([k * dragged, 0.0, 0.0]), np.array(ratio))
+        for k in range(2)
+    )
+    return SlipHistory(samples, np.ones(1), np.zeros((1, 3)), 0.0, 0.9)
+
+
+def test_a_body_that_slides_along_the_shear_slips():
+    # 10 mm/s, ten sd of 1 mm/s: above the least speed and surely so
+    assert slides(motion((10e-3, 0.0)), history())
+    moved, after = with_motion(STICKS, history(), motion((10e-3, 0.0)))
+    assert moved.state == "slipping" and moved.stick_ratio == 0
+    assert moved.velocity == pytest.approx([10e-3, 0.0])
+    # one image more, 0.1 s of 10 mm/s
+    assert moved.distance == after.distance == pytest.approx(1e-3)
+
+
+@pytest.mark.parametrize(
+    "still",
+    [
+        (motion((-10e-3, 0.0)), history()),  # against the shear: it is carried along
+        (motion((0.0, 10e-3)), history()),  # across it
+        (motion((10e-3, 0.0), sd=3e-3), history()),  # by no more than its error bar allows
+        (motion((0.9 * S.body_speed, 0.0), sd=1e-5), history()),  # creeping
+        (motion((10e-3, 0.0)), history((0.5 * S.least_load, 0.0, 0.0))),  # no shear: it rolls
+        # partial slip: a body goes `follows` of the way that it drags the rubber
+        (motion((10e-3, 0.0)), history(dragged=0.1 * 8e-3 / S.follows)),
+    ],
+)
+def test_what_sticks_does_not(still):
+    body, before = still
+    assert not slides(body, before)
+    moved, after = with_motion(STICKS, before, body)
+    assert moved.state == "sticking" and after is before
+    assert moved.velocity == pytest.approx(body.velocity)
+
+
+def test_a_body_that_turns_on_the_spot_slips():
+    """Its centre of pressure stays where it is."""
+    assert spins(motion(spinning=1.0))
+    assert with_motion(STICKS, history(), motion(spinning=-1.0))[0].state == "slipping"
+    assert not spins(motion(spinning=0.9 * S.body_spin))
+    assert not spins(motion(spinning=1.0, spinning_sd=0.5))
+    assert not spins(motion(spinning=np.nan, spinning_sd=np.nan))  # round: nobody can see
+
+
+def test_what_is_not_known_changes_nothing():
+    unknown = Slip("unknown", np.full(2, np.nan), np.nan, np.nan)
+    fast = motion((1.0, 0.0))
+    assert with_motion(unknown, history(), fast)[0] is unknown
+    assert with_motion(STICKS, history(), None)[0] is STICKS
+    assert with_motion(STICKS, None, fast)[0] is STICKS
