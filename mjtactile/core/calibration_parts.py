@@ -52,6 +52,9 @@ def fingerprint(design: SensorDesign) -> str:
     for added in ("fiducials", "relaxation"):  # fingerprints of files from before them stay
         if values[added] is None:
             del values[added]
+    del values["markers"]["frame"]
+    if not design.frame.has_corners:
+        del values["frame"]["corner_radius"], values["frame"]["corners"]
     return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 

@@ -4,11 +4,9 @@ simulator *and* by sensing. Its parts: `mjtactile.core.sensor_parts`."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from mjtactile.core import resources
 from mjtactile.core.errors import InputError
@@ -19,6 +17,7 @@ from mjtactile.core.sensor_parts import (
     CameraDesign,
     Chamber,
     Frame,
+    FrameShape,
     Glass,
     Leds,
     MarkerLayout,
@@ -26,6 +25,7 @@ from mjtactile.core.sensor_parts import (
 )
 from mjtactile.core.toml import Section, read_toml
 
+_FEWEST_MARKERS = 9  # that an outline must leave
 _SPLINE_NUMBERS_MOST = 5776  # 73 x 73 markers: a quarter of a GiB for a matrix
 
 
@@ -60,6 +60,12 @@ class SensorDesign:
     relaxation: Relaxation | None = part("relaxation", Relaxation, default=None)
     calibration: Path | None = file_path("calibration", compare=False)
 
+    def __post_init__(self) -> None:
+        """Markers are told the outline that they must lie in."""
+        frame = None if self.frame.shape == FrameShape.RECTANGLE else self.frame
+        if self.markers.frame != frame:
+            object.__setattr__(self, "markers", replace(self.markers, frame=frame))
+
     def require_rectangle(self, who: str) -> None:
         """Refuse a frame that is not rectangular.
 
@@ -69,12 +75,12 @@ class SensorDesign:
         Raises:
             InputError: The frame is round.
         """
-        if self.frame.shape != "rectangle":
+        if self.frame.shape != FrameShape.RECTANGLE:
             raise InputError(
-                f"{self.frame.shape!r} can be simulated, but {who} handles rectangles only",
+                f"{str(self.frame.shape)!r} can be simulated, but {who} handles rectangles only",
                 source=self.name,
                 field="frame.shape",
-                choices=["rectangle"],
+                choices=[str(FrameShape.RECTANGLE)],
             )
 
     def require_markers_that_fit(self) -> None:
@@ -178,18 +184,11 @@ def _check_markers(design: SensorDesign, section: Section) -> None:
             message = f"{pitch / MM:g} lets markers of radius {markers.radius / MM:g} mm touch"
             raise section.fail(label, message)
         extent = (count - 1) * pitch + 2 * markers.radius
-        if extent >= size:
+        if extent >= size and frame.outline is None:
             message = f"markers span {extent / MM:g} mm, more than the frame's {size / MM:g} mm"
             raise section.fail(label, message)
-    if frame.shape != "circle":
-        return
-    reach = float(np.linalg.norm(markers.p_SM, axis=1).max()) + markers.radius
-    radius = frame.length / 2
-    if reach >= radius:
-        message = (
-            f"markers reach {reach / MM:g} mm from the middle, "
-            f"out of the frame's radius of {radius / MM:g} mm"
-        )
+    if markers.count < _FEWEST_MARKERS and markers.frame is not None:
+        message = f"{markers.count} lie within the frame, need {_FEWEST_MARKERS} at least"
         raise section.fail("markers", message)
 
 

@@ -9,57 +9,149 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from enum import StrEnum
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from mjtactile.core.fields import KPA, ML, ML_S_KPA, MM, number, numbers, read, whole, write_fields
+from mjtactile.core.fields import (
+    KPA,
+    ML,
+    ML_S_KPA,
+    MM,
+    Pairs,
+    entry,
+    number,
+    numbers,
+    read,
+    whole,
+    write_fields,
+)
+from mjtactile.core.outline import Outline, OutlineError
 from mjtactile.core.rubber import Law, equibiaxial_stress
 from mjtactile.core.toml import Section
 from mjtactile.core.types import Array
 
-SHAPES = ("rectangle", "circle")
 # A number without unit that a file writes as a whole one stays whole: fingerprints of sensor files
 # (`mjtactile.core.calibration`) tell 600 from 600.0.
 ONE = 1
+_CLEAR = 0.5  # radii between a marker and an outline: nearer, the frame's edge cuts its picture
+
+
+class FrameShape(StrEnum):
+    """Outlines that a frame's opening may have."""
+
+    RECTANGLE = "rectangle"
+    CIRCLE = "circle"
+    ELLIPSE = "ellipse"
+    ROUNDED = "rounded"
+    POLYGON = "polygon"
+
+
+_ROUND_CORNERS = (FrameShape.ROUNDED, FrameShape.POLYGON)
+_SIDED = (FrameShape.RECTANGLE, FrameShape.ELLIPSE, FrameShape.ROUNDED)
 
 
 @dataclass(frozen=True)
 class Frame:
-    """Rigid frame, m; a circle has its diameter for both length and width. Sensing handles
-    rectangles only, and refuses a circle."""
+    """Rigid frame, m. Length and width are those of the rectangle about the origin that holds the
+    opening: of a circle both are its diameter."""
 
-    length: float = number("length_mm", 2, 500, MM, about="inner opening along x")
-    width: float = number("width_mm", 2, 500, MM, about="inner opening along y")
+    length: float = number(
+        "length_mm", 2, 500, MM, about="inner opening along x", only_if=("shape", _SIDED)
+    )
+    width: float = number(
+        "width_mm", 2, 500, MM, about="inner opening along y", only_if=("shape", _SIDED)
+    )
     rim: float = number(
         "rim_mm", 0, 100, MM, default=0.003, about="width of the wall around the opening"
     )
-    shape: str = "rectangle"
+    shape: str = FrameShape.RECTANGLE
+    corner_radius: float = number(
+        "corner_radius_mm",
+        0.5,
+        200,
+        MM,
+        default=0.001,
+        about="rounding of each corner",
+        only_if=("shape", _ROUND_CORNERS),
+    )
+    corners: tuple[tuple[float, float], ...] = entry(
+        Pairs(
+            key="corners_mm",
+            units=(MM, MM),
+            about="[x, y] of each before it is rounded, counter-clockwise about the middle, convex",
+            only_if=("shape", (FrameShape.POLYGON,)),
+        ),
+        (),
+    )
 
     @classmethod
     def from_section(cls, section: Section) -> Frame:
-        """A rectangle by length and width (`shape` may be left out), or a circle by its
-        diameter."""
-        shape = section.text("shape", SHAPES, default="rectangle")
-        if shape == "rectangle":
-            return read(cls, section, shape=shape)
-        diameter = section.number("diameter_mm", 2, 500, MM)
-        return read(cls, section, shape=shape, length=diameter, width=diameter)
+        """By its shape, a rectangle where none is said."""
+        shape = FrameShape(section.text("shape", tuple(FrameShape), default="rectangle"))
+        given: dict[str, Any] = {"shape": shape}
+        if shape is FrameShape.CIRCLE:
+            diameter = section.number("diameter_mm", 2, 500, MM)
+            given |= {"length": diameter, "width": diameter}
+        if shape is FrameShape.POLYGON:
+            corners = tuple((MM * x, MM * y) for x, y in section.pairs("corners_mm"))
+            sides = (2 * max((abs(at[k]) for at in corners), default=0.0) for k in (0, 1))
+            given |= {"corners": corners} | dict(zip(("length", "width"), sides, strict=True))
+        return read(cls, section, **given)
+
+    def validate(self, section: Section) -> None:
+        """See that there is such an outline.
+
+        Args:
+            section: The file's table, for the message.
+
+        Raises:
+            InputError: Corners that make no convex outline, or a rounding that does not fit.
+        """
+        try:
+            _ = self.outline
+        except OutlineError as error:
+            raise section.fail(error.field, str(error)) from None
+
+    @property
+    def has_corners(self) -> bool:
+        """Whether there are corners that are rounded."""
+        return self.shape in _ROUND_CORNERS
+
+    @cached_property
+    def outline(self) -> Outline | None:
+        """The opening's outline; None of a rectangle."""
+        half = (self.length / 2, self.width / 2)
+        if self.shape == FrameShape.RECTANGLE:
+            return None
+        if self.shape in (FrameShape.CIRCLE, FrameShape.ELLIPSE):
+            return Outline.ellipse(*half)
+        if self.shape == FrameShape.ROUNDED:
+            x, y = half
+            return Outline.polygon([(-x, -y), (x, -y), (x, y), (-x, y)], self.corner_radius)
+        return Outline.polygon(self.corners, self.corner_radius)
 
     def to_table(self) -> dict[str, Any]:
         """What stands in the file."""
         table = write_fields(self)
-        if self.shape == "circle":
-            table["shape"] = self.shape
-            table["diameter_mm"] = table.pop("length_mm")
-            del table["width_mm"]
+        if self.shape != FrameShape.RECTANGLE:
+            table["shape"] = str(self.shape)
+        if self.shape == FrameShape.CIRCLE:
+            table["diameter_mm"] = self.length / MM
         return table
 
     @property
     def area(self) -> float:
         """Area of the opening, m^2."""
-        return self.length * self.width * (math.pi / 4 if self.shape == "circle" else 1.0)
+        return self.length * self.width if self.outline is None else self.outline.area
+
+    def inside(self, xy: Array) -> Array:
+        """How far (N,) m places (N, 2) m are inside of the opening; negative: outside."""
+        if self.outline is not None:
+            return self.outline.distance(xy)
+        return (np.array([self.length, self.width]) / 2 - np.abs(xy)).min(axis=1)
 
 
 @dataclass(frozen=True)
@@ -106,7 +198,8 @@ class Membrane:
 @dataclass(frozen=True)
 class MarkerLayout:
     """Rigid black circles on the inside, a grid about the centre, m. Positions are those of the
-    mounted, flat membrane."""
+    mounted, flat membrane. Where the `frame` is no rectangle, the grid has those circles that lie
+    within it by `_CLEAR` radii or more."""
 
     rows: int = whole("rows", 2, 200, about="along y")
     columns: int = whole("columns", 2, 200, about="along x")
@@ -116,10 +209,12 @@ class MarkerLayout:
     pitch_y: float = number("pitch_y_mm", 0.1, 200, MM, about="the same along y")
     radius: float = number("radius_mm", 0.05, 50, MM, about="of each black circle")
 
+    frame: Frame | None = None
+
     @property
     def count(self) -> int:
         """Number of markers, N."""
-        return self.rows * self.columns
+        return len(self.p_SM)
 
     @cached_property
     def p_SM(self) -> Array:
@@ -127,7 +222,9 @@ class MarkerLayout:
         x = (np.arange(self.columns) - (self.columns - 1) / 2) * self.pitch_x
         y = (np.arange(self.rows) - (self.rows - 1) / 2) * self.pitch_y
         grid_x, grid_y = np.meshgrid(x, y)
-        p_SM = np.column_stack([grid_x.ravel(), grid_y.ravel(), np.zeros(self.count)])
+        p_SM = np.column_stack([grid_x.ravel(), grid_y.ravel(), np.zeros(grid_x.size)])
+        if self.frame is not None:
+            p_SM = p_SM[self.frame.inside(p_SM[:, :2]) > (1 + _CLEAR) * self.radius]
         p_SM.flags.writeable = False
         return p_SM
 

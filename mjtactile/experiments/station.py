@@ -25,7 +25,6 @@ class View:
     def __init__(
         self, world: PressWorld, design: SensorDesign, *, seed: int = 0, shadows: bool = False
     ):
-        design.require_rectangle("the sensing chain")
         self.world = world
         self.renderer = Renderer(design, seed=seed, shadows=shadows)
         self.perception = Perception.of(design)

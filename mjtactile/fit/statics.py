@@ -18,7 +18,7 @@ from mjtactile.core.types import Array
 from mjtactile.fit.evidence import Evidence, Hold
 from mjtactile.fit.least import Scale, Solution, gauss_newton
 from mjtactile.recording.stage import Move
-from mjtactile.sim.attach import DEFAULT_MESH
+from mjtactile.sim.attach import default_mesh
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.scenes.stage import LIFTED, StageDrive
 
@@ -133,7 +133,7 @@ def _world(design: SensorDesign, evidence: Evidence, mesh: tuple[int, int] | Non
         Indenter.parse(stage.indenter if stage else _NOWHERE),
         at=stage.at if stage else (0.0, 0.0),
         timestep=period / math.ceil(period / _LARGEST_STEP),
-        mesh=mesh or DEFAULT_MESH,
+        mesh=mesh or default_mesh(design),
     )
 
 

@@ -52,15 +52,16 @@ int64_t measure_surface(int64_t nx, int64_t ny, const double *c /* ny, nx */,
                         const double *stiffness /* ny * nx, BAND_STRIDE(SURFACE_WIDTH(nx)) */, double *z /* grid_ny, grid_nx */,
                         double *found /* 4 */);
 
-/* force/sheet.py: a sheet of nx, ny splines, four at least, with its `numbers` and its `law` as in sheet.h, at `c`. Out:
-   `elastic` forces, the bulge's `gradient` and `volume`, m^3. */
+/* force/sheet.py: a sheet of nx, ny splines, four at least, with its `numbers` and its `law` as in sheet.h, at `c`, and how its
+   own coordinates turn into places at its Gauss points, `turns`, as in sheet.c; NULL: they are the places. Out: `elastic` forces, the bulge's `gradient` and `volume`, m^3. */
 int64_t sheet_state(int64_t nx, int64_t ny, const double *numbers /* 8 */, int64_t entries, const double *law /* 2, entries */,
-                    const double *c /* 3, nx, ny */, double scale, double *elastic /* 3, nx, ny */,
-                    double *gradient /* 3, nx, ny */, double *volume /* 1 */);
+                    const double *turns /* 2 * (nx - 1), 2 * (ny - 1), 5 or NULL */, const double *c /* 3, nx, ny */,
+                    double scale, double *elastic /* 3, nx, ny */, double *gradient /* 3, nx, ny */, double *volume /* 1 */);
 /* Out: the band of the stiffness at constant pressure, components of a spline together. */
 int64_t sheet_tangent(int64_t nx, int64_t ny, const double *numbers /* 8 */, int64_t entries,
-                      const double *law /* 2, entries */, const double *c /* 3, nx, ny */, double scale, double pressure,
-                      double *band /* 3 * nx * ny, BAND_STRIDE(SHEET_WIDTH(ny)) */);
+                      const double *law /* 2, entries */,
+                      const double *turns /* 2 * (nx - 1), 2 * (ny - 1), 5 or NULL */, const double *c /* 3, nx, ny */,
+                      double scale, double pressure, double *band /* 3 * nx * ny, BAND_STRIDE(SHEET_WIDTH(ny)) */);
 /* In place: a band's Cholesky factor, pushed towards the identity until it is definite. */
 int64_t factor_definite(int64_t n, int64_t width, double *band /* n, BAND_STRIDE(width) */);
 /* Out: `softened`, what a factorised stiffness makes of the gas's `gradient`; returns the share of it in inverses. */

@@ -22,8 +22,13 @@ typedef struct { double S11, S22, S12; } Stress;
 
 typedef struct { double D11, D22, D12, D16, D26, D66; } Moduli;
 
+/* How the sheet's own coordinates go with places on an opening that is no rectangle: their derivatives by x and y, and the area
+   of the opening over theirs. */
+typedef struct { double x_by_X, x_by_Y, y_by_X, y_by_Y, area; } Turn;
+_Static_assert(sizeof(Turn) == 5 * sizeof(double), "as in kernels.h");
+
 /* A deformation at the Gauss points, y fastest. */
-typedef struct { long qx, qy; Line *x, *y; Point *points; } Look;
+typedef struct { long qx, qy; Line *x, *y; Point *points; const Turn *turns; } Look;
 
 int is_sheet(long nx, long ny) { return nx > FEWEST_SPANS && ny > FEWEST_SPANS; }
 
@@ -65,8 +70,18 @@ static void cross(const double *a, const double *b, double *out) {
     out[0] = a[1] * b[2] - a[2] * b[1], out[1] = a[2] * b[0] - a[0] * b[2], out[2] = a[0] * b[1] - a[1] * b[0];
 }
 
+/* Tangents by the sheet's own coordinates become those by places. */
+static void turn(const Turn *t, Point *p) {
+    for (int k = 0; k < 3; k++) {
+        const double by_x = p->g1[k] - (k == 0), by_y = p->g2[k] - (k == 1);
+        p->g1[k] = (k == 0) + t->x_by_X * by_x + t->y_by_X * by_y;
+        p->g2[k] = (k == 1) + t->x_by_Y * by_x + t->y_by_Y * by_y;
+    }
+}
+
 /* 1: no memory. `c` (3, n). */
-static int look(const Sheet *s, const double *c, Look *l) {
+static int look(const Sheet *s, const double *c, const Turn *turns, Look *l) {
+    l->turns = turns;
     l->qx = GAUSS * (s->nx - 1), l->qy = GAUSS * (s->ny - 1);
     double *value = malloc(6 * s->ny * sizeof *value), *slope = value + 3 * s->ny;
     l->x = malloc((l->qx + l->qy) * sizeof *l->x), l->y = l->x + l->qx;
@@ -87,6 +102,7 @@ static int look(const Sheet *s, const double *c, Look *l) {
                     }
                     p->z += y->value[b] * value[2 * s->ny + y->first + b];
                 }
+                if (turns) turn(turns + i * l->qy + j, p);
                 cross(p->g1, p->g2, p->normal);
             }
         }
@@ -146,14 +162,14 @@ static void add_line(const Sheet *s, const Line *line, const double *value, cons
         }
 }
 
-int64_t sheet_state(int64_t nx, int64_t ny, const double *numbers, int64_t entries, const double *law_, const double *c,
-                    double scale, double *elastic, double *gradient, double *volume) {
+int64_t sheet_state(int64_t nx, int64_t ny, const double *numbers, int64_t entries, const double *law_, const double *turns,
+                    const double *c, double scale, double *elastic, double *gradient, double *volume) {
     if (!is_sheet(nx, ny) || entries < 2) return REFUSED;
     Sheet s = sheet_of(nx, ny, numbers);
     s.law = law_, s.entries = entries;
     Look l;
     double sum = 0, *along = malloc(9 * s.ny * sizeof *along), *across = along + 3 * s.ny, *normal = across + 3 * s.ny;
-    int failed = look(&s, c, &l) || !along;
+    int failed = look(&s, c, (const Turn *)turns, &l) || !along;
     memset(elastic, 0, 3 * s.n * sizeof *elastic), memset(gradient, 0, 3 * s.n * sizeof *gradient);
     for (long i = 0; i < l.qx && !failed; i++) {
         memset(along, 0, 9 * s.ny * sizeof *along);
@@ -161,11 +177,17 @@ int64_t sheet_state(int64_t nx, int64_t ny, const double *numbers, int64_t entri
             const Point *p = l.points + i * l.qy + j;
             const Local *y = &l.y[j].at;
             double C[3], w = l.x[i].weight * l.y[j].weight;
+            const Turn *t = l.turns ? l.turns + i * l.qy + j : NULL;
+            if (t) w *= t->area;
             strain(&s, p, C);
             Stress S = stress(&s, C, scale);
             sum += w * p->z * p->normal[2];
             for (int k = 0; k < 3; k++) {
                 double P1 = w * (S.S11 * p->g1[k] + S.S12 * p->g2[k]), P2 = w * (S.S12 * p->g1[k] + S.S22 * p->g2[k]);
+                if (t) {
+                    const double X = P1, Y = P2;
+                    P1 = X * t->x_by_X + Y * t->x_by_Y, P2 = X * t->y_by_X + Y * t->y_by_Y;
+                }
                 double *to = along + k * s.ny + y->first;
                 for (int b = 0; b < 4; b++) {
                     to[b] += P1 * y->value[b], to[3 * s.ny + b] += P2 * y->slope[b];
@@ -249,6 +271,14 @@ static void assemble(const Sheet *s, const Look *l, double scale, double pressur
                     B[k] = x->at.value[a] * y->at.value[b];
                     B1[k] = x->at.slope[a] * y->at.value[b], B2[k] = x->at.value[a] * y->at.slope[b];
                 }
+                if (l->turns) {
+                    const Turn *t = l->turns + (p - l->points);
+                    for (int k = 0; k < LOCAL; k++) {
+                        const double by_x = B1[k], by_y = B2[k];
+                        B1[k] = t->x_by_X * by_x + t->y_by_X * by_y, B2[k] = t->x_by_Y * by_x + t->y_by_Y * by_y;
+                    }
+                    w *= t->area;
+                }
                 strain(s, p, C);
                 Stress S = stress(s, C, scale);
                 Moduli D = moduli(s, C, scale);
@@ -259,13 +289,13 @@ static void assemble(const Sheet *s, const Look *l, double scale, double pressur
         }
 }
 
-int64_t sheet_tangent(int64_t nx, int64_t ny, const double *numbers, int64_t entries, const double *law_, const double *c,
-                      double scale, double pressure, double *band) {
+int64_t sheet_tangent(int64_t nx, int64_t ny, const double *numbers, int64_t entries, const double *law_, const double *turns,
+                      const double *c, double scale, double pressure, double *band) {
     if (!is_sheet(nx, ny) || entries < 2) return REFUSED;
     Sheet s = sheet_of(nx, ny, numbers);
     s.law = law_, s.entries = entries;
     Look l;
-    int failed = look(&s, c, &l);
+    int failed = look(&s, c, (const Turn *)turns, &l);
     if (!failed) assemble(&s, &l, scale, pressure, band);
     forget(&l);
     return failed ? NO_MEMORY : 0;

@@ -98,7 +98,6 @@ def attach(
             felt with, or options of `spec` that cannot carry it (`recommend_options` sets them).
     """
     design = load_sensor(sensor)
-    design.require_rectangle("attach, whose sensors feel,")
     if mesh is not None and min(mesh) < _LEAST_MESH:
         raise InputError(
             f"{mesh} vertices make a bulge that sensing takes for a disturbed one; at least "

@@ -19,6 +19,7 @@ The site's frame becomes the sensor's frame S: origin in the middle of the flat 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
@@ -120,7 +121,7 @@ def attach_membrane(
     on = effects_named(effects)
     design = set_law(load_sensor(sensor), on)
     if mesh is None:
-        mesh = DEFAULT_MESH if Effect.SHEET in on else FILM_GRID
+        mesh = default_mesh(design) if Effect.SHEET in on else FILM_GRID
     check_options(spec.option, source="attach")
     limits.check_design(design, mesh)
     if contact not in ("auto", *features.CONTACT_MODELS):
@@ -143,7 +144,7 @@ def attach_membrane(
             source="attach",
             field="prefix",
         )
-    grid = make_mesh(design.frame.length, design.frame.width, *mesh, shape=design.frame.shape)
+    grid = make_mesh(design.frame.length, design.frame.width, *mesh, outline=design.frame.outline)
     child = mujoco.MjSpec()
     body = child.worldbody.add_body(name=BODY)
     # a robot that does not feel its own weight does not feel the sensor's either
@@ -165,6 +166,24 @@ def attach_membrane(
     except ValueError as error:
         raise InputError(" ".join(str(error).split()), source="attach", field="site") from error
     return Attachment(design, grid, prefix, contact, on)
+
+
+def default_mesh(design: SensorDesign) -> tuple[int, int]:
+    """Vertices along x and y where nobody says how many: `DEFAULT_MESH`, and at least as many in an
+    outline, whose cells have even sides, with one vertex in the middle.
+
+    Args:
+        design: The sensor.
+
+    Returns:
+        Their numbers.
+    """
+    frame = design.frame
+    if frame.outline is None:
+        return DEFAULT_MESH
+    along = math.sqrt(math.prod(DEFAULT_MESH) * frame.length / frame.width)
+    across = math.prod(DEFAULT_MESH) / along
+    return 2 * math.ceil((along - 1) / 2) + 1, 2 * math.ceil((across - 1) / 2) + 1
 
 
 def recommend_options(spec: mujoco.MjSpec, timestep: float = 4e-3) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from mjtactile.core.design import Frame
 from mjtactile.core.types import Array
 from mjtactile.kernels import kernel
 from mjtactile.sim.scenes.objects import PREFIX, moving_bodies
@@ -176,8 +177,7 @@ def contact_area(world: World, sensor: int, spacing: float = 4e-4) -> float:
         for side in (frame.length, frame.width)
     ]
     x, y = np.meshgrid(*axes, indexing="ij")
-    off = np.abs(np.stack([2 * x / frame.length, 2 * y / frame.width]))
-    inside = (np.hypot(*off) if frame.shape == "circle" else off.max(axis=0)) < 1 - 1e-9
+    inside = _inside(frame, x, y)
     nearest = np.linalg.norm(points[:, None] - device.p_SV, axis=2).argmin(axis=1)
     pressing = np.maximum(-forces[:, 2], 0.0)
     tension = float(pressing @ device.tensions()[nearest] / pressing.sum())
@@ -190,6 +190,15 @@ def contact_area(world: World, sensor: int, spacing: float = 4e-4) -> float:
         force=force,
     )
     return contact.area
+
+
+def _inside(frame: Frame, x: Array, y: Array) -> NDArray[np.bool_]:
+    """Which of the places `x`, `y` (nx, ny) m are within the opening."""
+    if frame.outline is not None:
+        places = np.stack([x, y], axis=-1).reshape(-1, 2)
+        return (frame.inside(places) > 0).reshape(x.shape)
+    off = np.abs(np.stack([2 * x / frame.length, 2 * y / frame.width]))
+    return off.max(axis=0) < 1 - 1e-9
 
 
 def _heights_of(world: World, device: TactileSensor, x: Array, y: Array) -> Array:

@@ -363,7 +363,12 @@ def test_the_page_of_sensor_files_has_every_field_with_its_range_and_default(sec
     known = entries(kind)
     assert {row[0].strip("`") for row in rows} == {entry.key for entry in known.values()}
     by_key = {row[0].strip("`"): row[1:] for row in rows}
-    special = {...: "must be given", float("inf"): "infinite", (0.0,) * 5: "no distortion"}
+    special = {
+        ...: "must be given",
+        float("inf"): "infinite",
+        (0.0,) * 5: "no distortion",
+        (): "of polygons",
+    }
     for attribute, entry in known.items():
         allowed, if_left_out, meaning = by_key[entry.key]
         default = default_of(kind, attribute)

@@ -92,7 +92,7 @@ class ShapeFinder:
             What is found.
         """
         s = self.settings.body
-        lacking = told_nothing(touch, s)
+        lacking = told_nothing(touch, self.films.fine.film.design, s)
         if lacking is not None:
             goes_on = touch.touching or touch.status != OK
             return Found(lacking, None, press if goes_on else None)
@@ -176,16 +176,20 @@ def slips(touch: Touch) -> bool:
     return touch.slip is not None and touch.slip.state == "slipping"
 
 
-def told_nothing(touch: Touch, s: BodySettings) -> FeltShape | None:
+def told_nothing(touch: Touch, design: SensorDesign, s: BodySettings) -> FeltShape | None:
     """An unknown shape where an image tells nothing of one; None where it does.
 
     Args:
         touch: The image's.
+        design: The sensor.
         s: Settings.
 
     Returns:
         The shape, or None.
     """
+    if design.frame.outline is not None:  # the film that stands for the sheet has none
+        text = f"frame.shape {str(design.frame.shape)!r}: shapes are told on rectangles only"
+        return _unknown(Status(StatusCode.NO_SHAPE, text))
     if touch.status != OK or touch.contact is None or touch.markers is None:
         return _unknown(Status(StatusCode.TOO_LITTLE_SEEN, f"no touch: {touch.status}"))
     if not touch.touching or touch.force_normal < s.force_least:

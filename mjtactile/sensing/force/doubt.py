@@ -50,10 +50,8 @@ class Doubt:
         self._change = np.array(s.change)[AXES]
         self._outside = _outside(layout, nodes)
         self._sparse = max(1.0, layout.pitch_x * layout.pitch_y / settings.cell)
-        self._resistance = (
-            settings.drag * frame.length * frame.width * sheet.young * sheet.thickness
-        )
-        self._area = frame.length * frame.width
+        self._resistance = settings.drag * frame.area * sheet.young * sheet.thickness
+        self._area = frame.area
         self._unit = np.array([1.0, 1.0, 1.0, *np.full(3, settings.lever)])
 
     def variance(self, felt: Felt) -> Array:

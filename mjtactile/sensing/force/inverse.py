@@ -33,7 +33,7 @@ from mjtactile.sensing.force.drift import CameraBelief, camera_modes, drift_of
 from mjtactile.sensing.force.gain import Gain, Shape
 from mjtactile.sensing.force.prior import LoadPrior
 from mjtactile.sensing.force.rest import InverseRest, MarkedSheet, darker
-from mjtactile.sensing.force.sheet import State, Stiffness
+from mjtactile.sensing.force.sheet import State, Stiffness, product
 from mjtactile.sensing.force.slopes import MarkerSlopes
 from mjtactile.sensing.settings import (
     DEFAULTS,
@@ -72,7 +72,12 @@ class InverseMembrane(MarkedSheet):
             (a.at(a.points) * a.weights[:, None]).T @ h for a, h in ((ax, hat_x), (ay, hat_y))
         )
         self._hats = (hat_x, hat_y)
-        self.node_area = np.outer(ax.weights @ hat_x, ay.weights @ hat_y).ravel()  # (J,) m^2
+        own = product(self.x[1:-1], self.y[1:-1])
+        # (J,) m^2 of the sheet's own coordinates, and of the mounted sheet to one of these:
+        # kernels have tractions by the former, so that their integrals are products
+        self._cells = np.outer(ax.weights @ hat_x, ay.weights @ hat_y).ravel()
+        self._density = self.sheet.density(own)
+        self.node_area = self._cells * self._density  # (J,) m^2
         self.prior = LoadPrior(self.x[1:-1], self.y[1:-1], prior)
         # nodes in each direction, generalised forces (kx, jx), (ky, jy) of one pascal at each, and
         # the prior's roots
@@ -81,16 +86,15 @@ class InverseMembrane(MarkedSheet):
             len(self.y) - 2,
             *map(np.ascontiguousarray, (load_x, load_y, *self.prior.root)),
         )
-        X, Y = np.meshgrid(self.x[1:-1], self.y[1:-1], indexing="ij")
-        self.nodes = np.column_stack([X.ravel(), Y.ravel()])
+        self.nodes = self.sheet.places(own)
         self._flat_nodes = np.column_stack([self.nodes, np.zeros(len(self.nodes))])
-        self._at_nodes = self.sheet.basis(self.nodes)
+        self._at_nodes = self.sheet.basis(own)
+        self._shared = self._sharing()
         self._doubt = Doubt(design, self.nodes, doubt)
         self._posterior_share = np.array(settings.posterior_share)[AXES]
-        self._fine = [
-            np.linspace(-a.length / 2, a.length / 2, REFINE * a.spans + 1) for a in (ax, ay)
-        ]
-        self._at_fine = [a.at(g) for a, g in zip((ax, ay), self._fine, strict=True)]
+        fine = [np.linspace(-a.length / 2, a.length / 2, REFINE * a.spans + 1) for a in (ax, ay)]
+        self._at_fine = [a.at(g) for a, g in zip((ax, ay), fine, strict=True)]
+        self._fine = self.sheet.places(product(*fine)).T.reshape(2, *map(len, fine))
         sparse = design.markers.pitch_x * design.markers.pitch_y > settings.slopes_cell
         self._slopes = (
             MarkerSlopes(self.sheet, self._material, design.camera.distance, settings)
@@ -178,6 +182,7 @@ class InverseMembrane(MarkedSheet):
         )
         c = c + min(1.0, STEP_LIMIT / max(float(np.abs(change).max()), 1e-30)) * change
         pressure += float(drift[0]) * gain.drift_gas[0]
+        traction /= self._density
         excess = np.zeros((2, len(self._material)))
         excess[0, ids] = gain.distrust[0] ** 2 * (noise[: 3 * m].reshape(-1, 3) ** 2).mean(axis=1)
         if self._slopes is not None:
@@ -208,7 +213,7 @@ class InverseMembrane(MarkedSheet):
             stiffness.share,
             (3 if tilts is None else 5) * len(ids),
             len(ids),
-            self._material[ids, :2],
+            self._seats[ids],
             weights,
             tilts,
         )
@@ -237,6 +242,7 @@ class InverseMembrane(MarkedSheet):
             slope_weights = self._slopes.weights(markers, c) / distrust[1]
             tilts = self._slopes.rows(c, ids) * slope_weights[:, None, None]
         prior = self.prior.first() if before is None else self.prior.after(before.traction)
+        prior *= np.tile(self._density, 3)
         pressure, load = self._gas_drift(state, rest, self._known.gas_lost if lost else None)
         rows = (3 if tilts is None else 5) * len(ids)
         half = np.empty((rows, 3 * len(self.nodes)))
@@ -326,8 +332,7 @@ class InverseMembrane(MarkedSheet):
         force = shape.traction * self.node_area
         positions = self.node_positions(shape.c)
         wrench = _net(force, positions)
-        nodal = np.zeros((len(self.y), len(self.x), 3))
-        nodal[1:-1, 1:-1] = force.reshape(3, len(self.x) - 2, len(self.y) - 2).transpose(2, 1, 0)
+        nodal = self._on_grid(force)
         change = wrench  # without a history all of it may have come just now
         moved = np.zeros((len(self.nodes), 3))
         if before is not None:
@@ -344,6 +349,30 @@ class InverseMembrane(MarkedSheet):
         cov[np.diag_indices(6)] += self._doubt.variance(felt)
         return Traction(self.x, self.y, nodal, wrench, cov, shape.pressure_gauge, method="inverse")
 
+    def _on_grid(self, force: Array) -> Array:
+        """Forces (3, J) N of the nodes on the regular grid of `Traction`, (ny, nx, 3): those of a
+        node that stands between its lines are shared so that sum and place stay."""
+        nodal = np.zeros((len(self.y), len(self.x), 3))
+        if self._shared is None:
+            inner = force.reshape(3, len(self.x) - 2, len(self.y) - 2)
+            nodal[1:-1, 1:-1] = inner.transpose(2, 1, 0)
+            return nodal
+        for rows, columns, share in self._shared:
+            np.add.at(nodal, (rows, columns), share[:, None] * force.T)
+        return nodal
+
+    def _sharing(self) -> list[tuple[NDArray[np.int64], NDArray[np.int64], Array]] | None:
+        """Rows, columns and shares (J,) of the four grid places around each node; None where nodes
+        stand on the grid."""
+        if self.design.frame.outline is None:
+            return None
+        places = []
+        for lines, at in zip((self.x, self.y), self.nodes.T, strict=True):
+            step = (at - lines[0]) / (lines[1] - lines[0])
+            first = np.clip(step.astype(np.int64), 0, len(lines) - 2)
+            places.append(((first, 1 - step + first), (first + 1, step - first)))
+        return [(row, column, by * bx) for column, bx in places[0] for row, by in places[1]]
+
     def node_positions(self, c: Array) -> Array:
         """Where the nodes are now, (J, 3) m in S."""
         return self._flat_nodes + self._at_nodes @ c.T
@@ -351,16 +380,16 @@ class InverseMembrane(MarkedSheet):
     def fine_positions(self, c: Array) -> Array:
         """Where the points of the fine grid are now, (3, a, b) m in S."""
         moved = self._at_fine[0] @ c.reshape(3, *self.sheet.shape) @ self._at_fine[1].T
-        moved[0] += self._fine[0][:, None]
-        moved[1] += self._fine[1]
+        moved[:2] += self._fine
         return moved
 
     def pressing_at_points(self, shape: Shape) -> Array:
         """Force per cell of the sheet's Gauss points (qx, qy) with which the outside presses, N;
         never negative."""
         hat_x, hat_y = self._hats
-        pressure = np.maximum(-shape.traction[2], 0.0).reshape(hat_x.shape[1], hat_y.shape[1])
-        return self.sheet.weights * (hat_x @ pressure @ hat_y.T)
+        pressure = np.maximum(-shape.traction[2], 0.0) * self._density
+        pressure = pressure.reshape(hat_x.shape[1], hat_y.shape[1])
+        return self.sheet.cells * (hat_x @ pressure @ hat_y.T)
 
     def _posterior(self, shape: Shape, positions: Array) -> Array:
         """Posterior covariance (6, 6) of the wrench of tractions on nodes at `positions` (J, 3) m:
@@ -375,7 +404,7 @@ class InverseMembrane(MarkedSheet):
             *roots,
             gain.prior,
             positions,
-            self.node_area,
+            self._cells,
             gain.half,
             gain.innovation,
             cov,

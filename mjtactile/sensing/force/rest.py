@@ -14,7 +14,7 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, Markers
 from mjtactile.sensing.force.relaxing import Relaxing
-from mjtactile.sensing.force.sheet import Gas, Sheet, State
+from mjtactile.sensing.force.sheet import FEWEST_SPANS, Gas, Sheet, State
 from mjtactile.sensing.settings import InverseSettings
 
 _GAS_NEAR = 3.0  # Pa, over which the sheet at rest is kept
@@ -57,12 +57,13 @@ class MarkedSheet:
     def __init__(self, design: SensorDesign, settings: InverseSettings):
         self.design = design
         self.settings = settings
-        self.sheet = Sheet(design, settings.spans)
+        self.sheet = Sheet(design, _spans(design, settings))
         relaxation = design.relaxation
         self.rubber = None if relaxation is None else Relaxing(self.sheet, relaxation)
         self._quick = 1.0 if relaxation is None else relaxation.quick
         self._material = design.markers.p_SM
-        self._at_markers = self.sheet.basis(self._material[:, :2])
+        self._seats = np.ascontiguousarray(self.sheet.own(self._material[:, :2]))
+        self._at_markers = self.sheet.basis(self._seats)
 
     def rest_state(
         self,
@@ -149,6 +150,17 @@ class MarkedSheet:
     def positions(self, c: Array) -> Array:
         """Marker centres (N, 3) m in S."""
         return self._material + self._at_markers @ c.T
+
+
+def _spans(design: SensorDesign, settings: InverseSettings) -> tuple[int, int]:
+    """Intervals of the sheet along x and y: the settings', or, in an outline, about as many cells
+    with even sides."""
+    nx, ny = settings.spans
+    if design.frame.outline is None:
+        return nx, ny
+    along = math.sqrt(nx * ny * design.frame.length / design.frame.width) / 2
+    nx, ny = 2 * round(along), 2 * round(nx * ny / (4 * along))
+    return max(nx, FEWEST_SPANS), max(ny, FEWEST_SPANS)
 
 
 def darker(markers: Markers, rest: InverseRest) -> Array:

@@ -7,6 +7,11 @@ on the surface (docs/equations.md, Eq. F3-F5, F9). Coefficients are stored as (3
 component, n = kx * ky splines with y fastest. Splines overlap only their neighbours, so that the
 stiffness is a band, but for the gas's term of rank one, which Sherman and Morrison's formula keeps
 apart. The arithmetic is in mjtactile/kernels/sheet.c.
+
+The splines are functions of the sheet's own coordinates, which fill a rectangle. Of a rectangular
+frame they are the places X themselves; another outline is the rectangle's image by the smooth map
+of `mjtactile.core.outline`, and the equations stay as they are with derivatives by X from the
+chain rule and areas from its determinant (the isogeometric way: Hughes, Cottrell & Bazilevs, 2005).
 """
 
 from __future__ import annotations
@@ -95,11 +100,11 @@ class Sheet:
     """Operators of one sensor's membrane on `spans` (x, y) spline intervals. `scale` multiplies
     Young's modulus, `stretch` the pre-stretch.
 
-    Raises InputError for too few intervals, or a frame that is no rectangle.
+    `cells` (qx, qy) m^2 are the areas of the Gauss points in the sheet's own coordinates, `weights`
+    those on the mounted sheet. Raises InputError for too few intervals.
     """
 
     def __init__(self, design: SensorDesign, spans: tuple[int, int]):
-        design.require_rectangle("inverse finite elements")
         if min(spans) < FEWEST_SPANS:
             raise InputError(
                 f"{spans}: at least {FEWEST_SPANS} intervals along each side",
@@ -113,7 +118,12 @@ class Sheet:
         )
         self.shape = (ax.count, ay.count)
         self.count = ax.count * ay.count
-        self.weights = np.outer(ax.weights, ay.weights)
+        self.cells = np.outer(ax.weights, ay.weights)
+        self.weights = self.cells
+        self._turns = None
+        if design.frame.outline is not None:
+            self._turns = self._turned(product(ax.points, ay.points))
+            self.weights = self.cells * self._turns[..., 4].reshape(self.cells.shape)
         bx, by = ([a.at(a.points, k) for k in (0, 1)] for a in (ax, ay))
         self._up_x = np.concatenate(bx)
         self._up_y = np.concatenate(by).T.copy()
@@ -122,13 +132,59 @@ class Sheet:
         numbers = np.array([ax.length, ay.length, sheet.pre_stretch**2, *law.numbers])
         # as kernels take them
         self.numbers = numbers
-        self._table = (law.table.shape[1], law.table)
+        turns = None if self._turns is None else np.ascontiguousarray(self._turns)
+        self._table = (law.table.shape[1], law.table, turns)
         self.width = 9 * ay.count + 11  # of the stiffness's band
 
-    def basis(self, X: Array) -> Array:
-        """Values (N, n) of the splines at material points X (N, 2) m."""
-        a, b = (axis.at(x) for axis, x in zip(self.axes, X.T, strict=True))
-        return (a[:, :, None] * b[:, None, :]).reshape(len(X), -1)
+    # -- places
+    # --------------------------------------------------------------------------------
+
+    def basis(self, own: Array) -> Array:
+        """Values (N, n) of the splines at the sheet's own coordinates (N, 2) m."""
+        a, b = (axis.at(x) for axis, x in zip(self.axes, own.T, strict=True))
+        return (a[:, :, None] * b[:, None, :]).reshape(len(own), -1)
+
+    def slopes(self, own: Array) -> tuple[Array, Array]:
+        """Derivatives (N, n) of the splines by X and by Y, 1/m, at the sheet's own coordinates."""
+        (ax, dx), (ay, dy) = (
+            [axis.at(x, k) for k in (0, 1)] for axis, x in zip(self.axes, own.T, strict=True)
+        )
+        by_x, by_y = (
+            (a[:, :, None] * b[:, None, :]).reshape(len(own), -1) for a, b in ((dx, ay), (ax, dy))
+        )
+        if self._turns is None:
+            return by_x, by_y
+        (xX, xY), (yX, yY) = self.turns(own).transpose(1, 2, 0)[..., None]
+        return xX * by_x + yX * by_y, xY * by_x + yY * by_y
+
+    def own(self, X: Array) -> Array:
+        """The sheet's own coordinates (N, 2) m of places X (N, 2) m on the mounted sheet."""
+        outline = self.design.frame.outline
+        return X if outline is None else outline.square(X) * self._half
+
+    def places(self, own: Array) -> Array:
+        """Places (N, 2) m on the mounted sheet of its own coordinates (N, 2) m."""
+        outline = self.design.frame.outline
+        return own if outline is None else outline.plane(own / self._half)
+
+    def turns(self, own: Array) -> Array:
+        """Derivatives (N, 2, 2) of the sheet's own coordinates by X and Y."""
+        outline = self.design.frame.outline
+        if outline is None:
+            return np.broadcast_to(np.eye(2), (len(own), 2, 2))
+        return np.linalg.inv(outline.jacobian(own / self._half) / self._half)
+
+    def density(self, own: Array) -> Array:
+        """Area (N,) on the mounted sheet to one of its own coordinates."""
+        return 1 / np.linalg.det(self.turns(own))
+
+    @property
+    def _half(self) -> Array:
+        return np.array([axis.length for axis in self.axes]) / 2
+
+    def _turned(self, own: Array) -> Array:
+        """As kernels take it: (N, 5)."""
+        return np.column_stack([self.turns(own).reshape(-1, 4), self.density(own)])
 
     # -- one state
     # --------------------------------------------------------------------------------
@@ -147,7 +203,7 @@ class Sheet:
             elastic -= self.forces_of(c, faded)
         return State(c, scale, float(volume[0]), gradient, elastic, stretch)
 
-    def _law(self, stretch: float) -> tuple[Array, int, Array]:
+    def _law(self, stretch: float) -> tuple[Array, int, Array, Array | None]:
         """As kernels take it."""
         numbers = self.numbers.copy()
         numbers[2] *= stretch**2
@@ -166,10 +222,14 @@ class Sheet:
         qx, qy = self.weights.shape
         g1, g2 = self._tangents(c)
         S11, S22, S12 = stress * self.weights
+        P1, P2 = S11 * g1 + S12 * g2, S12 * g1 + S22 * g2
+        if self._turns is not None:
+            xX, xY, yX, yY, _ = self._turns.T.reshape(5, qx, qy)
+            P1, P2 = P1 * xX + P2 * xY, P1 * yX + P2 * yY
         value_x, slope_x = self._up_x[:qx], self._up_x[qx:]
         value_y, slope_y = self._up_y[:, :qy], self._up_y[:, qy:]
-        along = slope_x.T @ (S11 * g1 + S12 * g2) @ value_y.T
-        across = value_x.T @ (S12 * g1 + S22 * g2) @ slope_y.T
+        along = slope_x.T @ P1 @ value_y.T
+        across = value_x.T @ P2 @ slope_y.T
         return (along + across).reshape(3, self.count)
 
     def _tangents(self, c: Array) -> tuple[Array, Array]:
@@ -179,6 +239,9 @@ class Sheet:
         up = self._up_x @ c.reshape(3, *self.shape) @ self._up_y
         g1 = up[:, qx:, :qy]
         g2 = up[:, :qx, qy:]
+        if self._turns is not None:
+            xX, xY, yX, yY, _ = self._turns.T.reshape(5, qx, qy)
+            g1, g2 = xX * g1 + yX * g2, xY * g1 + yY * g2
         g1[0] += 1
         g2[1] += 1
         return g1, g2
@@ -272,3 +335,8 @@ class Sheet:
         raise MjtactileError(
             f"sensor {self.design.name}: the membrane finds no equilibrium at {gas.gauge:g} Pa"
         )
+
+
+def product(x: Array, y: Array) -> Array:
+    """All pairs (len(x) len(y), 2), y fastest."""
+    return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)

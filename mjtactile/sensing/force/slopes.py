@@ -23,11 +23,9 @@ class MarkerSlopes:
 
     def __init__(self, sheet: Sheet, p_SM: Array, distance: float, settings: InverseSettings):
         self._settings = settings
-        axes = list(zip(sheet.axes, p_SM[:, :2].T, strict=True))
-        (bx, dx), (by, dy) = ([axis.at(at, k) for k in (0, 1)] for axis, at in axes)
-        self._along_x, self._along_y = (
-            (a[:, :, None] * b[:, None, :]).reshape(len(p_SM), -1) for a, b in ((dx, by), (bx, dy))
-        )
+        own = sheet.own(p_SM[:, :2])
+        self._along_x, self._along_y = sheet.slopes(own)
+        self._turns = None if sheet.design.frame.outline is None else sheet.turns(own)
         self._behind = np.array([0.0, 0.0, distance])
 
     def off(self, markers: Markers, c: Array) -> Array:
@@ -50,7 +48,8 @@ class MarkerSlopes:
         return np.where(use, 1 / sd, 0.0)
 
     def rows(self, c: Array, ids: NDArray[np.int64]) -> Array:
-        """Derivatives (2, m, 2, 3) of the slopes by the tangents dx/dX and dx/dY at the markers.
+        """Derivatives (2, m, 2, 3) of the slopes by the sheet's derivatives by its own coordinates
+        at the markers, through the tangents g1 = dx/dX and g2 = dx/dY.
 
         s_k = -N_k / N_z with N = g1 x g2: ds_k = q_k . dN = dg1 . (g2 x q_k) + dg2 . (q_k x g1),
         q_k = -(e_k + s_k e_z) / N_z.
@@ -61,7 +60,10 @@ class MarkerSlopes:
         q[:, (0, 1), (0, 1)] = 1.0
         q[..., 2] = geometry.slope_from_normal(N)
         q /= -N[:, None, 2:]
-        return np.stack([geometry.cross(g2[:, None], q), geometry.cross(q, g1[:, None])])
+        by_tangents = np.stack([geometry.cross(g2[:, None], q), geometry.cross(q, g1[:, None])])
+        if self._turns is None:
+            return by_tangents
+        return np.einsum("mka,amst->kmst", self._turns[ids], by_tangents)
 
     def _tangents(self, c: Array, ids: NDArray[np.int64]) -> tuple[Array, Array]:
         """dx/dX and dx/dY (m, 3) at the markers."""

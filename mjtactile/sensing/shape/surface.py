@@ -15,6 +15,11 @@ expect (contact edges make it), A the opening's area. The fourth term only keeps
 where markers are missing. Read as a Gaussian process, the inverse Hessian is the coefficients'
 covariance, from which heights, area and volume get their uncertainties.
 
+Of an opening that is no rectangle the splines cover the rectangle around it and two intervals more
+on each side, so that they are free to leave it with any slope. Integrals are over the
+opening, on its outline z is zero to `_RIM_SD`, as if it were measured there, and beyond it the
+fourth term, much weakened, keeps the fit finite.
+
 The arithmetic is in mjtactile/kernels/surface.c. The Hessian is a band, since splines overlap only
 their neighbours.
 
@@ -44,6 +49,10 @@ GRID_STEP = 1e-3
 # nodes in each interval: exact for products of two splines' derivatives up to degree 5, of two
 # cubics to 1e-6
 _GAUSS = 4
+_MARGIN = 4  # intervals beyond an outline, on both sides together
+_RIM_SD = 20e-6  # m: less bends the splines where the outline crosses their cells
+_RIM_POINTS = 4  # to an interval of the longer side
+_BEYOND = 1e-4  # of the fourth term's weight
 _ASPECT_PER_DEPTH = np.sqrt(8 / 3)
 """sd of an ellipse's axis ratio over the relative sd of its depth. With independent radial errors
 along the outline the axis ratio, 1 - 2 c / r with c the second harmonic, has sqrt(8) times the mean
@@ -119,6 +128,8 @@ class Spline:
             found,
         )
         area, volume, area_sd, volume_sd = found.tolist()
+        if f.outside is not None:
+            z[f.outside] = 0.0
         return Surface(f.x, f.y, z, area, volume, area_sd, volume_sd, self.status)
 
 
@@ -138,21 +149,26 @@ class SurfaceFitter:
         nx, ny = (max(8, n + 2 + n % 2) for n in (layout.columns, layout.rows))
         # half a pitch of a curvature k / 2
         slope_off = settings.laplacian / 4 * max(layout.pitch_x, layout.pitch_y)
-        self.basis_x = Cubic(frame.length, nx, _GAUSS)
-        self.basis_y = Cubic(frame.width, ny, _GAUSS)
+        more = 0 if frame.outline is None else _MARGIN
+        length, width = frame.length * (1 + more / nx), frame.width * (1 + more / ny)
+        self.basis_x = Cubic(length, nx + more, _GAUSS)
+        self.basis_y = Cubic(width, ny + more, _GAUSS)
         self.x, self.y = grid_of(frame)
         self.grid_x = [self.basis_x.at(self.x, d) for d in range(3)]
         self.grid_y = [self.basis_y.at(self.y, d) for d in range(3)]
-        self.grid_x[0][[0, -1]] = self.grid_y[0][[0, -1]] = 0.0  # exactly, not only to rounding
+        if frame.outline is None:  # exactly, not only to rounding
+            self.grid_x[0][[0, -1]] = self.grid_y[0][[0, -1]] = 0.0
         quad_x, quad_y = (
             [a.at(a.points, d) for d in range(4)] for a in (self.basis_x, self.basis_y)
         )
         self._quad = quad_x, quad_y
         wx = self.basis_x.weights
         wy = self.basis_y.weights
-        weights = wy[:, None] * wx
+        weights = wy[:, None] * wx * self._share_inside(frame)
         self.width = 3 * self.basis_x.count + 3
-        stiffness = banded(self._energy(wx, wy, ((1, 0),), ((0, 1),)), self.width)
+        beyond = None if frame.outline is None else wy[:, None] * wx - weights
+        inside = None if beyond is None else weights
+        stiffness = banded(self._energy(inside, ((1, 0),), ((0, 1),)), self.width)
         volume_c = quad_y[0].T @ weights @ quad_x[0]  # of the volume by the coefficients
         self.tables = (
             np.ascontiguousarray(self.grid_x[0].T),
@@ -165,15 +181,22 @@ class SurfaceFitter:
             volume_c,
             stiffness,
         )
-        area = frame.length * frame.width
-        self.prior = self._energy(wx, wy, ((3, 0), (1, 2)), ((2, 1), (0, 3))) / (
-            settings.roughness**2 * area
-        ) + self._energy(wx, wy, ((2, 0), (0, 2))) / (settings.laplacian**2 * area)
+        bent = ((2, 0), (0, 2))
+        self.prior = self._energy(inside, ((3, 0), (1, 2)), ((2, 1), (0, 3))) / (
+            settings.roughness**2 * frame.area
+        ) + self._energy(inside, bent) / (settings.laplacian**2 * frame.area)
+        self.outside = None
+        if frame.outline is not None:
+            rim = self.rows(*frame.outline.points(_RIM_POINTS * 2 * max(nx, ny)).T)
+            self.prior += rim.T @ rim / _RIM_SD**2
+            self.prior += _BEYOND * self._energy(beyond, bent) / settings.laplacian**2 / frame.area
+            places = np.stack(np.meshgrid(self.x, self.y), axis=-1).reshape(-1, 2)
+            self.outside = (frame.inside(places) <= 0).reshape(len(self.y), len(self.x))
         self._prior_band = banded(self.prior, self.width)
         self._numbers = np.array(
             [
-                frame.length,
-                frame.width,
+                length,
+                width,
                 design.camera.distance,
                 settings.slope_model_sd,
                 settings.slope_sd_most,
@@ -231,9 +254,32 @@ class SurfaceFitter:
         coefficient."""
         return _products(self.basis_y.at(y, dy), self.basis_x.at(x, dx))
 
-    def _energy(self, wx: Array, wy: Array, *terms: tuple[tuple[int, int], ...]) -> Array:
+    def _share_inside(self, frame: Frame) -> Array:
+        """Share (qy, qx) of what each Gauss point stands for that is in the opening."""
+        x, y = self.basis_x, self.basis_y
+        if frame.outline is None:
+            return np.ones((len(y.points), len(x.points)))
+        places = np.stack(np.meshgrid(x.points, y.points), axis=-1).reshape(-1, 2)
+        across = np.sqrt(x.length / len(x.points) * y.length / len(y.points))
+        share = np.clip(0.5 + frame.inside(places) / across, 0.0, 1.0)
+        share = share.reshape(len(y.points), len(x.points))
+        cut = share * (1 - share)
+        lacking = frame.area - float(y.weights @ share @ x.weights)
+        return share + cut * (lacking / float(y.weights @ cut @ x.weights))
+
+    def _energy(self, weights: Array | None, *terms: tuple[tuple[int, int], ...]) -> Array:
         """Matrix of the integral of sum over `terms` of (d1 z + d2 z + ...)^2, each d an order of
-        derivative (x, y)."""
+        derivative (x, y), over Gauss points of `weights` (qy, qx) m^2; None: over the rectangle."""
+        if weights is not None:
+            quad_x, quad_y = self._quad
+            at = weights.ravel()[:, None]
+            summed = np.zeros((self.basis_x.count * self.basis_y.count,) * 2)
+            for pair in terms:
+                rows = np.add.reduce([np.kron(quad_y[b], quad_x[a]) for a, b in pair])
+                summed += rows.T @ (at * rows)
+            return summed
+        wx = self.basis_x.weights
+        wy = self.basis_y.weights
 
         def gram(tables: list[Array], w: Array, a: int, b: int) -> Array:
             return tables[a].T @ (w[:, None] * tables[b])

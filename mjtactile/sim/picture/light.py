@@ -102,5 +102,8 @@ class Light:
         y = xy[..., 1]
         half_x = self._frame.length / 2
         half_y = self._frame.width / 2
-        bubble = np.clip(1 - (x / half_x) ** 2, 0, 1) * np.clip(1 - (y / half_y) ** 2, 0, 1)
+        if self._frame.outline is None:
+            bubble = np.clip(1 - (x / half_x) ** 2, 0, 1) * np.clip(1 - (y / half_y) ** 2, 0, 1)
+        else:
+            bubble = np.clip(1 - (x / half_x) ** 2 - (y / half_y) ** 2, 0, 1)
         return np.stack([bubble, bubble * x, bubble * y], axis=-1)

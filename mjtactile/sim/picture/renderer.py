@@ -34,6 +34,7 @@ BLUR_MIN_PX = 0.2
 """A smaller blur is drawn as this one: no lens has less, and the quadrature needs a smooth edge."""
 # quadrature step along an edge, in sd of the blur: exp(-2 pi^2 / 1.25^2) = 3e-6 of aliasing
 _STEP_PER_BLUR = 1.25
+_OUTLINE = 360  # corners of the polygon in a round opening: 0.01 px of `round30`
 _NODES = 4  # in each panel of a straight side
 # places per pixel at which the edge functions are tabulated: at most 1e-3 px off, at random
 _BINS = 512
@@ -265,7 +266,9 @@ def _brush(blur_px: float) -> tuple[int, int, Floats, Floats]:
 
 
 def _opening(design: SensorDesign) -> Array:
-    """Corners of the frame's opening in S, (4, 3)."""
+    """Corners of the frame's opening in S, (n, 3); of an outline those of a polygon in it."""
+    if design.frame.outline is not None:
+        return np.pad(design.frame.outline.points(_OUTLINE), ((0, 0), (0, 1)))
     x = design.frame.length / 2
     y = design.frame.width / 2
     return np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])

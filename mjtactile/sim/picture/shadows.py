@@ -266,8 +266,8 @@ def visible(clear: Array | Floats) -> Floats:
 
 def edge_distance(frame: Frame, xy: Array) -> Array:
     """Distance (...) m of places (..., 2) from the opening's edge, positive inside."""
-    if frame.shape == "circle":
-        return frame.length / 2 - np.hypot(xy[..., 0], xy[..., 1])
+    if frame.outline is not None:
+        return frame.inside(xy.reshape(-1, 2)).reshape(xy.shape[:-1])
     return np.minimum(frame.length / 2 - np.abs(xy[..., 0]), frame.width / 2 - np.abs(xy[..., 1]))
 
 
@@ -288,11 +288,9 @@ def _towards(xy: Array, z: Array, p_SL: Array) -> tuple[Array, Array, Array]:
 
 def _rim(frame: Frame, spacing: float = 2.5e-3) -> Array:
     """Points (n, 2) of the opening's edge, closer than the markers of any layout."""
-    if frame.shape == "circle":
-        angle = np.linspace(
-            0, 2 * np.pi, int(np.ceil(np.pi * frame.length / spacing)), endpoint=False
-        )
-        return frame.length / 2 * np.column_stack([np.cos(angle), np.sin(angle)])
+    if frame.outline is not None:
+        longest = np.pi * np.hypot(frame.length, frame.width) / np.sqrt(2)
+        return frame.outline.points(int(np.ceil(longest / spacing)))
     x = frame.length / 2
     y = frame.width / 2
     corners = np.array([[-x, -y], [x, -y], [x, y], [-x, y]])

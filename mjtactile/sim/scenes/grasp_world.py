@@ -55,8 +55,6 @@ class GraspWorld(HandWorld):
         self.specimens = tuple(specimens)
         rig = rig if isinstance(rig, SimRigFile) else load_sim_rig(rig)
         designs = self.specimens or finger_designs(rig, self.design)
-        for design in designs:
-            design.require_rectangle("grasping, which rests on sensing,")
 
         def furnish(spec: mujoco.MjSpec, start: Start) -> None:
             x, y, yaw = object_pose

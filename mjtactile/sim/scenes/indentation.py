@@ -299,9 +299,10 @@ def _sheet_points(design: SensorDesign, at: tuple[float, float]) -> np.ndarray:
         for axis, place in zip(axes, at, strict=True)
     )
     points = np.stack([*np.meshgrid(x, y), np.zeros((len(y), len(x)))], axis=-1).reshape(-1, 3)
+    if frame.outline is not None:  # as far within as on rectangles
+        return points[frame.inside(points[:, :2] / 0.98) > 0]
     inside = np.abs(points[:, :2] / (frame.length, frame.width))
-    order = 2 if frame.shape == "circle" else np.inf
-    return points[np.linalg.norm(inside, ord=order, axis=1) < 0.49]
+    return points[inside.max(axis=1) < 0.49]
 
 
 def _add_carrier(spec: mujoco.MjSpec, mount: tuple[float, float, float]) -> mujoco.MjsBody:

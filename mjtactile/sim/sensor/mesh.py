@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from mjtactile.core import geometry
 from mjtactile.core.bspline import interpolating
 from mjtactile.core.errors import InputError
+from mjtactile.core.outline import Outline
 from mjtactile.core.types import Array
 
 GRADING = 0.0
@@ -28,8 +29,8 @@ class MembraneMesh:
 
     `p_SV` (n, 3) m, `triangles` (m, 3) counter-clockwise seen from outside (+z), `interior` (k,)
     vertex indices that move, `areas` (n,) m^2 of sheet that each vertex stands for. `knots` are the
-    mesh's own coordinates of its rows and columns: m for a rectangle; for a circle those of the
-    square that is mapped to it (`to_square`).
+    mesh's own coordinates of its rows and columns: m for a rectangle; for another `outline` those
+    of the square that is mapped to it.
     """
 
     nx: int
@@ -39,7 +40,7 @@ class MembraneMesh:
     interior: NDArray[np.int64]
     areas: Array
     knots: tuple[Array, Array]
-    radius: float = 0.0
+    outline: Outline | None = None
 
     @property
     def x(self) -> Array:
@@ -53,9 +54,7 @@ class MembraneMesh:
 
     def coordinates(self, p_SM: Array) -> Array:
         """The mesh's own coordinates (N, 2) of points `p_SM` (N, 3) m of the flat sheet."""
-        if self.radius:
-            return to_square(p_SM[:, :2] / self.radius)
-        return p_SM[:, :2]
+        return p_SM[:, :2] if self.outline is None else self.outline.square(p_SM[:, :2])
 
     @cached_property
     def inverse_edges(self) -> Array:
@@ -88,15 +87,15 @@ def make_mesh(
     nx: int,
     ny: int,
     *,
-    shape: str = "rectangle",
+    outline: Outline | None = None,
     grading: float = GRADING,
 ) -> MembraneMesh:
-    """Mesh a `length` x `width` m rectangle, or the circle of diameter `length`, with nx x ny
-    vertices.
+    """Mesh a `length` x `width` m rectangle, or the `outline` in it, with nx x ny vertices.
 
-    Diagonals alternate, so that no direction is favoured; at the corners they are such that a
-    circle's corner triangles keep an angle. Raises InputError when a side has fewer than 5 vertices
-    (the cubic marker interpolation needs them) or more than 101 (a step would take seconds).
+    Diagonals alternate, so that no direction is favoured; at the corners they are such that where
+    an outline is smooth, triangles keep an angle. Raises InputError when a side has fewer than 5
+    vertices (the cubic marker interpolation needs them) or more than 101 (a step would take
+    seconds).
     """
     for name, count in (("nx", nx), ("ny", ny)):
         if not 5 <= count <= 101:
@@ -105,42 +104,19 @@ def make_mesh(
             )
     u, v = (_graded(count, grading) for count in (nx, ny))
     plane = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
-    if shape == "circle":
-        plane = _to_disc(plane) * (length / 2)
-        knots = (u, v)
-        radius = length / 2
-    else:
+    if outline is None:
         plane = plane * (length / 2, width / 2)
         knots = (u * length / 2, v * width / 2)
-        radius = 0.0
+    else:
+        plane = outline.plane(plane)
+        knots = (u, v)
     p_SV = np.column_stack([plane, np.zeros(nx * ny)])
     triangles = _triangles(nx, ny)
     a, b, c = p_SV[triangles].swapaxes(0, 1)
     area = 0.5 * np.cross(b - a, c - a)[:, 2]
     areas = np.bincount(triangles.ravel(), weights=np.repeat(area / 3, 3), minlength=nx * ny)
     interior = np.arange(nx * ny).reshape(nx, ny)[1:-1, 1:-1].ravel()
-    return MembraneMesh(nx, ny, p_SV, triangles, interior, areas, knots, radius)
-
-
-def to_square(disc: Array) -> Array:
-    """Map points (N, 2) of the unit disc to the square [-1, 1]^2: the inverse of x = u sqrt(1 -
-    v^2/2), y likewise."""
-    x, y = disc.T
-    root = np.sqrt(2.0)
-
-    def along(first: Array, second: Array) -> Array:
-        rest = 2 + first**2 - second**2
-        return 0.5 * (
-            np.sqrt(np.maximum(rest + 2 * root * first, 0))
-            - np.sqrt(np.maximum(rest - 2 * root * first, 0))
-        )
-
-    return np.column_stack([along(x, y), along(y, x)])
-
-
-def _to_disc(square: Array) -> Array:
-    u, v = square.T
-    return np.column_stack([u * np.sqrt(1 - v**2 / 2), v * np.sqrt(1 - u**2 / 2)])
+    return MembraneMesh(nx, ny, p_SV, triangles, interior, areas, knots, outline)
 
 
 def _graded(count: int, grading: float) -> Array:

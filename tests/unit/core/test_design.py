@@ -101,12 +101,14 @@ def test_a_wrong_field_is_named(changes, words):
 def test_every_field_is_checked():
     """No number of the file can be NaN or text without being named."""
     labels = [label for label, *_ in fields.scalars(SensorDesign)]
-    assert len(labels) == 48
+    assert len(labels) == 49
     circles = {"surface": "rim", "radius_mm": 1.0, "places_mm": [[21.5, 3.0 * k] for k in range(4)]}
     for label in (*labels, "camera.distortion"):
         on_pane = {"surface": "pane"} if label == "fiducials.blur_px" else {}
         for bad in (math.nan, "1"):
             sections = {"fiducials": circles | on_pane, "relaxation": {"terms_s": [[0.1, 1.0]]}}
+            if label == "frame.corner_radius_mm":
+                sections = {"frame__shape": "rounded"}
             changes = sections | {label.replace(".", "__"): bad}
             with pytest.raises(InputError, match=re.escape(label)):
                 build(**changes)
@@ -128,7 +130,7 @@ def test_optional_section_has_defaults():
 
 
 def test_missing_and_unknown_files_are_named(tmp_path):
-    with pytest.raises(InputError, match=r"dense, dense_fiducials, fine, paper16"):
+    with pytest.raises(InputError, match=r"dense, dense_fiducials, ellipse, fine, paper16"):
         load_sensor("dence")
     with pytest.raises(InputError, match="no such file"):
         load_sensor(tmp_path / "x.toml")

@@ -57,8 +57,8 @@ def scene(p_SM, **leds):
     return Light(design, lens).field(p_SM), ShadowedLight(design, lens).field(p_SM), lens
 
 
-def dented(depth, at=(0.0, 0.0), width=3e-3):
-    p = DENSE.markers.p_SM.copy()
+def dented(depth, at=(0.0, 0.0), width=3e-3, design=DENSE):
+    p = design.markers.p_SM.copy()
     p[:, 2] = -depth * np.exp(-((p[:, :2] - at) ** 2).sum(axis=1) / (2 * width**2))
     return p
 
@@ -268,7 +268,7 @@ def test_sheet_goes_through_the_markers_and_ends_at_the_frame(node, worst, monke
 def test_a_circular_frame_holds_the_sheet_too():
     design = replace(DENSE, frame=replace(DENSE.frame, length=40e-3, width=40e-3, shape="circle"))
     sheet = Sheet(design)
-    z = sheet.heights(dented(4e-3))
+    z = sheet.heights(dented(4e-3, design=design))
     outside = np.hypot(sheet.xy[..., 0], sheet.xy[..., 1]) >= 20e-3
     assert outside.any() and z.min() < -3.9e-3
     assert np.abs(z[outside]).max() < 2e-5  # as above
