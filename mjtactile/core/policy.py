@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,6 +30,7 @@ _DOWN = 0.001
 _CLEAR = 0.008  # m of opening beyond the grip at which what was held is let go of
 _LEAD = 0.004  # m that the goal of the opening may be ahead of the jaws
 _TIME_MAX = 3.0  # s in a phase, as a policy sees it
+_NOTHING = [0.0] * 6
 _LOST_TIME = 0.5  # s without a touch after which the hand goes down again
 _FINGER = (
     ("known", 1.0),
@@ -69,6 +70,11 @@ def policy_names(fingers: int = 2) -> list[str]:
 
 def policy_bounds(fingers: int = 2) -> Array:
     """The largest size of each number of a vector; what is beyond is cut."""
+    return _bounds(fingers).copy()
+
+
+@cache
+def _bounds(fingers: int) -> Array:
     return np.array(
         [most for _ in range(fingers) for _, most in _FINGER] + [most for _, most in _RIG]
     )
@@ -98,8 +104,9 @@ def policy_vector(observation: Observation) -> Array:
         *(float(phase == one) for one in PHASES),
     ]
     values = np.array([value for touch in observation.touch for value in _felt(touch)] + rig, float)
-    most = policy_bounds(len(observation.touch))
-    return np.clip(np.nan_to_num(values, posinf=0.0, neginf=0.0), -most, most).astype(np.float32)
+    values[~np.isfinite(values)] = 0.0
+    most = _bounds(len(observation.touch))
+    return np.minimum(np.maximum(values, -most), most).astype(np.float32)
 
 
 def policy_command(observation: Observation, action: ArrayLike) -> Command:
@@ -113,9 +120,7 @@ def policy_command(observation: Observation, action: ArrayLike) -> Command:
     Returns:
         The command, with the phase that the grasp is in now.
     """
-    rate, limit, lift = (
-        float(value) for value in np.clip(np.nan_to_num(np.asarray(action, float)), -1.0, 1.0)
-    )
+    rate, limit, lift = (_within_one(value) for value in np.asarray(action, float).tolist())
     last = observation.command
     period = observation.period
     gripper = observation.gripper
@@ -126,13 +131,14 @@ def policy_command(observation: Observation, action: ArrayLike) -> Command:
         max(last.lift_height + LIFT_SPEED * lift * period, 0.0), observation.told.lift_height
     )
     phase, memory = _progress(observation)
-    return replace(
-        last,
-        opening=max(opening, 0.0),
-        force_limit=FORCE_LIMIT * (limit + 1) / 2,
-        lift_height=height,
-        phase=phase,
-        memory=memory,
+    return Command(
+        max(opening, 0.0),
+        FORCE_LIMIT * (limit + 1) / 2,
+        height,
+        phase,
+        memory,
+        last.reason,
+        last.pressure_gauge,
     )
 
 
@@ -158,9 +164,15 @@ def policy_action(before: Command, after: Command, period: float) -> Array:
     )
 
 
+def _within_one(value: float) -> float:
+    return 0.0 if math.isnan(value) else min(max(value, -1.0), 1.0)
+
+
 def _felt(touch: Touch) -> list[float]:
     known = math.isfinite(touch.force_normal)
-    wrench = touch.traction.wrench if known and touch.traction is not None else np.zeros(6)
+    wrench = _NOTHING
+    if known and touch.traction is not None:
+        wrench = touch.traction.wrench.tolist()
     return [
         float(known),
         float(touch.touching),

@@ -124,6 +124,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         self._build(0)
         designs = [finger.design for finger in self._rig.fingers]
         self._pictures = "images" in self._rig.scene.effects
+        self._left_out = dict.fromkeys(left_out_of(self._rig.scene.effects), False)
         if observation == "image" and not self._pictures:
             raise InputError(
                 "no image is drawn",
@@ -311,7 +312,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
             "phase": self._cycle.last.phase,
             "force_normal_true_N": np.array(score.forces()),
             **{k: v for k, v in found.items() if math.isfinite(v)},
-            **dict.fromkeys(left_out_of(rig.scene.effects), False),
+            **self._left_out,
             **({"varied": dict(varied)} if varied else {}),
             "flags": dict(rig.flags()),
             **({"problem": self._problem} if self._problem else {}),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 from mjtactile.core.calibration import Calibration, pressure_reading
@@ -113,17 +114,17 @@ class Rig:
     told: Told = TOLD
     touch_is_drawn: bool = False
 
-    @property
+    @cached_property
     def period(self) -> float:
         """Control period, s: one frame of the slowest camera."""
         return 1.0 / min(finger.design.camera.rate for finger in self.fingers)
 
-    @property
+    @cached_property
     def cameras(self) -> tuple[Camera, ...]:
         """The cameras, in the order of their fingers."""
         return tuple(finger.camera for finger in self.fingers)
 
-    @property
+    @cached_property
     def valves(self) -> tuple[Valve, ...]:
         """The valves that obey, in the order of their fingers."""
         return tuple(finger.valve for finger in self.fingers if finger.valve is not None)

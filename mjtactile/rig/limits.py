@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from mjtactile.core.types import Command
 
@@ -28,14 +28,14 @@ class Limits:
     def apply(self, wanted: Command, last: Command, period: float) -> Command:
         """The command nearest to `wanted` that keeps the limits, starting from `last` one `period`
         s ago."""
-        return replace(
-            wanted,
-            opening=_near(wanted.opening, last.opening, self.speed * period, self.opening),
-            force_limit=min(max(wanted.force_limit, 0.0), self.force),
-            lift_height=_near(
-                wanted.lift_height, last.lift_height, self.lift_speed * period, self.lift
-            ),
-            pressure_gauge=self._air(wanted.pressure_gauge, last.pressure_gauge, period),
+        return Command(
+            _near(wanted.opening, last.opening, self.speed * period, self.opening),
+            min(max(wanted.force_limit, 0.0), self.force),
+            _near(wanted.lift_height, last.lift_height, self.lift_speed * period, self.lift),
+            wanted.phase,
+            wanted.memory,
+            wanted.reason,
+            self._air(wanted.pressure_gauge, last.pressure_gauge, period),
         )
 
     def _air(

@@ -215,5 +215,7 @@ class ControlCycle:
         limited = rig.limits.apply(allowed, last, rig.period)
         sent = rig.gripper.command(limited)
         self.attempt(lambda: air.send(rig, limited, self.last))
-        kept = {name: getattr(allowed, name) for name in ("phase", "memory", "reason")}
-        return replace(sent, **kept)
+        kept = (allowed.phase, allowed.memory, allowed.reason)
+        if (sent.phase, sent.memory, sent.reason) == kept:
+            return sent
+        return replace(sent, phase=allowed.phase, memory=allowed.memory, reason=allowed.reason)

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from mjtactile.core.geometry import cross
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.task import Task, load_task
 from mjtactile.core.types import Array
@@ -95,7 +96,8 @@ class Judge:
         """N that each finger must press with at least, now; 0 where nothing touches."""
         data = self.world.data
         mass = self.world.model.body_mass[self._bodies]
-        force = mass.sum() * self.world.model.opt.gravity
+        total = mass.sum()
+        force = total * self.world.model.opt.gravity
         force = force + data.xfrc_applied[self._bodies, :3].sum(axis=0)
         middles = []
         radii = []
@@ -107,10 +109,10 @@ class Judge:
         if not middles:
             return 0.0
         axis = self._axis()
-        arm = mass @ data.xipos[self._bodies] / mass.sum() - np.mean(middles, axis=0)
+        arm = mass @ data.xipos[self._bodies] / total - sum(middles) / len(middles)
         along = force if axis is None else force - (force @ axis) * axis
-        torque = 0.0 if axis is None else float(np.cross(arm, force) @ axis)
-        load = math.hypot(float(np.linalg.norm(along)), torque / float(np.mean(radii)))
+        torque = 0.0 if axis is None else float(cross(arm, force) @ axis)
+        load = math.hypot(math.sqrt(along @ along), torque / (sum(radii) / len(radii)))
         return load / sum(self._friction)
 
     def failure(self) -> str:
@@ -152,13 +154,9 @@ class Judge:
     def _patch(self, number: int) -> tuple[Array, float]:
         """Middle (3,) m, frame W, of what presses on a membrane, and its mean distance from there,
         m, by force: friction's limit in torque over that in force. 0: nothing presses."""
-        forces, points, _ = truth.contact_forces(self.world, number)
-        press = np.maximum(-forces[:, 2], 0.0)
-        if press.sum() <= 0:
-            return np.zeros(3), 0.0
-        share = press / press.sum()
-        middle = share @ points
-        radius = float(share @ np.linalg.norm(points - middle, axis=1))
+        middle, radius = truth.patch(self.world, number)
+        if radius <= 0:
+            return middle, 0.0
         data = self.world.data
         body = self.world.sensors[number].body_id
         R_WS = data.xmat[body].reshape(3, 3)

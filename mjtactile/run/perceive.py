@@ -74,6 +74,7 @@ class Perceivers:
             (chain, name, _Thread(name) if k >= own else None)
             for k, (chain, name) in enumerate(zip(chains, names, strict=True))
         ]
+        self._has_threads = own < len(chains)
 
     def __enter__(self) -> Perceivers:
         return self
@@ -95,6 +96,8 @@ class Perceivers:
         A thread that does not answer within `patience` s makes its touch unknown, and is given no
         other image before it has. Raises what a chain raised, when all have ended.
         """
+        if not self._has_threads:
+            return self._in_turn(images, now, readings)
         pairs = list(zip(self._chains, images, strict=True))
         given = [(image, now, reading) for image, reading in with_readings(images, readings)]
         for (chain, _, thread), seen in zip(self._chains, given, strict=True):
@@ -113,6 +116,17 @@ class Perceivers:
             late_touch(name, image, now) if outcome is None else value_of(outcome)
             for ((_, name, _), image), outcome in zip(pairs, found, strict=True)
         )
+
+    def _in_turn(
+        self, images: Sequence[Image], now: float, readings: Sequence[PressureReading | None]
+    ) -> tuple[Touch, ...]:
+        outcomes = [
+            outcome_of(chain.perceive, image, now, reading)
+            for (chain, _, _), (image, reading) in zip(
+                self._chains, with_readings(images, readings), strict=True
+            )
+        ]
+        return tuple([value_of(outcome) for outcome in outcomes])
 
 
 def with_readings(

@@ -43,7 +43,8 @@ class GraspScore:
     _wrenches: list[Array] = field(default_factory=list)
     _object_pose: dict[str, list[float]] = field(default_factory=dict)
     _markers: list[Array] = field(default_factory=list)
-    _hold_forces: list[float] = field(default_factory=list)
+    _hold_sum: float = 0.0
+    _hold_steps: int = 0
     _held: list[bool] = field(default_factory=list)
     view: SceneView | None = None
     """The scene as it was when the images were taken."""
@@ -128,7 +129,8 @@ class GraspScore:
         risen = bool(p_WO[2] - self._rest_height > _HELD_SHARE * lifted - _HELD_SLACK)
         self.lost |= lifted > _RISEN and not risen
         if self.phase == "hold":
-            self._hold_forces += each.mean(axis=1).tolist()
+            self._hold_sum += float(each.sum()) / each.shape[1]
+            self._hold_steps += len(each)
             self._held.append(risen)
 
     def _watch_fall(self) -> None:
@@ -201,9 +203,7 @@ class GraspScore:
     @property
     def hold_force(self) -> float:
         """Mean normal force per finger over the hold phase, N; NaN when it was never reached."""
-        if self._hold_forces:
-            return float(np.mean(self._hold_forces))
-        return float("nan")
+        return self._hold_sum / self._hold_steps if self._hold_steps else math.nan
 
     @property
     def slip(self) -> float:

@@ -13,9 +13,9 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -79,28 +79,18 @@ class ChainErrors:
     incipient: float
 
     def __post_init__(self) -> None:
-        at_loads = np.column_stack(
-            [
-                self.mean,
-                self.sd,
-                self.said,
-                self.outliers,
-                self.unknown,
-                self.area,
-                self.area_sd,
-                self.centroid_sd,
-            ]
-        )
-        object.__setattr__(self, "_at_loads", at_loads)
+        for name in _ARRAYS:
+            object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), float))
+
+    @cached_property
+    def at_loads(self) -> Array:
+        """(k, 23) All that goes with the load, in the order of `AtLoad`."""
+        return np.column_stack([getattr(self, name) for name in AtLoad._fields])
 
     def at(self, load: float) -> AtLoad:
         """All that goes with the load, at `load` N; beyond the last one as there."""
-        loads = self.loads
-        right = min(max(int(np.searchsorted(loads, load)), 1), len(loads) - 1)
-        share = min(max((load - loads[right - 1]) / (loads[right] - loads[right - 1]), 0.0), 1.0)
-        rows: Array = self._at_loads  # type: ignore[attr-defined]
-        row = rows[right - 1] + share * (rows[right] - rows[right - 1])
-        return AtLoad(row[:6], row[6:12], row[12:18], *row[18:].tolist())
+        columns = [np.interp(load, self.loads, column) for column in self.at_loads.T]
+        return AtLoad.of(np.array(columns))
 
     def table(self) -> dict[str, Any]:
         """As JSON has it; the inverse of `errors_from`."""
@@ -110,8 +100,7 @@ class ChainErrors:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class AtLoad:
+class AtLoad(NamedTuple):
     """`ChainErrors` at one load."""
 
     mean: Array
@@ -122,6 +111,11 @@ class AtLoad:
     area: float
     area_sd: float
     centroid_sd: float
+
+    @classmethod
+    def of(cls, row: Array) -> AtLoad:
+        """Of the 23 numbers in this order."""
+        return cls(row[:6], row[6:12], row[12:18], *row[18:].tolist())
 
 
 _ARRAYS = frozenset(

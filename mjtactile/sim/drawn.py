@@ -15,18 +15,22 @@ import numpy as np
 from mjtactile.core.errors import InputError
 from mjtactile.core.status import OK, Status, StatusCode
 from mjtactile.core.types import Array, Contact, Felt, Slip, SlipState, Touch, Traction
+from mjtactile.core.types.arrays import fixed
+from mjtactile.kernels import bound
 from mjtactile.sim.chain_errors import AtLoad, ChainErrors
 from mjtactile.sim.sensor.any import AnySensor
 from mjtactile.sim.sensor.film_sensor import FilmSensor
 
 _RECENT = 0.12  # s over which a slip is told, as by the chain
-_NONE = np.zeros(0)
-_NO_FORCES = np.zeros((0, 0, 3))
-_NO_MASK = np.zeros((0, 0), bool)
-_NOWHERE = np.full(2, np.nan)
-_STILL = np.zeros(2)
-for _fixed in (_NONE, _NO_FORCES, _NO_MASK, _NOWHERE, _STILL):
-    _fixed.setflags(write=False)
+_NONE = fixed(np.zeros(0))
+_NO_FORCES = fixed(np.zeros((0, 0, 3)))
+_NO_MASK = fixed(np.zeros((0, 0), bool))
+_NOWHERE = fixed(np.full(2, np.nan))
+_STILL = fixed(np.zeros(2))
+_NO_CONTACT = Contact(False, 0.0, _NOWHERE, 0.0, _NO_MASK)
+_NO_SLIP = Slip("none", _STILL, 0.0, 1.0)
+_COLUMNS = 23
+_FACTOR, _ELAPSED = 3, 4  # of what the kernel is given
 METHOD = "drawn"
 """`Traction.method` of a touch that no chain has felt."""
 
@@ -38,37 +42,57 @@ class Erring:
         self._errors = errors
         self._spread = np.linalg.cholesky(errors.correlation)
         self._slow = np.zeros(6)
-        self._untouched = errors.at(0.0).sd ** 2
-        self._factor = 1.0
+        self._settings = np.array(
+            [errors.slow, errors.slow_time, errors.outlier_size, 1.0, 0.0, 0.0]
+        )
+        self._normals = np.zeros(12)
+        self._true = np.zeros(6)
+        self._row = np.zeros(_COLUMNS)
+        self._wrench = np.zeros(6)
+        self._cov = np.zeros((6, 6))
+        self._draw = bound(
+            "draw_errors",
+            len(errors.loads),
+            errors.loads,
+            errors.at_loads,
+            errors.gain,
+            self._spread,
+            errors.said_correlation,
+            self._settings,
+            self._normals,
+            self._true,
+            self._slow,
+            self._row,
+            self._wrench,
+            self._cov,
+        )
 
     def begin(self, rng: np.random.Generator) -> None:
         """Draw anew what lasts."""
-        self._slow = self._spread @ rng.standard_normal(6)
+        self._slow[:] = self._spread @ rng.standard_normal(6)
         between = self._errors.between
         # whose square is one in the mean
-        self._factor = math.exp(between * (rng.standard_normal() - between))
+        self._settings[_FACTOR] = math.exp(between * (rng.standard_normal() - between))
 
-    def felt(self, true: Array, here: AtLoad, elapsed: float, rng: np.random.Generator) -> Array:
+    def felt(
+        self, true: Array, elapsed: float, rng: np.random.Generator
+    ) -> tuple[Array, Array, AtLoad]:
         """The wrench that the chain would say.
 
         Args:
             true: (6,) N and N m, frame S.
-            here: The errors at its load.
             elapsed: s since the image before.
             rng: What is drawn from.
 
         Returns:
-            (6,).
+            The wrench (6,) and the covariance (6, 6) that the chain would say, which hold until the
+                next call, and the errors at this load.
         """
-        errors = self._errors
-        kept = math.exp(-elapsed / errors.slow_time)
-        slow, fast = rng.standard_normal((2, 6)) @ self._spread.T
-        self._slow = kept * self._slow + math.sqrt(1 - kept * kept) * slow
-        error = math.sqrt(errors.slow) * self._slow + math.sqrt(1 - errors.slow) * fast
-        size = errors.outlier_size if rng.random() < here.outliers else 1.0
-        loaded = np.maximum(here.sd**2 - self._untouched, 0.0)
-        sd = np.sqrt(np.minimum(here.sd**2, self._untouched) + self._factor**2 * loaded)
-        return true + errors.gain @ true + here.mean + size * sd * error
+        self._true[:] = true
+        rng.standard_normal(out=self._normals)
+        self._settings[_ELAPSED:] = elapsed, rng.random()
+        self._draw()
+        return self._wrench, self._cov, AtLoad.of(self._row)
 
 
 class TouchDrawer:
@@ -124,30 +148,21 @@ class TouchDrawer:
         time = sensor.time
         elapsed = 0.0 if math.isnan(self._time) else max(time - self._time, 0.0)
         self._time = time
-        true = sensor.look()
-        here = self._errors.at(max(-float(true[2]), 0.0))
-        wrench = self._erring.felt(true, here, elapsed, self._rng)
+        wrench, cov, here = self._erring.felt(sensor.look(), elapsed, self._rng)
         if self._rng.random() < here.unknown:
             status = Status(StatusCode.NO_SHAPE, "the markers fit no membrane shape")
             lost = Slip("unknown", _NOWHERE, math.nan, math.nan, status)
             return Touch(time, 0.0, math.nan, math.nan, False, slip=lost, status=status)
-        said = here.said
-        traction = Traction(
-            _NONE,
-            _NONE,
-            _NO_FORCES,
-            wrench,
-            np.outer(said, said) * self._errors.said_correlation,
-            sensor.pressure_gauge,
-            METHOD,
-        )
-        self._detect(-float(wrench[2]))
-        contact = self._contact(wrench, here, self._rng.standard_normal(3))
+        traction = Traction(_NONE, _NONE, _NO_FORCES, wrench, cov, sensor.pressure_gauge, METHOD)
+        wrench = traction.wrench
+        force = -float(wrench[2])
+        self._detect(force)
+        contact = self._contact(wrench, here, self._rng.standard_normal(3).tolist())
         return Touch(
             time,
             0.0,
-            -float(wrench[2]),
-            float(said[2]),
+            force,
+            float(here.said[2]),
             self._touching,
             contact,
             traction,
@@ -160,17 +175,18 @@ class TouchDrawer:
         release = self._errors.release if self._touching else 1.0
         self._touching = force > release * self._errors.touch_force
 
-    def _contact(self, wrench: Array, here: AtLoad, new: Array) -> Contact:
+    def _contact(self, wrench: Array, here: AtLoad, new: list[float]) -> Contact:
         sensor = self._sensor
         if not self._touching:
-            return Contact(False, 0.0, _NOWHERE, 0.0, _NO_MASK)
+            return _NO_CONTACT
         area = sensor.contact_area * math.exp(here.area + here.area_sd * new[0])
-        centroid = sensor.middle[:2] + here.centroid_sd * new[1:3]
+        x, y, _ = sensor.middle.tolist()
+        centroid = x + here.centroid_sd * new[1], y + here.centroid_sd * new[2]
         radius = math.sqrt(area / math.pi)
         return Contact(
             True,
             area,
-            centroid,
+            np.array(centroid),
             self._errors.depth * sensor.depth,
             _NO_MASK,
             force=wrench[:3],
@@ -183,7 +199,7 @@ class TouchDrawer:
         How much of friction is used, by the coefficient of the sensor's file."""
         if not self._touching:
             self._slides.clear()
-            return Slip("none", _STILL, 0.0, 1.0)
+            return _NO_SLIP
         slid = self._sensor.slid
         slides = self._slides
         if slides and slides[-1][1] > slid:  # another touch

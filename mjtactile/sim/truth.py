@@ -43,6 +43,21 @@ def contact_forces(world: World, sensor: int) -> tuple[Array, Array, Array]:
     return f_S, (data.contact.pos[rows] - p_WS) @ R_WS, device.penetrations(rows)
 
 
+def patch(world: World, sensor: int) -> tuple[Array, float]:
+    """Middle (3,) m in S of what presses on membrane `sensor`, and its mean distance from there, m,
+    both by force; 0 where nothing presses."""
+    device = world.sensors[sensor]
+    if isinstance(device, FilmSensor):
+        return device.middle, device.radius
+    forces, points, _ = contact_forces(world, sensor)
+    press = np.maximum(-forces[:, 2], 0.0)
+    if press.sum() <= 0:
+        return np.zeros(3), 0.0
+    share = press / press.sum()
+    middle = share @ points
+    return middle, float(share @ np.linalg.norm(points - middle, axis=1))
+
+
 def contact_force(world: World, sensor: int) -> Array:
     """Total force (3,) N that the world exerts on membrane `sensor`, frame S; a press has a
     negative z."""
@@ -276,6 +291,8 @@ def support_force(world: World, bodies: NDArray[np.int64]) -> float:
     """Upward force, N, of what does not move (table, stand) on `bodies`, those of the object."""
     data = world.data
     model = world.model
+    if not data.ncon:
+        return 0.0
     is_geom = data.contact.geom >= 0
     owner = np.where(is_geom, model.geom_bodyid[data.contact.geom], 0)
     is_object = np.isin(owner, bodies) & is_geom

@@ -13,6 +13,12 @@ from mjtactile.core.status import Status
 Array = NDArray[Any]  # of float64; numpy's stubs cannot follow dtypes through arithmetic
 
 
+def fixed(array: NDArray) -> NDArray:
+    """`array`, which nobody may write to from now on: values may share it."""
+    array.setflags(write=False)
+    return array
+
+
 def keep_status(owner: Any) -> None:
     """Give the frozen dataclass `owner` a status with a code, whatever text it was made with."""
     object.__setattr__(owner, "status", Status.of(owner.status))
@@ -24,10 +30,7 @@ def freeze(
     """Store `value` on the frozen dataclass `owner` as a read-only array of the given shape (None:
     any length)."""
     array = np.asarray(value, dtype=dtype)
-    if array.shape != shape and (
-        array.ndim != len(shape)
-        or any(want not in (None, got) for want, got in zip(shape, array.shape, strict=True))
-    ):
+    if array.shape != shape and not _fits(array.shape, shape):
         raise InputError(
             f"shape {array.shape} does not match {shape}", source=type(owner).__name__, field=name
         )
@@ -36,3 +39,12 @@ def freeze(
         array.setflags(write=False)
     object.__setattr__(owner, name, array)
     return array
+
+
+def _fits(got: tuple[int, ...], shape: tuple[int | None, ...]) -> bool:
+    if len(got) != len(shape):
+        return False
+    for have, want in zip(got, shape, strict=True):  # a generator takes twice as long
+        if want is not None and want != have:
+            return False
+    return True

@@ -54,7 +54,9 @@ class Command:
 
     def __post_init__(self) -> None:
         for name in ("opening", "force_limit", "lift_height"):
-            object.__setattr__(self, name, _finite(getattr(self, name), name))
+            value = getattr(self, name)
+            if type(value) is not float or not math.isfinite(value):
+                object.__setattr__(self, name, _finite(value, name))
         if not isinstance(self.phase, str) or self.phase not in PHASES:
             raise InputError(
                 f"{self.phase!r} is not a phase", source="Command", field="phase", choices=PHASES
@@ -75,7 +77,15 @@ class Command:
         Raises:
             InputError: A value is not what it must be.
         """
-        return Command(**{one.name: getattr(self, one.name) for one in fields(Command)})
+        return Command(
+            self.opening,
+            self.force_limit,
+            self.lift_height,
+            self.phase,
+            self.memory,
+            self.reason,
+            self.pressure_gauge,
+        )
 
     def __reduce__(self):  # a mappingproxy does not pickle
         values = {one.name: getattr(self, one.name) for one in fields(self)}

@@ -9,9 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.status import OK, Status
-from mjtactile.core.types.arrays import Array, freeze, keep_status
+from mjtactile.core.types.arrays import Array, fixed, freeze, keep_status
 from mjtactile.core.types.seen import NO_PIXELS, CameraChange, Image, Markers
 from mjtactile.core.types.shape import FeltShape
+
+_NO_FORCE = fixed(np.full(3, np.nan))
+_NO_OUTLINE = fixed(np.zeros((0, 2)))
+_NO_AXES = fixed(np.full(2, np.nan))
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,9 +107,9 @@ class Contact:
     depth: float
     mask: NDArray[np.bool_]
     status: Status = OK
-    force: Array = field(default_factory=lambda: np.full(3, np.nan))
-    outline: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    semi_axes: Array = field(default_factory=lambda: np.full(2, np.nan))
+    force: Array = field(default_factory=lambda: _NO_FORCE)
+    outline: Array = field(default_factory=lambda: _NO_OUTLINE)
+    semi_axes: Array = field(default_factory=lambda: _NO_AXES)
     angle: float = np.nan
     area_from: str = "nodal"
 

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mjtactile.core.types.arrays import Array, freeze
+from mjtactile.core.types.arrays import Array, fixed, freeze
 
-NO_PIXELS = np.zeros((0, 0), np.uint8)
-NO_PIXELS.setflags(write=False)
+NO_PIXELS = fixed(np.zeros((0, 0), np.uint8))
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,8 @@ tendon, times the gear.
 
 from __future__ import annotations
 
+import math
+
 import mujoco
 import numpy as np
 
@@ -49,6 +51,11 @@ class PositionActuator:
         self.joints, self.gears = _joints(model, self.id)
         self._qpos = model.jnt_qposadr[self.joints]
         self.dofs = model.jnt_dofadr[self.joints]
+        gears = self.gears.tolist()
+        self.reads = list(zip(self._qpos.tolist(), gears, strict=True))
+        """Places in qpos that its length hangs on, and by how much."""
+        self._moves = list(zip(self.dofs.tolist(), gears, strict=True))
+        self._asked = math.nan  # N or N m, the last limit
         limited = bool(model.actuator_forcelimited[self.id])
         if limited:
             self._range = model.actuator_forcerange[self.id].copy()
@@ -60,17 +67,15 @@ class PositionActuator:
     def length(self) -> float:
         if not len(self.joints):
             return float(self._data.actuator_length[self.id])
-        return float(
-            sum(gear * self._data.qpos[q] for gear, q in zip(self.gears, self._qpos, strict=True))
-        )
+        qpos = self._data.qpos
+        return float(sum(gear * qpos[q] for q, gear in self.reads))
 
     @property
     def speed(self) -> float:
         if not len(self.joints):
             return float(self._data.actuator_velocity[self.id])
-        return float(
-            sum(gear * self._data.qvel[d] for gear, d in zip(self.gears, self.dofs, strict=True))
-        )
+        qvel = self._data.qvel
+        return float(sum(gear * qvel[d] for d, gear in self._moves))
 
     @property
     def force(self) -> float:
@@ -83,6 +88,9 @@ class PositionActuator:
 
     def limit_force(self, force: float) -> None:
         """Push with at most `force` from here on, and never more than the model says."""
+        if force == self._asked:
+            return
+        self._asked = force
         self.force_limit = float(min(force, self._range[1]))
         self._model.actuator_forcelimited[self.id] = True
         self._model.actuator_forcerange[self.id] = (
@@ -94,11 +102,6 @@ class PositionActuator:
     def is_linear(self) -> bool:
         """Whether its length is that of joints alone."""
         return len(self.joints) > 0
-
-    @property
-    def reads(self) -> list[tuple[int, float]]:
-        """Places in qpos that its length hangs on, and by how much."""
-        return [(int(q), float(gear)) for q, gear in zip(self._qpos, self.gears, strict=True)]
 
     @property
     def control(self) -> tuple[float, float]:

@@ -33,6 +33,7 @@ _LATE = 2  # such steps that are not worth a word
 _NO_FLEX = -2
 # places in what the kernel remembers (kernels/film_hold.c), and is given
 _MEMORY = 67
+_RADIUS = 10
 _BODY, _SLIDES, _NEAR, _STATUS, _LOST = 0, 11, 18, 19, 20
 _WRENCH, _MIDDLE, _STRAIN = slice(1, 7), slice(7, 10), slice(12, 15)
 _SOLVED_GAS = slice(57, 59)
@@ -196,7 +197,7 @@ class FilmSensor(SheetSensor):
 
     def _breathe(self) -> None:
         """Take the gas to the film's present volume."""
-        self._volume = self.design.chamber_volume_flat + self._live.volume
+        self._volume = self._flat_volume + self._live.volume
         time = self.time
         self._gas.advance(self._volume, time - self._time)
         self._time = time
@@ -277,6 +278,12 @@ class FilmSensor(SheetSensor):
     def middle(self) -> Array:
         """(3,) m in S, where what touches presses on the whole."""
         return self._memory[_MIDDLE].copy()
+
+    @property
+    def radius(self) -> float:
+        """m, the mean distance of what presses from that, in the frame's plane; 0: nothing
+        does."""
+        return float(self._memory[_RADIUS])
 
     def contact_forces(self) -> tuple[Array, Array]:
         """Forces (n, 3) N on the film at its nodes that touch, and their places (n, 3) m in S;

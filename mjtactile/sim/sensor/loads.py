@@ -57,6 +57,8 @@ def membrane_wrench(data: mujoco.MjData, sensor: AnySensor) -> Array:
 
 def frame_load(data: mujoco.MjData, sensor: AnySensor) -> float:
     """Size of the force, N, on the sensor's frame and housing, which no marker sees."""
+    if not data.ncon:
+        return 0.0
     geom = data.contact.geom
     sides = (geom >= sensor.housing_geom_ids[0]) & (geom <= sensor.housing_geom_ids[-1])
     if not sides.any():

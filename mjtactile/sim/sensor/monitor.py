@@ -3,6 +3,7 @@ membrane, things too small or sharp for its mesh, objects too fast for the step.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 
 import mujoco
@@ -23,7 +24,7 @@ _FAST = 0.5  # of its own size in a step
 _FRAMED = 0.2  # N on the frame for five looks
 _NEAR = 0.05  # m from the membrane's middle
 _LEAST_INDENTATION = 3e-4  # m; below it, shares of the indentation say nothing
-_RARELY_OF_FILMS = 10  # looks, of 0.1 s
+_RARELY_OF_FILMS = 20  # looks, of 0.1 s
 # looks: stretch and wrinkles come and go no faster than pressure does; speed is watched in every
 # step, too
 _RARELY = 5
@@ -70,8 +71,8 @@ class SceneMonitor:
         self._hurry = least / np.maximum(model.dof_length[self._movers], 1e-9)
         self._rest = [sensor.heights for sensor in sensors]
         self._deep = np.zeros((len(sensors), 5))  # shares at the last looks
-        self._framed = np.zeros((len(sensors), 5))  # N at the last looks
-        self._most_framed = np.zeros(len(sensors))  # N that lasted
+        self._framed = [deque([0.0] * 5, 5) for _ in sensors]  # N at the last looks
+        self._most_framed = 0.0  # N that lasted
         self._looks = -1
         self._places = self._geoms_in(sensors)
         self._hulls: dict[int, str | None] = {}  # of those of `_geoms` that have touched
@@ -197,12 +198,11 @@ class SceneMonitor:
         """Say when the frame of a sensor carries force for some looks, which its camera cannot
         see."""
         load = loads.frame_load(self._data, self._sensors[number])
-        self._framed[number] = [*self._framed[number, 1:], load]
-        lasting = float(self._framed[number].min())
-        most = self._most_framed.max()
-        if lasting < _FRAMED or lasting <= most:
+        self._framed[number].append(load)
+        lasting = min(self._framed[number])
+        if lasting < _FRAMED or lasting <= self._most_framed:
             return {}
-        self._most_framed[number] = lasting
+        self._most_framed = lasting
         return {
             "frame": f"the frame of sensor {self._sensors[number].prefix!r} carries {lasting:.1f} "
             "N, which touch does not tell: the camera sees the membrane alone"

@@ -34,7 +34,7 @@ def test_errors_have_the_mean_spread_and_memory_that_the_model_says():
     erring = Erring(errors)
     erring.begin(rng)
     count = 20000
-    felt = np.array([erring.felt(true, here, PERIOD, rng) for _ in range(count)])
+    felt = np.array([erring.felt(true, PERIOD, rng)[0].copy() for _ in range(count)])
     z = (felt - true - errors.gain @ true - here.mean) / here.sd
     alone = count / (1 + 2 * errors.slow * errors.slow_time / PERIOD)
     assert np.abs(z.mean(axis=0)).max() < 4 / np.sqrt(alone)

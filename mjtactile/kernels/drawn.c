@@ -1,0 +1,46 @@
+/* What a sensing chain would say of a wrench: sim/chain_errors.py has the model. */
+#include <math.h>
+
+#include "kernels.h"
+#include "small.h"
+
+enum { SLOW, SLOW_TIME, OUTLIER_SIZE, FACTOR, ELAPSED, UNIFORM };
+enum { MEAN, SD = 6, SAID = 12, OUTLIERS = 18, COLUMNS = 23 };
+
+static void at_load(int64_t loads, const double *load, const double *table, double here, double *row) {
+    int64_t right = 1;
+    while (right < loads - 1 && load[right] < here) right++;
+    const double *low = table + COLUMNS * (right - 1), *high = low + COLUMNS;
+    const double share = clip((here - load[right - 1]) / (load[right] - load[right - 1]), 0, 1);
+    for (int k = 0; k < COLUMNS; k++) row[k] = low[k] + share * (high[k] - low[k]);
+}
+
+static void spread_out(const double *spread, const double *normals, double *out) { /* lower triangle */
+    for (int i = 0; i < 6; i++) {
+        out[i] = 0;
+        for (int k = 0; k <= i; k++) out[i] += spread[6 * i + k] * normals[k];
+    }
+}
+
+int64_t draw_errors(int64_t loads, const double *load, const double *table, const double *gain, const double *spread,
+                    const double *said_correlation, const double *settings, const double *normals, const double *wrench, double *slow,
+                    double *row, double *felt, double *cov) {
+    if (loads < 2) return REFUSED;
+    at_load(loads, load, table, most(-wrench[2], 0), row);
+    double fresh[6], fast[6];
+    spread_out(spread, normals, fresh), spread_out(spread, normals + 6, fast);
+    const double kept = exp(-settings[ELAPSED] / settings[SLOW_TIME]), new = sqrt(most(1 - kept * kept, 0));
+    const double lasting = sqrt(settings[SLOW]), passing = sqrt(1 - settings[SLOW]);
+    const double size = settings[UNIFORM] < row[OUTLIERS] ? settings[OUTLIER_SIZE] : 1;
+    for (int i = 0; i < 6; i++) {
+        slow[i] = kept * slow[i] + new *fresh[i];
+        const double all = square(row[SD + i]), untouched = least(all, square(table[SD + i]));
+        const double sd = sqrt(untouched + square(settings[FACTOR]) * (all - untouched));
+        felt[i] = wrench[i] + row[MEAN + i] + size * sd * (lasting * slow[i] + passing * fast[i]);
+        for (int k = 0; k < 6; k++) {
+            felt[i] += gain[6 * i + k] * wrench[k];
+            cov[6 * i + k] = row[SAID + i] * row[SAID + k] * said_correlation[6 * i + k];
+        }
+    }
+    return 0;
+}
