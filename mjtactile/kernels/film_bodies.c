@@ -2,6 +2,7 @@
 #include "film.h"
 
 #include <math.h>
+#include <string.h>
 
 #include "kernels.h"
 #include "small.h"
@@ -12,6 +13,8 @@
 #define FLANK 2.0
 #define MOST_APPROACHES 50
 #define NEAR 1e-13 /* m */
+#define LANES 4
+#define LEVEL 1e-12 /* of a plane's normal, below which a line goes along it */
 
 /* A vertical line in the body's frame: `from` + t `along`, t is the height in S. */
 typedef struct { double from[3], along[3]; } Line;
@@ -133,22 +136,38 @@ static int cone(const FilmBody *b, const Line *line, double *t, double *n) {
     return isinf(found);
 }
 
-/* Where the line enters all of `count` half-spaces n x <= d, rows (n, d). */
+/* Where the line enters all of `count` half-spaces n x <= d, rows (n, d): the last that it enters before the first that it leaves.
+   Four side by side, without branches: a hull has a hundred. */
 static int planes(const double *rows, long count, const Line *line, double *t, double *n) {
-    double enter = -INFINITY, leave = INFINITY;
-    for (long i = 0; i < count; i++) {
-        const double *row = rows + 4 * i, towards = dot3(row, line->along), left = row[3] - dot3(row, line->from);
-        if (fabs(towards) < 1e-12) {
-            if (left < 0) return 1;
-        } else if (towards > 0) {
-            leave = least(leave, left / towards);
-        } else if (left / towards > enter) {
-            enter = left / towards;
-            n[0] = row[0], n[1] = row[1], n[2] = row[2];
+    double enter[LANES], leave[LANES], which[LANES], beside[LANES];
+    const double *d = line->along, *o = line->from;
+    for (int k = 0; k < LANES; k++) enter[k] = -INFINITY, leave[k] = INFINITY, which[k] = 0, beside[k] = 0;
+    for (long first = 0; first < count; first += LANES) {
+        double own[4 * LANES];
+        const double *row = rows + 4 * first;
+        if (first + LANES > count) { /* the last is there again */
+            for (long i = 0; i < LANES; i++) memcpy(own + 4 * i, rows + 4 * (first + i < count ? first + i : count - 1), 4 * sizeof *own);
+            row = own;
+        }
+        for (int k = 0; k < LANES; k++) {
+            const double towards = row[4 * k] * d[0] + row[4 * k + 1] * d[1] + row[4 * k + 2] * d[2];
+            const double left = row[4 * k + 3] - (row[4 * k] * o[0] + row[4 * k + 1] * o[1] + row[4 * k + 2] * o[2]);
+            const double way = left / towards, in = towards < -LEVEL ? way : -INFINITY, out = towards > LEVEL ? way : INFINITY;
+            beside[k] = fabs(towards) <= LEVEL ? least(beside[k], left) : beside[k];
+            which[k] = in > enter[k] ? (double)first : which[k];
+            enter[k] = in > enter[k] ? in : enter[k];
+            leave[k] = out < leave[k] ? out : leave[k];
         }
     }
-    *t = enter;
-    return !(enter < leave) || isinf(enter);
+    int lane = 0;
+    for (int k = 1; k < LANES; k++) {
+        if (enter[k] > enter[lane]) lane = k;
+        leave[0] = least(leave[0], leave[k]), beside[0] = least(beside[0], beside[k]);
+    }
+    const long last = (long)which[lane] + lane;
+    for (int k = 0; k < 3; k++) n[k] = rows[4 * (last < count ? last : count - 1) + k];
+    *t = enter[lane];
+    return beside[0] < 0 || !(enter[lane] < leave[0]) || isinf(enter[lane]);
 }
 
 static int box(const FilmBody *b, const Line *line, double *t, double *n) {

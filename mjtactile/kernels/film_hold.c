@@ -15,6 +15,7 @@
 #define LEVER 0.01      /* m, by which a turn counts as a way */
 #define CHANGED 0.1     /* share of the nodes that may come and go before the grip is found anew */
 #define TILT 0.25       /* of stiffness times radius^2: a disc on an even bed */
+#define BOUNDS 7        /* numbers: m^2 within which a geom is near; middle and half sizes of a box about it, m, its own frame */
 #define SHARE 0.75      /* of stiffness times step that damps a free body; every step is stable from 0.5 on, where a heavy one swings on */
 enum { JOINT_FREE, JOINT_BALL, JOINT_SLIDE, JOINT_HINGE };
 
@@ -76,7 +77,7 @@ static void motion(const double *R0, const double *p0, const double *R1, const d
 }
 
 /* Poses of the geoms into the film's bodies; returns the body of the nearest, or -1, and how many are near. */
-static long look(long geoms, const int64_t *geom, const int64_t *body_of, const double *reach2, const double *geom_xpos,
+static long look(long geoms, const int64_t *geom, const int64_t *body_of, const double *bounds, const double *geom_xpos,
                  const double *geom_xmat, const double *R, const double *p, double *rows, double *near) {
     long nearest = -1, other = -1;
     double lowest = INFINITY;
@@ -85,7 +86,7 @@ static long look(long geoms, const int64_t *geom, const int64_t *body_of, const 
         double off[3], at[3], *row = rows + FILM_BODY * k;
         for (int i = 0; i < 3; i++) off[i] = geom_xpos[3 * geom[k] + i] - p[i];
         into(R, off, at);
-        if (at[0] * at[0] + at[1] * at[1] + at[2] * at[2] >= reach2[k]) {
+        if (at[0] * at[0] + at[1] * at[1] + at[2] * at[2] >= bounds[BOUNDS * k]) {
             row[13] = row[14] = row[15] = AWAY;
             continue;
         }
@@ -192,13 +193,16 @@ static void release(Memory *m) {
     memset(m->wrench, 0, sizeof m->wrench), memset(m->strain, 0, sizeof m->strain), memset(m->shear, 0, sizeof m->shear);
 }
 
-/* Whether all bodies are above the film: their bounding balls above its highest node. */
-static int is_clear(const Film *f, const double *x, long geoms, const double *body, const double *reach2, double reach) {
+/* Whether all bodies are above the film: the boxes about them, which turn with them, above its highest node. */
+static int is_clear(const Film *f, const double *x, long geoms, const double *body, const double *bounds) {
     double top = 0;
     for (long k = 0; k < f->count; k++) top = most(top, x[2 * f->count + k]);
     for (long k = 0; k < geoms; k++) {
-        const double *row = body + FILM_BODY * k;
-        if (row[13] < AWAY && row[15] - (sqrt(reach2[k]) - reach) < top) return 0;
+        const double *row = body + FILM_BODY * k, *up = row + 10, *box = bounds + BOUNDS * k + 1;
+        if (row[13] >= AWAY) continue;
+        double bottom = row[15];
+        for (int i = 0; i < 3; i++) bottom += up[i] * box[i] - fabs(up[i]) * box[3 + i];
+        if (bottom < top + f->numbers.half_thickness) return 0;
     }
     return 1;
 }
@@ -208,16 +212,16 @@ int64_t film_follow(const double *numbers, const double *law, int64_t columns, i
                     int64_t pooled, const double *pool, double *x, double *force, double *trend, double *found, const double *given,
                     const double *compliance, int64_t carrier, int64_t nbody, const double *xpos, const double *xmat, int64_t ngeom,
                     const double *geom_xpos, const double *geom_xmat, const int64_t *geom, const int64_t *body_of,
-                    const double *reach2, double *memory, uint8_t *touched, double *before) {
+                    const double *bounds, double *memory, uint8_t *touched, double *before) {
     const Film f = plain(film_of(numbers, law));
     const Given *g = (const Given *)given;
     Memory *m = (Memory *)memory;
     const double *R = xmat + 9 * carrier, *p = xpos + 3 * carrier;
     (void)nbody, (void)ngeom;
-    const long near = look(geoms, geom, body_of, reach2, geom_xpos, geom_xmat, R, p, body, &m->near);
+    const long near = look(geoms, geom, body_of, bounds, geom_xpos, geom_xmat, R, p, body, &m->near);
     const int same_gas = m->gas == settings[0] && m->sealed == settings[1];
     m->solved = 0;
-    if (!m->body && same_gas && (near < 0 || is_clear(&f, x, geoms, body, reach2, g->reach))) return 0;
+    if (!m->body && same_gas && (near < 0 || is_clear(&f, x, geoms, body, bounds))) return 0;
     double R_SB[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, p_SB[3] = {0}, off[3], moved[6] = {0};
     if (near >= 0) {
         times(R, xmat + 9 * near, 1, R_SB);

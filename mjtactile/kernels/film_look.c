@@ -14,6 +14,9 @@
 #define HALF_A_CELL 0.55    /* of a spacing: nodes have moved apart */
 #define NEAREST_EDGE 0.95   /* of a spacing */
 #define SAME 1e-9           /* m */
+#define STRAIGHT 1e-12      /* m, off a line */
+#define SLOPING (30 * SAME) /* over which the lowest place is surely at the end */
+#define STEEP_SHEET 3.      /* half thicknesses more along z on a steep place than on a level one */
 #define ROUND_ABOUT 2       /* nodes: what is next to one that touches, and what lowers it */
 
 long film_seen_size(const Film *f) { return (1 + 1 + 2 + 1 + 2 + 4 + 4 + 1 + 1 + 1) * f->count + f->count / 8; }
@@ -104,19 +107,38 @@ static int see_between(const Film *f, const Bodies *bodies, double x, double y, 
     return found;
 }
 
+/* Whether there is but one body, whose lower side bends one way. */
+static int is_one_convex(const Bodies *bodies) {
+    if (bodies->count != 1) return 0;
+    const int kind = (int)body_of(bodies, 0)->kind;
+    return kind != BODY_TRIANGLES && kind != BODY_HEIGHTS;
+}
+
+/* Whether a convex body is a plane that slopes along an axis, all across the places that see_ridge looks at: it is where three of
+   them lie on a line. */
+static int slopes_evenly(const Film *f, const Bodies *bodies, double x, double y, int axis) {
+    double at[3], by[2];
+    const double wide = (THIN + 2) / (2. * THIN + 1) * (axis ? f->dy : f->dx);
+    for (int k = 0; k < 3; k++)
+        if (lowest(f, bodies, x + (axis ? 0 : (k - 1) * wide), y + (axis ? (k - 1) * wide : 0), at + k, by)) return 0;
+    return fabs(at[0] + at[2] - 2 * at[1]) < STRAIGHT && fabs(at[2] - at[0]) > SLOPING;
+}
+
 /* A ridge or a tip that passes through a node's cell beside the node is what the sheet meets there, with no slope across it. */
 static int see_ridge(const Film *f, const Bodies *bodies, double x, double y, int taken,
                      double *height, double slope[2]) {
+    const int convex = is_one_convex(bodies);
     int found = 0;
     for (int axis = 0; axis < 2; axis++) {
         double low = INFINITY, by[2] = {0, 0}, at;
         int where = 0;
+        if (taken & (1 << axis) || (convex && slopes_evenly(f, bodies, x, y, axis))) continue;
         for (int part = -THIN - 2; part <= THIN + 2; part++) { /* cells overlap: nodes have moved apart */
             const double off = part / (2. * THIN + 1);
             if (lowest(f, bodies, x + (axis ? 0 : off * f->dx), y + (axis ? off * f->dy : 0), &at, by)) continue;
             if (at < low - SAME || (at < low + SAME && abs(part) < abs(where))) low = at, where = part;
         }
-        if (isinf(low) || abs(where) > THIN + 1 || taken & (1 << axis)) continue;
+        if (isinf(low) || abs(where) > THIN + 1) continue;
         *height = least(*height, low), slope[axis] = 0, found |= 1 << axis;
     }
     return found;
@@ -318,19 +340,34 @@ int against_the_frame(const Film *f, const Seen *seen) {
     return CONVERGED;
 }
 
+/* Below which a convex body cannot be: above its tangents at the nodes about it, which are not exact where it bends by half a sheet. */
+static double least_height(const Film *f, const double *x, const Seen *seen, const long corners[4], double at_x, double at_y) {
+    double found = -INFINITY;
+    for (int c = 0; c < 4; c++) {
+        const long k = corners[c];
+        if (!isfinite(seen->obstacle[k])) return -INFINITY;
+        const double off_x = at_x - ((double)(k / f->line) * f->dx - f->numbers.length_x / 2 + x[k]);
+        const double off_y = at_y - ((double)(k % f->line) * f->dy - f->numbers.length_y / 2 + x[f->count + k]);
+        found = most(found, seen->obstacle[k] + seen->slope[k] * off_x + seen->slope[f->count + k] * off_y);
+    }
+    return found - STEEP_SHEET * f->numbers.half_thickness;
+}
+
 /* How far a body is behind the sheet over a place in the cell of node `k`, where the sheet is flat. */
 static int is_behind(const Film *f, const Bodies *bodies, const double *x, const Seen *seen, long k, double at_x, double at_y) {
     const long corners[4] = {k, k + 1, k + f->line, k + f->line + 1};
     double height, slope[2], z = 0;
     int touches = 0;
-    if (lowest(f, bodies, at_x, at_y, &height, slope)) return 0;
     for (int c = 0; c < 4; c++) z += x[2 * f->count + corners[c]] / 4;
     for (long i = -1; i <= 2; i++)
         for (long j = -1; j <= 2; j++) {
             const long near = k + i * f->line + j;
             touches |= near >= 0 && near < f->count && seen->touching[near];
         }
-    return z - height > (touches ? BEHIND : BEHIND_UNSEEN) * most(f->dx, f->dy);
+    const double much = (touches ? BEHIND : BEHIND_UNSEEN) * most(f->dx, f->dy);
+    if (is_one_convex(bodies) && z - least_height(f, x, seen, corners, at_x, at_y) <= much) return 0;
+    if (lowest(f, bodies, at_x, at_y, &height, slope)) return 0;
+    return z - height > much;
 }
 
 int goes_through(const Film *f, const Bodies *bodies, const double *x, const Seen *seen) {

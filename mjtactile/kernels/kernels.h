@@ -248,7 +248,7 @@ int64_t film_follow(const double *numbers /* 17 */, const double *law /* 11 */, 
                     const double *given /* 8 */, const double *compliance /* 2 * (columns - 2) * (rows - 2), 2 * (columns - 2) * (rows - 2) */,
                     int64_t carrier, int64_t nbody, const double *xpos /* nbody, 3 */, const double *xmat /* nbody, 9 */,
                     int64_t ngeom, const double *geom_xpos /* ngeom, 3 */, const double *geom_xmat /* ngeom, 9 */,
-                    const int64_t *geom /* geoms */, const int64_t *body_of /* geoms */, const double *reach2 /* geoms */,
+                    const int64_t *geom /* geoms */, const int64_t *body_of /* geoms */, const double *bounds /* geoms, 7 */,
                     double *memory /* 67 */, uint8_t *touched /* 2, columns, rows */, double *before /* 6, columns, rows */);
 /* Out: what that pushes by MuJoCo's degrees of freedom, and how a free body is held (see film_hold.c); returns whether it does. */
 int64_t film_push(const double *given /* 8 */, const double *memory /* 67 */, int64_t carrier, int64_t nbody,

@@ -110,7 +110,7 @@ class FilmSensor(SheetSensor):
             data.geom_xmat,
             geoms.ids,
             geoms.bodies,
-            geoms.reach2,
+            geoms.bounds,
             self._memory,
             self._touched,
             self._before,

@@ -30,7 +30,8 @@ class FeltGeoms:
         bodies: (k,) that they belong to.
         rows: (k, NUMBERS) of bodies, whose poses the kernel writes.
         pool: Planes of the meshes' hulls; None: there are none.
-        reach2: (k,) m^2, the squared distance from the sensor's origin within which each is near.
+        bounds: (k, 7) m^2, the squared distance from the sensor's origin within which each is near;
+            then middle and half sizes, m, of a box about it in its own frame.
     """
 
     def __init__(self, model: mujoco.MjModel, body: int, reach: float):
@@ -45,7 +46,8 @@ class FeltGeoms:
         filled, self.pool = bodies.pooled(made, (0, 0)) if made else (empty_rows(0), None)
         self.rows = np.ascontiguousarray(filled)
         self.bodies: NDArray[np.int64] = model.geom_bodyid[self.ids].astype(np.int64)
-        self.reach2 = (reach + model.geom_rbound[self.ids]) ** 2
+        near = (reach + model.geom_rbound[self.ids]) ** 2
+        self.bounds = np.column_stack([near, model.geom_aabb[self.ids]])
         _refuse_soft(model)
 
 
