@@ -358,8 +358,8 @@ static int is_behind(const Film *f, const Bodies *bodies, const double *x, const
     const long corners[4] = {k, k + 1, k + f->line, k + f->line + 1};
     double height, slope[2], z = 0;
     int touches = 0;
-    for (int c = 0; c < 4; c++) z += x[2 * f->count + corners[c]] / 4;
-    for (long i = -1; i <= 2; i++)
+    for (int c = 0; c < 4; c++) z += x[2 * f->count + corners[c]] / 4, touches |= seen->touching[corners[c]];
+    for (long i = -1; i <= 2 && !touches; i++)
         for (long j = -1; j <= 2; j++) {
             const long near = k + i * f->line + j;
             touches |= near >= 0 && near < f->count && seen->touching[near];
