@@ -88,6 +88,7 @@ class FilmSensor(SheetSensor):
         self._force = np.zeros(model.nv)
         self._hold = np.zeros(HOLD)
         self._pushing = np.zeros(1, np.int64)  # whether it did at the last look
+        self._flat_volume = design.chamber_volume_flat
         self._bind()
         self._gas.advance(self._volume, 0.0)
         self._look()
