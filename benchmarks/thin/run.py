@@ -44,14 +44,17 @@ def run(out: Path, *, quick: bool = False, say: Say | None = None) -> dict[str, 
 
 
 def _compared(films: list[Film], body: Body, at: Array, turn: float) -> dict[str, Any]:
-    """Forces, N, at each speed (None: stopped or refused), the film's, and what the flags say."""
+    """Forces, N, at each speed (None: the body went through, which is `stopped`), the film's, and
+    what the flags say. A scene that is refused ends the benchmark: none of these should be."""
     forces: list[float | None] = []
+    stopped: list[str] = []
     stated = 0.0
     for speed in SPEEDS:
         try:
             pressed = press(body, (at[0], at[1]), speed, turn=turn)
-        except (InputError, SimulationError):
+        except SimulationError as error:
             forces.append(None)
+            stopped.append(error.reason)
             continue
         forces.append(pressed.force)
         stated = max(stated, pressed.stated)
@@ -61,6 +64,7 @@ def _compared(films: list[Film], body: Body, at: Array, turn: float) -> dict[str
         "forces": forces,
         "film": _reference(films, body, at, turn),
         "stated": stated,
+        "stopped": stopped,
     }
 
 
@@ -77,12 +81,12 @@ def _film_force(film: Film, body: Body, at: Array, turn: float) -> float | None:
     surface = RectBivariateSpline(film.x, film.y, film.rest.displacements[2])
     height = float(surface.ev(*at)) - body.depth + body.below
     state: FilmState | None = None
-    try:
-        for lift in np.linspace(body.depth, 0.0, 9)[1:]:
-            pose = ((at[0], at[1], height + lift), body.rotation(turn))
-            state = film.solve(_obstacle(body, *pose), state)
-    except InputError:
-        return None
+    for lift in np.linspace(body.depth, 0.0, 9)[1:]:
+        obstacle = _obstacle(body, (at[0], at[1], height + lift), body.rotation(turn))
+        try:
+            state = film.solve(obstacle, state)
+        except InputError:  # on the rim, pulled inside out, or through between two nodes
+            return None
     return state.force_normal if state is not None and state.converged else None
 
 
