@@ -61,6 +61,8 @@ class Controller:
                 and threading.current_thread() is threading.main_thread()
             ):
                 raise  # Ctrl-C; in another thread the controller itself raised it
+            if isinstance(error, MemoryError):
+                traceback.clear_frames(error.__traceback__)  # what it has taken is needed
             raise ControllerError(
                 f"step() raised {type(error).__name__}: {error} at t = {observation.time:.3f} s",
                 source=self.path,

@@ -5,11 +5,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time as wall
 from collections.abc import Sequence
 from dataclasses import replace
 
+from mjtactile.core import headroom
 from mjtactile.core.errors import ControllerError, Interrupted, SafeStop
 from mjtactile.core.notebook import plain
 from mjtactile.core.signals import Stop
@@ -71,7 +73,14 @@ def run_loop(
     else:
         perceivers = pool.at_work(perceptions, names)
     patience = min(_STEP_SHARE * rig.host_timeout, WAIT_TIME)
-    with ControllerThread(controller, patience) as guarded, perceivers as perceiving:
+    # of a simulated world, which waits, nothing is lost
+    is_real = math.isfinite(rig.host_timeout)
+    memory = headroom.limited() if is_real else contextlib.nullcontext(lambda: None)
+    with (
+        ControllerThread(controller, patience) as guarded,
+        perceivers as perceiving,
+        memory as limit_memory,
+    ):
         cycle = ControlCycle.begin(
             rig, perceiving, supervisor or Supervisor(rig.period), observer or Observer()
         )
@@ -89,7 +98,11 @@ def run_loop(
             # counts from then.
             now = rig.clock.now()
             deadline = min(max(deadline, now - rig.period), now) + rig.period
-            _turn(cycle, guarded, deadline)
+            try:
+                _turn(cycle, guarded, deadline)
+            except MemoryError:
+                _make_room(cycle)
+            limit_memory()  # not before the first step, which may import
             rig.clock.wait_until(deadline)
     if cycle.failure is not None:
         raise cycle.failure
@@ -154,6 +167,16 @@ def _turn(cycle: ControlCycle, controller: ControllerThread, deadline: float) ->
     if left_out and not cycle.left_out:
         cycle.left_out = left_out
         cycle.attempt(lambda: _say_left_out(cycle))
+
+
+def _make_room(cycle: ControlCycle) -> None:
+    """The process has no more memory: nothing of the controller's is kept, and the hand retreats;
+    where it did so before, devices' own watchdogs act."""
+    retreats = cycle.supervisor.state == "safe"
+    cycle.last = replace(cycle.last, memory={})
+    cycle.give_up(SafeStop("stopped safely: no memory is left"))
+    if retreats:
+        cycle.supervisor.latch("no memory is left", cycle.now)
 
 
 def _say_left_out(cycle: ControlCycle) -> None:

@@ -18,6 +18,8 @@ Phase = Literal[
     "approach", "close", "regulate", "lift", "hold", "lower", "release", "done", "abort"
 ]
 PHASES: tuple[str, ...] = get_args(Phase)
+MEMORY_MOST = 100_000
+"""Entries of a controller's notebook, which is copied in every cycle."""
 
 
 def _finite(value: Any, name: str) -> float:
@@ -66,6 +68,12 @@ class Command:
         if self.pressure_gauge is not None:
             pressures = tuple(_finite(one, "pressure_gauge") for one in self.pressure_gauge)
             object.__setattr__(self, "pressure_gauge", pressures)
+        if len(self.memory) > MEMORY_MOST:
+            raise InputError(
+                f"has {len(self.memory)} entries, and {MEMORY_MOST} at most",
+                source="Command",
+                field="memory",
+            )
         object.__setattr__(self, "memory", MappingProxyType(dict(self.memory)))
 
     def checked(self) -> Command:

@@ -3,6 +3,8 @@
 import math
 import pickle
 import re
+import resource
+import sys
 import threading
 from dataclasses import replace
 from enum import Enum
@@ -25,6 +27,7 @@ from mjtactile.core.types import (
     Traction,
     ValveState,
 )
+from mjtactile.core.types.control import MEMORY_MOST
 from mjtactile.recording.observer import CycleCallback, Observer
 from mjtactile.rig.finger import Finger, Rig
 from mjtactile.rig.limits import Limits
@@ -336,6 +339,55 @@ def test_a_controller_that_raises_what_it_should_not(raised, tmp_path):
     )
     assert f"step() raised {type(raised).__name__}" in message
     assert world.has_set_down()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="no limit of a process's memory elsewhere")
+@pytest.mark.parametrize("greedy", ["at once", "in a list", "in the notebook"])
+def test_a_step_that_eats_the_memory_is_refused_and_the_hand_goes_down(greedy):
+    """Of 16 GB, it gets less than one: handing them out would stop the loop for seconds."""
+    eaten = []
+
+    def step(observation):
+        if observation.time > 0.2:
+            if greedy == "in a list":
+                while True:
+                    eaten.append(bytearray(b"x" * (64 << 20)))
+            many = [0.0] * (2 << 30)
+            return replace(observation.command, memory={"many": many})
+        return observation.command
+
+    def wide(observation):
+        late = observation.time > 0.2
+        memory = dict.fromkeys(range(MEMORY_MOST + 1), 0.0) if late else {}
+        return replace(observation.command, memory=memory)
+
+    world = World()
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    controller = Controller(Path(__file__), wide if greedy == "in the notebook" else step)
+    _, message = world.run("", controller=controller.step, error=ControllerError, host_timeout=5.0)
+    assert ("MemoryError" in message) == (greedy != "in the notebook"), message
+    assert world.has_set_down() and sum(map(len, eaten)) < 1 << 30
+    assert resource.getrlimit(resource.RLIMIT_DATA) == before
+
+
+def test_a_loop_without_memory_sets_down():
+    """Wherever it is noticed: what the controller has kept is let go of, and the hand retreats."""
+    kept = []
+
+    def step(observation):
+        kept.append(dict(observation.command.memory))
+        return replace(observation.command, memory={"a": 1.0})
+
+    def plain(memory):
+        if memory and len(kept) == 5:
+            raise MemoryError
+        return dict(memory), ()
+
+    world = World()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(loop, "plain", plain)
+        _, message = world.run("", controller=step, error=DeviceError)
+    assert "no memory is left" in message and world.has_set_down()
 
 
 def past_its_checks(**values):
