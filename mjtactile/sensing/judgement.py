@@ -66,7 +66,14 @@ class TouchJudge:
         pressure has changed."""
         before = estimate.state.detection
         elapsed = math.inf if before is None else time - before.time
-        traction = self._inverse.traction(estimate.shape, estimate.state.shape, elapsed, moved)
+        blend = estimate.state.blend
+        traction = self._inverse.traction(
+            estimate.shape,
+            estimate.state.shape,
+            elapsed,
+            moved,
+            0.0 if blend is None else blend.images,
+        )
         if estimate.other is not None:
             other = self._inverse.traction(estimate.other).wrench - traction.wrench
             traction = replace(traction, wrench_cov=traction.wrench_cov + np.outer(other, other))

@@ -13,6 +13,7 @@ from mjtactile.core.optics import Camera
 from mjtactile.core.status import OK, Status, StatusCode
 from mjtactile.core.types import Array, Ellipses, Image, Markers, Sighting
 from mjtactile.sensing.estimate import ShapeEstimator
+from mjtactile.sensing.force.lag import BlendFinder
 from mjtactile.sensing.image import tracking
 from mjtactile.sensing.image.exposure import is_overexposed
 from mjtactile.sensing.image.markers import grey_image
@@ -40,6 +41,7 @@ class MarkerSight:
         self.camera = camera
         self.settings = settings
         self.known = None if design.fiducials is None else KnownCamera(design, camera, settings)
+        self._blend = BlendFinder(design.markers.p_SM)
         self._are_enough = estimator.are_enough
         self._circles = design.markers.count + (0 if self.known is None else self.known.count)
         # seen 60 degrees aslant and from half as far again
@@ -65,7 +67,12 @@ class MarkerSight:
         )
         if self.known is not None:
             markers = self.known.undone(state, markers)
-        return markers, replace(state, expected=moved(state.expected, markers), tracks=tracks)
+        return markers, replace(
+            state,
+            expected=moved(state.expected, markers),
+            tracks=tracks,
+            blend=self._blend.after(state.blend, markers),
+        )
 
     def _ellipses(self, state: ChainState, image: Image) -> tuple[Ellipses, tracking.Tracks | None]:
         """The markers' ellipses in the image, and what finds them in the next."""

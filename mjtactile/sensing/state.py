@@ -12,6 +12,7 @@ from mjtactile.sensing.force.camera import CameraSeen
 from mjtactile.sensing.force.drift import CameraBelief
 from mjtactile.sensing.force.gain import Shape
 from mjtactile.sensing.force.gauge import GasState
+from mjtactile.sensing.force.lag import Blend
 from mjtactile.sensing.force.relaxing import RubberMemory
 from mjtactile.sensing.force.rest import InverseRest
 from mjtactile.sensing.image import tracking
@@ -43,7 +44,8 @@ class ChainState:
     where fiducials show it, gas seemed lost: from `KNOCKS_SURE` on it was; since nothing explains
     the markers, for how many images, `unexplained`, and the force (3,) N in the last one before
     that they did explain, `lost_at`; the last image's `fiducials`, and the `camera` that they
-    showed, or without any what markers have told of it, `belief`; what its images have told of the
+    showed, or without any what markers have told of it, `belief`; what its pictures have told of
+    how far they `blend`; what its images have told of the
     body of this `press`, where somebody asks for shapes; and of rubber that relaxes when the flat
     membrane was seen last, `flat_at` s, and what it remembers (`rubber`)."""
 
@@ -63,6 +65,7 @@ class ChainState:
     fiducials: FiducialsSeen | None = None
     camera: CameraSeen | None = None
     belief: CameraBelief | None = None
+    blend: Blend | None = None
     press: Press | None = None
     flat_at: float = -math.inf
     rubber: RubberMemory | None = None

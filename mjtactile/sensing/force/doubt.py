@@ -26,13 +26,14 @@ class Felt:
     """What a shape says: nodal `force` (3, J) N, by how much the wrench has changed since the last
     image, `change` (6,), the mean `velocity` (3,) m/s of the sheet since then, and the mean over
     all markers of their squared noise over its sd, `excess`; by how much the pressure has changed
-    by itself, `air_moved` Pa."""
+    by itself, `air_moved` Pa; by how many images the camera's pictures `lag`."""
 
     force: Array
     change: Array
     velocity: Array
     excess: float
     air_moved: float = 0.0
+    lag: float = 0.0
 
 
 class Doubt:
@@ -48,6 +49,7 @@ class Doubt:
         s = settings
         self._shares = np.array([s.share, s.lateral, s.sharp, s.outside, s.burst], float)[:, AXES]
         self._change = np.array(s.change)[AXES]
+        self._lag = s.lag
         self._outside = _outside(layout, nodes)
         self._sparse = max(1.0, layout.pitch_x * layout.pitch_y / settings.cell)
         self._resistance = settings.drag * frame.area * sheet.young * sheet.thickness
@@ -70,6 +72,7 @@ class Doubt:
         variance = np.square(self._shares * loads).sum(axis=0) + np.square(
             self._change * felt.change / self._unit
         )
+        variance += np.square(self._lag * felt.lag * felt.change / self._unit)
         variance[2] += (self._change[2] * self._area * felt.air_moved) ** 2
         variance[:2] += (self._resistance * felt.velocity[:2]) ** 2
         return self._unit**2 * variance

@@ -325,10 +325,11 @@ class InverseMembrane(MarkedSheet):
         before: Shape | None = None,
         seconds: float = math.inf,
         air_moved: float = 0.0,
+        lag: float = 0.0,
     ) -> Traction:
         """Nodal forces on the grid, net wrench and its covariance, which grows with the motion
         since `before`, `seconds` ago, and with the gas's own change of pressure since then,
-        `air_moved` Pa."""
+        `air_moved` Pa, and with the `lag`, images, of a camera that blends them."""
         force = shape.traction * self.node_area
         positions = self.node_positions(shape.c)
         wrench = _net(force, positions)
@@ -344,6 +345,7 @@ class InverseMembrane(MarkedSheet):
             self.node_area @ moved / (self.node_area.sum() * max(seconds, 1e-3)),
             float(shape.excess[0].mean()),
             air_moved,
+            lag,
         )
         cov = self._posterior(shape, positions)
         cov[np.diag_indices(6)] += self._doubt.variance(felt)

@@ -250,6 +250,13 @@ class DoubtSettings:
         _BARS,
         low=0.0,
     )
+    lag: float = number(
+        2.5,
+        "of the change since the last image, times the images by which the camera's pictures lag: "
+        "rounding hides most of a long lag",
+        "bench trust: noise reduction of 30 to 80 % on eggs of other seeds",
+        low=0.0,
+    )
     burst: tuple[float, float, float, float] = number(
         (0.03, 0.2, 0.5, 0.05),
         "of a change that is most of the force, the first image of a tap: what comes that fast "

@@ -1,0 +1,79 @@
+"""A camera whose pictures are blends of several is known by the markers' noise, and what is felt
+late is as doubtful as it changes."""
+
+import numpy as np
+import pytest
+
+from mjtactile.core.design import load_sensor
+from mjtactile.core.types import Markers
+from mjtactile.sensing.force.doubt import Doubt, Felt
+from mjtactile.sensing.force.lag import BlendFinder
+
+SD = 2e-6  # m
+
+
+def pictures(design, share, count=60, motion=None, missing=(), seed=3):
+    """Markers of `count` pictures, of which a `share` is the last; `motion` (N, 3) m each."""
+    rng = np.random.default_rng(seed)
+    p = design.markers.p_SM
+    ids = np.setdiff1d(np.arange(len(p)), missing)
+    last = p + SD * rng.standard_normal(p.shape)
+    for k in range(count):
+        there = p if motion is None else p + k * motion
+        last = share * last + (1 - share) * (there + SD * rng.standard_normal(p.shape))
+        cov = np.broadcast_to(SD**2 * np.eye(3), (len(ids), 3, 3))
+        yield Markers(ids, last[ids], np.tile([0.0, 0.0, 1.0], (len(ids), 1)), cov)
+
+
+def blend(design, share, **how):
+    found = None
+    finder = BlendFinder(design.markers.p_SM)
+    for markers in pictures(design, share, **how):
+        found = finder.after(found, markers)
+    return found
+
+
+@pytest.mark.parametrize("sensor", ["dense", "paper16"])
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.8])
+def test_the_share_of_the_last_picture_is_found(sensor, share):
+    """Five sd: one sd of a correlation is 1 over the root of 20 pictures' 60 or 13 markers' three
+    coordinates, and half of the share's."""
+    design = load_sensor(sensor)
+    free = 60 if sensor == "dense" else 13
+    found = blend(design, share)
+    assert found.share == pytest.approx(share, abs=5 * 2 / np.sqrt(20 * 3 * free))
+    assert found.images == pytest.approx(found.share / (1 - found.share))
+
+
+@pytest.mark.parametrize("missing", [(), (3, 40)])
+def test_pictures_of_their_own_do_not_lag(missing):
+    assert blend(load_sensor("dense"), 0.0, missing=missing).images == 0.0
+
+
+def test_what_moves_is_no_lag():
+    """A dent that grows by four sd a picture, which alone would look like one picture seen over
+    and over; what was known before stays."""
+    design = load_sensor("dense")
+    x, y = design.markers.p_SM[:, :2].T
+    dent = np.zeros((len(x), 3))
+    dent[:, 2] = -4 * SD * np.exp(-(x**2 + y**2) / (2 * 5e-3**2))
+    assert blend(design, 0.0, motion=dent).images == 0.0
+    finder = BlendFinder(design.markers.p_SM)
+    found = blend(design, 0.5)
+    for markers in pictures(design, 0.5, motion=dent, seed=4):
+        found = finder.after(found, markers)
+    assert found.share == pytest.approx(0.5, abs=0.15)
+
+
+def test_what_lags_is_as_doubtful_as_it_changes():
+    """By one picture: 0.1 N more than in the last one may be 0.25 N more."""
+    design = load_sensor("dense")
+    doubt = Doubt(design, np.zeros((2, 2)))
+    change = np.array([0.0, 0.0, -0.1, 0.0, 0.0, 0.0])
+    force = np.zeros((3, 2))
+    force[2] = -0.5
+    without, late = (
+        doubt.variance(Felt(force, change, np.zeros(3), 0.0, lag=lag)) for lag in (0.0, 1.0)
+    )
+    assert late[2] - without[2] == pytest.approx(0.25**2)
+    assert late[[0, 1, 3, 4, 5]] == pytest.approx(without[[0, 1, 3, 4, 5]])
