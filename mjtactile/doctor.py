@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.types import Image
 from mjtactile.rig.file import read_rig_file
 from mjtactile.rig.finding import Finding
 from mjtactile.rig.simulated import SimRigFile
+from mjtactile.sensing.chain import Chain
 
 
 def examine_rig(name: str | None, *, sensor: str = "dense", fix: bool = False) -> list[Finding]:
@@ -23,7 +26,38 @@ def examine_rig(name: str | None, *, sensor: str = "dense", fix: bool = False) -
         return examine_simulated(rig)
     from mjtactile.devices.doctor import examine
 
-    return examine(name, sensor=sensor, fix=fix)
+    return examine(name, sensor=sensor, fix=fix, look=fiducial_findings)
+
+
+def fiducial_findings(what: str, design: SensorDesign, image: Image) -> Iterator[Finding]:
+    """Whether a picture of the camera `what` shows the circles that do not move of the sensor
+    before it, and where they stand; nothing of a sensor that has none."""
+    if design.fiducials is None:
+        return
+    chain = Chain(design)
+    _, state = chain.see(chain.begin(), image)
+    known = chain.sight.known
+    assert known is not None
+    seen = 0 if state.fiducials is None else len(state.fiducials)
+    text = f"{seen} of {known.count} fiducials seen"
+    if state.fiducials is None or seen < known.fewest:
+        yield Finding(
+            "bad",
+            what,
+            f"{text}, {known.fewest} are needed: a camera that is knocked or warmed is not known",
+            "is the picture upright (`flipped`), in the middle, sharp and clean at its rim? is the "
+            "sensor file that of this sensor?",
+        )
+        return
+    (right, down), scale = known.stand(state.fiducials)
+    level = "ok" if seen == known.count else "warn"
+    yield Finding(
+        level,
+        what,
+        f"{text}; against the sensor file the picture stands {right:+.1f} px right and "
+        f"{down:+.1f} px down, and is {100 * (scale - 1):+.1f} % larger",
+        "" if level == "ok" else "clean the pane; is the light even?",
+    )
 
 
 def plugged_in(

@@ -7,12 +7,13 @@ import contextlib
 import os
 import statistics
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from mjtactile.core import pace
-from mjtactile.core.design import load_sensor
+from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import DeviceError
+from mjtactile.core.types import Image
 from mjtactile.devices.camera.opencv import OpenCvCamera
 from mjtactile.devices.camera.v4l2 import video_devices
 from mjtactile.devices.dynamixel.bus import BusError, DynamixelBus
@@ -23,7 +24,7 @@ from mjtactile.devices.listing import BAUDS, serial_ports, servos_at
 from mjtactile.devices.valve.driver import connect_valves
 from mjtactile.rig.file import BusConfig, CameraConfig, RigFile, load_rig_file
 from mjtactile.rig.finding import Finding
-from mjtactile.rig.sensors import calibration_findings
+from mjtactile.rig.sensors import calibration_findings, finger_design
 
 # s for three servos at 1 Mbaud with latency_timer = 1; 16 ms is the driver's default timer
 _ROUND_TRIP_GOOD = 4e-3
@@ -33,10 +34,19 @@ _MAY_FALL = "what is held in the air falls when the host is lost: servos that br
 _HOT = 60.0  # degrees C; X series shut down at 70
 _CAMERA_TIME = 2.0  # s that pictures of a camera are counted
 
+Look = Callable[[str, SensorDesign, Image], Iterable[Finding]]
+"""What is found in a picture of the camera of that name, with that sensor before it."""
 
-def examine(rig: str | None, *, sensor: str = "dense", fix: bool = False) -> list[Finding]:
-    """All findings; `sensor` is on fingers of which the rig file does not say it. Raises InputError
-    for a rig file that is wrong itself."""
+
+def _look_at_nothing(what: str, design: SensorDesign, image: Image) -> Iterable[Finding]:
+    return ()
+
+
+def examine(
+    rig: str | None, *, sensor: str = "dense", fix: bool = False, look: Look = _look_at_nothing
+) -> list[Finding]:
+    """All findings; `sensor` is on fingers of which the rig file does not say it, and `look` what
+    is asked of a picture of each. Raises InputError for a rig file that is wrong itself."""
     findings = [*_plugged_in()]
     if rig is None:
         return findings
@@ -62,7 +72,8 @@ def examine(rig: str | None, *, sensor: str = "dense", fix: bool = False) -> lis
         ports += _check_port("valve board", port, fix=fix)
     findings += ports if _has_bad(ports) else [*ports, *_check_valves(rig_file)]
     for camera in rig_file.cameras:
-        findings += _check_camera(camera)
+        design = finger_design(camera, load_sensor(sensor))
+        findings += _check_camera(camera, design, look)
     return findings
 
 
@@ -369,8 +380,9 @@ def _check_valves(rig_file: RigFile) -> Iterator[Finding]:
                 board.close()
 
 
-def _check_camera(config: CameraConfig) -> Iterator[Finding]:
-    """Settings by read-back, then rate, age and jitter over two seconds."""
+def _check_camera(config: CameraConfig, design: SensorDesign, look: Look) -> Iterator[Finding]:
+    """Settings by read-back, then rate, age and jitter over two seconds, then what a picture
+    shows."""
     what = f"camera {config.finger}"
     try:
         camera = OpenCvCamera(config)
@@ -388,6 +400,7 @@ def _check_camera(config: CameraConfig) -> Iterator[Finding]:
                 ages.append(pace.monotonic() - last)
         yield _rate_finding(what, camera, ages)
         yield _light_finding(what, camera)
+        yield from look(what, design, camera.read())
     except DeviceError as error:
         yield Finding("bad", what, str(error))
     finally:

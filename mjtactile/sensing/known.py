@@ -9,7 +9,7 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.optics import Camera
-from mjtactile.core.types import Ellipses, Markers
+from mjtactile.core.types import Array, Ellipses, FiducialsSeen, Markers
 from mjtactile.sensing.force.camera import KNOWN_MODES, CameraFinder, CameraSeen
 from mjtactile.sensing.force.rest import darker
 from mjtactile.sensing.pose.fixed import FiducialFinder
@@ -31,8 +31,30 @@ class KnownCamera:
         fiducials = design.fiducials
         assert fiducials is not None
         self.count = fiducials.count
+        self.fewest = settings.fiducials.fewest
+        self._middle = np.array([camera.cx, camera.cy])
         self._circles = FiducialFinder(design, camera, fiducials)
         self._camera = CameraFinder(design, camera, fiducials, settings.inverse, settings.fiducials)
+
+    def stand(self, seen: FiducialsSeen) -> tuple[Array, float]:
+        """Say where fiducials stand in a picture.
+
+        Args:
+            seen: Two and more of them.
+
+        Returns:
+            By how much the picture's middle stands right and down of where the sensor file has it,
+            (2,) px, and how many times as large all is.
+        """
+        places = self._circles.places_px[seen.ids]
+        away = places - self._middle
+        # motion = shift + more * away, by least squares
+        rows = np.zeros((*places.shape, 3))
+        rows[:, :, :2] = np.eye(2)
+        rows[:, :, 2] = away
+        moved = seen.center_px - places
+        right, down, more = np.linalg.lstsq(rows.reshape(-1, 3), moved.ravel())[0]
+        return np.array([right, down]), 1 + float(more)
 
     def look(self, state: ChainState, ellipses: Ellipses) -> tuple[Ellipses, ChainState]:
         """Tell fiducials from markers, and the camera by them.

@@ -126,7 +126,19 @@ class CameraFinder:
         if px > _LINEAR_PX:
             moved = self._left(mean, ids, shown, before, rows) + rows @ mean
             mean, root, misfit = _solve(weighted, weight * moved, likely, outlier)
+        root = self._by_curve(mean, root, float(np.abs(darker).mean()))
         return CameraSeen(mean, root, self._change(mean, now, rest, here, there, misfit))
+
+    def _by_curve(self, mean: Array, root: Array, darker: float) -> Array:
+        """The same factor `root` (K, K) where circles grew as levels changed, by `darker` on the
+        average: markers have other levels and another blur, and grew by a part of it more or
+        less."""
+        s = self._s
+        grown = s.drift_size * float(mean[_SIZE])
+        by_levels = s.drift_levels * float(mean[_LEVELS]) * darker
+        doubt = np.zeros((len(root), 1))
+        doubt[_SIZE] = self._own.curve_share * np.hypot(grown, by_levels) / s.drift_size
+        return np.linalg.cholesky(root @ root.T + doubt @ doubt.T)
 
     def picture(self, mean: Array) -> PictureChange:
         """What of a camera's change `mean` (K,) is one of its picture."""

@@ -213,6 +213,12 @@ class FiducialSettings:
         "of a camera's motion aside, that it moves along its axis: what shows all larger is a lens",
         "bench trust: zoom",
     )
+    curve_share: float = number(
+        0.2,
+        "of what circles grew by their levels, that markers may have grown by more or less",
+        "bench fiducials: gamma, clipping",
+        low=0.0,
+    )
     outlier: float = number(
         9.0,
         "times the middle misfit, at which a fiducial counts half: dirt",

@@ -1,5 +1,6 @@
 """A sensor with fiducials: the camera is known in every image, whatever has become of it."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from mjtactile.core.design import load_sensor
 from mjtactile.core.fields import from_table
 from mjtactile.core.toml import Section
 from mjtactile.core.types import FiducialsSeen, Image
+from mjtactile.doctor import fiducial_findings
 from mjtactile.rig.troubles import CameraTroubles
 from mjtactile.sensing.force.camera import KNOWN_MODES, CameraFinder, _solve
 from mjtactile.sensing.force.inverse import InverseMembrane
@@ -149,6 +151,24 @@ def test_without_fiducials_the_camera_is_where_it_was_last(clean):
     assert touch.camera is None
     assert touch.status == "ok"
     assert abs(touch.force_normal - clean[0][0].force_normal) < 5 * touch.force_normal_sd
+
+
+@pytest.mark.parametrize(
+    ("hidden", "level"), [((), "ok"), ((2,), "warn"), (tuple(range(8)), "bad")]
+)
+def test_doctor_says_how_many_are_seen_and_where_they_stand(hidden, level):
+    """A picture shifted by 4 px and -3 px and 1 % larger; half a pixel and a tenth of a per cent
+    is what circles' middles and the lens leave."""
+    _, images = begun()
+    changed = troubled({"knock_px": [4.0, -3.0], "zoom_percent": 1.0})(images[0])
+    shown = covered(*hidden)(changed) if hidden else changed
+    [found] = fiducial_findings("camera left", DESIGN, shown)
+    assert found.level == level and f"{10 - len(hidden)} of 10 fiducials seen" in found.text
+    if level != "bad":
+        right, down, larger = map(float, re.findall(r"[-+]\d+\.\d", found.text))
+        assert (right, down) == pytest.approx((4.0, -3.0), abs=0.5)
+        assert larger == pytest.approx(1.0, abs=0.15)
+    assert not list(fiducial_findings("camera left", load_sensor("dense"), shown))
 
 
 def test_fiducials_are_no_markers():
