@@ -19,6 +19,7 @@ SERVO_FORCE_LIMIT = 4.0  # N: the most that the servo may push, whatever is felt
 APPROACH_SPEED = 0.025
 PRESS_SPEED = 0.003
 OPENING_SPEED = 0.015
+CLEAR_TIME_MAX = 4.0  # s of opening and waiting, after which what is still felt is no touch
 # s with the jaws still; s without touch before the second look
 HOLD_TIME = 2.0
 REST_TIME = 1.5
@@ -90,11 +91,16 @@ def _release(observation: Observation, command: Command, felt: list[float]) -> C
     goal = command.memory["touch_opening"] + CLEARANCE
     opening = min(goal, command.opening + OPENING_SPEED * observation.period)
     if opening < goal or max(felt) > TOUCH_FORCE:
-        return replace(command, opening=opening, memory={**command.memory, "phase_time": 0.0})
+        clearing = command.memory.get("clearing", 0.0) + observation.period
+        if clearing > CLEAR_TIME_MAX and opening >= goal:
+            why = f"{max(felt):.2f} N are felt with the jaws open: is a finger calibrated?"
+            return replace(_go(command, "abort"), reason=why)
+        memory = {**command.memory, "phase_time": 0.0, "clearing": clearing}
+        return replace(command, opening=opening, memory=memory)
     if command.memory["presses"] > 1:
         return _go(command, "done")
     if command.memory["phase_time"] >= REST_TIME:
-        return _go(command, "approach")
+        return _go(command, "approach", clearing=0.0)
     return command
 
 

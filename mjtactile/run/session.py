@@ -25,6 +25,7 @@ from mjtactile.run.flags import FlagNotes
 from mjtactile.run.loop import run_loop
 from mjtactile.run.perceive import DrawnPerception, Perceiver
 from mjtactile.run.perception_pool import PerceptionPool, default_count
+from mjtactile.run.push import PushWatch
 from mjtactile.run.references import Reference, inflate, take_references
 from mjtactile.run.steps import Steps
 from mjtactile.run.supervisor import Supervisor
@@ -67,6 +68,8 @@ class Session:
         self._shapes = shapes
         self._say = say
         self._supervisor = Supervisor(rig.period)
+        names = tuple(finger.name for finger in rig.fingers)
+        self._push = PushWatch(names, rig.period)
         if perceptions is None and rig.touch_is_drawn:
             perceptions = [DrawnPerception() for _ in rig.fingers]
         elif perceptions is None:
@@ -84,9 +87,9 @@ class Session:
 
     @property
     def flags(self) -> Mapping[str, str]:
-        """What makes the numbers of a simulated or replayed rig worse than usual, so far: the kind
-        of doubt, and its reason; empty on a real rig."""
-        return dict(self.rig.flags())
+        """What makes the numbers worse than usual, so far: the kind of doubt, and its reason. On a
+        real rig there is one, "beyond": its servos push more than its fingers feel."""
+        return {**self.rig.flags(), **self._push.flags}
 
     def take_references(self, observer: Observer | None = None) -> None:
         """Let every sensor measure itself: flat with the valve open to the air, then inflated,
@@ -182,14 +185,17 @@ class Session:
             watching.append(CycleCallback(on_cycle))
         reads = "shape" in getattr(controller, "reads", ())
         self._ask_for_shapes(self._shapes or reads, controller.path if reads else None)
-        notes = FlagNotes(self.rig.flags, Observers(watching))
+        notes = FlagNotes(lambda: self.flags, Observers(watching))
+        # a simulated world knows what its frames carry
+        is_real = math.isfinite(self.rig.host_timeout)
+        watched = [notes, self._push] if is_real else [notes]
         with signals.deferred() as stop, notes:
             return run_loop(
                 self.rig,
                 self.perceptions,
                 controller,
                 time_limit=time_limit,
-                observer=Observers([notes, *watching]),
+                observer=Observers([*watched, *watching]),
                 supervisor=self._supervisor,
                 stop=stop,
                 threads=self._threads,

@@ -1,0 +1,35 @@
+"""The probe controller ends, whatever the fingers say."""
+
+import pytest
+
+from mjtactile.core.types import Command, GripperState, Observation, Touch
+from mjtactile.run.controller import load_controller
+
+PERIOD = 1 / 30
+probe = load_controller("probe")
+MEMORY = {"presses": 1.0, "touch_opening": 0.04}
+
+
+def opened(felt, seconds=20.0):
+    """What it says after so long, or when it is over, with that force felt on both fingers."""
+    command = Command(0.038, 4.0, 0.0, "release", MEMORY)
+    touch = Touch(0.0, 0.01, felt, 0.01, felt > 0.05)
+    for k in range(round(seconds / PERIOD)):
+        state = GripperState(command.opening, 0.0, 0.0, 0.0)
+        command = probe.step(Observation(k * PERIOD, PERIOD, (touch, touch), state, (), command))
+        if command.phase != "release":
+            return command, k * PERIOD
+    return command, seconds
+
+
+def test_a_finger_that_never_lets_go_ends_it_with_the_reason():
+    """An uncalibrated sensor five times as firm as its file feels 0.1 N of nothing."""
+    command, after = opened(0.1)
+    assert command.phase == "abort" and "0.10 N are felt with the jaws open" in command.reason
+    opening = (0.04 + 0.003 - 0.038) / 0.015  # s
+    assert opening < after == pytest.approx(4.0, abs=2 * PERIOD)
+
+
+def test_what_lets_go_is_looked_at_once_more():
+    command, _ = opened(0.0)
+    assert command.phase == "approach" and command.reason == ""

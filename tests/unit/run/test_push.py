@@ -1,0 +1,56 @@
+"""What servos push beyond what is felt is a flag; friction, a rough data sheet and moments are
+not."""
+
+import math
+from types import SimpleNamespace
+
+import pytest
+
+from mjtactile.run.push import KIND, PushWatch
+
+PERIOD = 1 / 30
+
+
+def pushed(watch, effort, felt, seconds=1.0):
+    """So long a push, as servos and two fingers say."""
+    touch = SimpleNamespace(force_normal=felt, touching=felt > 0.05)
+    cycle = SimpleNamespace(touch=(touch, touch), gripper=SimpleNamespace(effort=effort))
+    for _ in range(round(seconds / PERIOD)):
+        watch.add(cycle)
+    return dict(watch.flags)
+
+
+@pytest.fixture
+def watch():
+    return PushWatch(("left", "right"), PERIOD)
+
+
+@pytest.mark.parametrize(
+    ("free", "effort", "felt"),
+    [
+        (0.4, 0.9, 0.6),  # a grasp through gears
+        (0.4, 2.6, 2.0),  # a data sheet that is 20 % off, and the same gears
+        (0.0, 0.7, 0.9),  # or off the other way
+        (-0.4, -0.5, 0.0),  # jaws that open
+        (0.4, math.nan, 0.6),  # no current
+        (0.4, 5.0, math.nan),  # no force
+    ],
+)
+def test_what_gears_and_data_sheets_take_is_no_flag(watch, free, effort, felt):
+    assert not pushed(watch, free, 0.0)
+    assert not pushed(watch, effort, felt)
+
+
+def test_a_frame_that_carries_ten_newtons_is_named_with_them(watch):
+    pushed(watch, 0.3, 0.0)
+    assert not pushed(watch, 11.0, 1.0, 0.1)  # a jolt
+    pushed(watch, 0.3, 0.0)
+    flags = pushed(watch, 11.0, 1.0)
+    assert set(flags) == {KIND}
+    assert "push with 11.0 N and left and right feel 1.0 N" in flags[KIND]
+    assert "carry 10.0 N" in flags[KIND]
+    assert "carry 10.0 N" in pushed(watch, 0.3, 0.0)[KIND]  # the most stays
+
+
+def test_jaws_that_push_where_no_finger_touches_do_not_pass_for_friction(watch):
+    assert "feel 0.0 N" in pushed(watch, 4.0, 0.0, 3.0)[KIND]
