@@ -158,7 +158,7 @@ class Film:
             )
         x, force, found = start.x.copy(), start.force.copy(), np.empty(FOUND)
         trend = np.zeros((4, *self.grid)) if start.trend is None else start.trend.copy()
-        settings = np.array([self._gas, self.sealed, TOLERANCE, _MOST_STEPS, 1.0])
+        settings = np.array([self._gas, self.sealed, TOLERANCE, _MOST_STEPS, 1.0, 0.0])
         self._run(settings, rows, pool, (x, force, trend, found))
         return _judged(FilmState(x, force, found, trend))
 
@@ -196,7 +196,7 @@ class Film:
         x, trend = (np.empty((count, parts, *self.grid)) for parts in (3, 4))
         force, found = np.empty((count, *self.grid)), np.empty((count, FOUND))
         made = FilmBatch(x, force, found, trend)
-        settings = np.tile([self._gas, self.sealed, TOLERANCE, _MOST_STEPS, again], (count, 1))
+        settings = np.tile([self._gas, self.sealed, TOLERANCE, _MOST_STEPS, again, 0.0], (count, 1))
         threads = max(1, min(threads, count))
         self._rooms += [np.empty_like(self._room) for _ in range(len(self._rooms), threads)]
 
@@ -238,7 +238,7 @@ class Film:
         count = len(by)
         by_x, by_force = np.empty((count, 3, *self.grid)), np.empty((count, *self.grid))
         by_found = np.empty((count, FOUND))
-        settings = np.array([self._gas, self.sealed, TOLERANCE, 1.0, 0.0])
+        settings = np.array([self._gas, self.sealed, TOLERANCE, 1.0, 0.0, 0.0])
         fixed = (self._numbers, self._law, *self.grid, room.size, room, settings)
         pooled = 0 if pool is None else pool.size
         given = (len(listed[0]), count, rows, pooled, pool, by, state.x, state.force)

@@ -47,7 +47,7 @@ def inflate(film: Film) -> FilmState:
             _keep(film, x)
         except np.linalg.LinAlgError:
             break
-        settings = np.array([share * film.pressure_gauge, 0.0, _INFLATED, _MOST_STEPS, 1.0])
+        settings = np.array([share * film.pressure_gauge, 0.0, _INFLATED, _MOST_STEPS, 1.0, 0.0])
         trend = np.zeros((4, *film.grid))
         film._run(settings, np.zeros((0, NUMBERS)), None, (x, force, trend, found))
         if not FilmState(x, force, found).converged:

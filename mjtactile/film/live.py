@@ -17,7 +17,7 @@ from mjtactile.core.types import Array
 from mjtactile.film import bodies
 from mjtactile.film.film import Film
 from mjtactile.film.state import AREA, FOUND, PRESSURE, STATUS, TENSION, VOLUME, WRENCH, Status
-from mjtactile.kernels import bound
+from mjtactile.kernels import bound, kernel
 
 _TOLERANCE = 1e-6  # m, of what is left of the displacements
 _MOST_STEPS = 40
@@ -35,16 +35,18 @@ class LiveFilm:
         force: (nx, ny) N of contact at each node, along -z.
     """
 
-    def __init__(self, film: Film, rows: Array, pool: Array | None):
+    def __init__(self, film: Film, rows: Array, pool: Array | None, below_rim: float = 0.0):
         """`rows` (k, NUMBERS) are the bodies, read at every solution; `pool` what they have of
-        planes."""
+        planes; `below_rim` m is how far they may be below the frame's rim, which bears them
+        there."""
         self.film = film
         self.x = np.zeros_like(film.rest.x)
         self.force = np.zeros_like(film.rest.force)
         self.trend = np.zeros((4, *film.grid))
         self.rows = rows
+        self.pool = pool
         self.found = np.zeros(FOUND)
-        self.settings = np.array([0.0, 0.0, _TOLERANCE, float(_MOST_STEPS), 1.0])
+        self.settings = np.array([0.0, 0.0, _TOLERANCE, float(_MOST_STEPS), 1.0, below_rim])
         self.numbers = film._numbers.copy()
         room = np.empty_like(film._room)
         kept = (film._kept.size, film._kept)
@@ -97,6 +99,19 @@ class LiveFilm:
         for place, was in zip((self.x, self.force, self.found), kept, strict=True):
             place[:] = was
         self.trend[:] = 0.0
+
+    def below_rim(self) -> float:
+        """m by which bodies are below where the sheet's middle is on the frame; 0 where none is."""
+        film = self.film
+        x, y = np.meshgrid(film.x, film.y, indexing="ij")
+        inner = np.zeros(film.grid, bool)
+        inner[1:-1, 1:-1] = True
+        places = np.stack([x[~inner], y[~inner]], axis=1)
+        heights = np.empty(len(places))
+        pooled = 0 if self.pool is None else self.pool.size
+        given = (len(self.rows), self.rows, pooled, self.pool, len(places), places)
+        kernel("film_heights")(self.numbers, *given, heights)
+        return max(-float(heights.min()), 0.0)
 
     @property
     def volume(self) -> float:

@@ -360,7 +360,7 @@ static int come_to_rest(const Film *f, const Settings *set, const Bodies *bodies
     see_touch(f, w->force, &w->seen);
     for (int step = 0; step < (int)set->most_steps; step++) {
         look(f, bodies, lifted, step, w);
-        const int misplaced = step ? CONVERGED : against_the_frame(f, &w->seen);
+        const int misplaced = step ? CONVERGED : against_the_frame(f, set, &w->seen);
         if (misplaced) return misplaced;
         if (!step && trend) go_on(f, trend, w);
         const int wider = widen_window(f, step ? 0 : NEAR, w);

@@ -314,17 +314,18 @@ static void apply(long body, double sign, const double *F, const double *T, cons
         }
 }
 
-/* How stiffly a free body is held, by its joint's degrees of freedom: G^T K G, and their velocity against the film. */
-static void hold_of(const Given *g, const Memory *m, long dof, double *hold, const double *R) {
-    double G[36] = {0}, K[6] = {0, 0, m->normal, 0, 0, 0}, r[3];
+/* How stiffly what touches is held, by the degrees of freedom of the free joint that carries it: G^T K G, and their velocity
+   against the film. `R_SB`, `p_SB`: of that joint's body, with which what touches is taken to go. */
+static void hold_of(const Given *g, const Memory *m, long dof, const double *R_SB, const double *p_SB, double *hold, const double *R) {
+    double G[36] = {0}, K[6] = {0, 0, m->normal, 0, 0, 0}, r[3], off[3], swing[3], moved[3];
     const double tilt = TILT * m->normal * square(most(m->radius, g->spacing / 4));
     K[3] = K[4] = tilt, K[5] = tilt;
     if (!m->slides && m->gripped > 0) K[0] = m->grip[0], K[1] = m->grip[4], K[5] = m->grip[8];
-    for (int i = 0; i < 3; i++) r[i] = m->middle[i] - m->p[i];
+    for (int i = 0; i < 3; i++) r[i] = m->middle[i] - p_SB[i], off[i] = p_SB[i] - m->p[i];
     for (int i = 0; i < 3; i++)
-        for (int j = 0; j < 3; j++) G[6 * i + j] = R[3 * j + i], G[6 * (3 + i) + 3 + j] = m->R[3 * i + j];
+        for (int j = 0; j < 3; j++) G[6 * i + j] = R[3 * j + i], G[6 * (3 + i) + 3 + j] = R_SB[3 * i + j];
     for (int j = 0; j < 3; j++) { /* v = v_o + w x r, w = R_SB w_B */
-        const double w[3] = {m->R[j], m->R[3 + j], m->R[6 + j]};
+        const double w[3] = {R_SB[j], R_SB[3 + j], R_SB[6 + j]};
         double v[3];
         across(w, r, v);
         for (int i = 0; i < 3; i++) G[6 * i + 3 + j] = v[i];
@@ -336,7 +337,9 @@ static void hold_of(const Given *g, const Memory *m, long dof, double *hold, con
             for (int k = 0; k < 6; k++) sum += G[6 * k + a] * K[k] * G[6 * k + b];
             hold[1 + 6 * a + b] = sum;
         }
-    outof(R, m->moved, hold + 37), into(m->R, m->moved + 3, hold + 40);
+    across(m->moved + 3, off, swing);
+    for (int i = 0; i < 3; i++) moved[i] = m->moved[i] + swing[i];
+    outof(R, moved, hold + 37), into(R_SB, m->moved + 3, hold + 40);
     for (int i = 0; i < 6; i++) hold[37 + i] /= g->step;
 }
 
@@ -358,7 +361,14 @@ int64_t film_push(const double *given, const double *memory, int64_t carrier, in
     for (int i = 0; i < 3; i++) at[i] += xpos[3 * carrier + i];
     apply(carrier, 1, F, T, at, parent, joints, first, type, dof, anchor, axis, xpos, xmat, push);
     apply(body, -1, F, T, at, parent, joints, first, type, dof, anchor, axis, xpos, xmat, push);
-    if (joints[body] == 1 && type[first[body]] == JOINT_FREE) hold_of(g, m, dof[first[body]], hold, R);
+    long carried = body; /* by a free joint: its own, or that of a body which it is jointed to */
+    while (carried > 0 && !(joints[carried] == 1 && type[first[carried]] == JOINT_FREE)) carried = parent[carried];
+    if (carried <= 0) return 1;
+    double R_SB[9], p_SB[3], apart[3];
+    times(R, xmat + 9 * carried, 1, R_SB);
+    for (int i = 0; i < 3; i++) apart[i] = xpos[3 * carried + i] - xpos[3 * carrier + i];
+    into(R, apart, p_SB);
+    hold_of(g, m, dof[first[carried]], R_SB, p_SB, hold, R);
     return 1;
 }
 

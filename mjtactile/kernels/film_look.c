@@ -329,12 +329,12 @@ void lower_round_bodies(const Film *f, Seen *seen) {
         }
 }
 
-int against_the_frame(const Film *f, const Seen *seen) {
+int against_the_frame(const Film *f, const Settings *set, const Seen *seen) {
     const double *h = seen->obstacle;
     for (long i = seen->box[0]; i < seen->box[1]; i++)
         for (long j = seen->box[2]; j < seen->box[3]; j++) {
             const long k = i * f->line + j;
-            if ((i == 0 || j == 0 || i == f->columns - 1 || j == f->rows - 1) && h[k] < 0) return AT_THE_RIM;
+            if ((i == 0 || j == 0 || i == f->columns - 1 || j == f->rows - 1) && h[k] < -set->below_rim) return AT_THE_RIM;
             if (h[k] - f->numbers.half_thickness <= -f->numbers.depth) return ON_THE_GLASS;
         }
     return CONVERGED;

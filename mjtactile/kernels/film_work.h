@@ -10,8 +10,9 @@ enum { CONVERGED, NOT_CONVERGED, AT_THE_RIM, ON_THE_GLASS, INSIDE_OUT, BROKEN_DO
 enum { FORCE_X, FORCE_Y, FORCE_Z, TORQUE_X, TORQUE_Y, TORQUE_Z, PRESSURE, VOLUME, AREA, STATUS, STEPS, STRETCHED_AREA, TENSION,
        LAST_STEP, FOUND };
 
-typedef struct { double gas, sealed, tolerance, most_steps, again; } Settings; /* gas: p V^gamma if sealed, else the pressure held;
-    again: from rest, in small steps, where a start from elsewhere ends nowhere */
+typedef struct { double gas, sealed, tolerance, most_steps, again, below_rim; } Settings; /* gas: p V^gamma if sealed, else the pressure
+    held; again: from rest, in small steps, where a start from elsewhere ends nowhere; below_rim: m that bodies may be below the frame's
+    rim, which bears them there */
 
 typedef struct { long count; const double *body, *pool; } Bodies;
 
@@ -51,7 +52,7 @@ void follow_bodies(const Film *film, const double *x, Seen *seen);
 void lower_round_bodies(const Film *film, Seen *seen);
 /* Whether a body is behind the sheet between its nodes: by more than they can tell, or where none of them touches. */
 int goes_through(const Film *film, const Bodies *bodies, const double *x, const Seen *seen);
-int against_the_frame(const Film *film, const Seen *seen);
+int against_the_frame(const Film *film, const Settings *set, const Seen *seen);
 /* Springs of a sheet that bends over edges, (4, count) by the side of the node on the body; returns a number that tells which. */
 double find_springs(const Film *film, const double *z, Seen *seen);
 /* How much farther than the face, drawn on, the node at a side of `k` is. */

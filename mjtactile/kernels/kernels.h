@@ -233,7 +233,7 @@ int64_t film_keep(const double *numbers /* 17 */, const double *law /* 11 */, in
    becomes this one. Out: `found`, see film.c. */
 int64_t film_solve(const double *numbers /* 17 */, const double *law /* 11 */, int64_t columns, int64_t rows,
                    int64_t keeping, const float *kept /* keeping */, const double *rest /* 3, columns, rows */, int64_t roomy, double *room /* roomy */, int64_t environments,
-                   int64_t begin, int64_t end, const double *settings /* environments, 5 */, int64_t bodies,
+                   int64_t begin, int64_t end, const double *settings /* environments, 6 */, int64_t bodies,
                    const double *body /* environments, bodies, 20 */, int64_t pooled, const double *pool /* pooled or NULL */,
                    double *x /* environments, 3, columns, rows */, double *force /* environments, columns, rows */,
                    double *trend /* environments, 4, columns, rows */, double *found /* environments, 14 */);
@@ -242,7 +242,7 @@ int64_t film_solve(const double *numbers /* 17 */, const double *law /* 11 */, i
    a spring), what sticks and slides. `touched`: nodes in the grip, and at the last solution; `before`: x and y then, and room. */
 int64_t film_follow(const double *numbers /* 17 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
                     const float *kept /* keeping */, const double *rest /* 3, columns, rows */, int64_t roomy,
-                    double *room /* roomy */, const double *settings /* 5 */, int64_t geoms, double *body /* geoms, 20 */,
+                    double *room /* roomy */, const double *settings /* 6 */, int64_t geoms, double *body /* geoms, 20 */,
                     int64_t pooled, const double *pool /* pooled or NULL */, double *x /* 3, columns, rows */,
                     double *force /* columns, rows */, double *trend /* 4, columns, rows */, double *found /* 14 */,
                     const double *given /* 8 */, const double *compliance /* 2 * (columns - 2) * (rows - 2), 2 * (columns - 2) * (rows - 2) */,
@@ -282,7 +282,7 @@ int64_t film_derive_room(const double *numbers /* 17 */);
 /* Of a film at rest with `x` and `force`, derivatives by `changes` of its bodies: `body` as they are, then for each change those
    that are `steps` of it before, and those that are as much after. Out: of displacements, forces and what film_solve finds. */
 int64_t film_derive(const double *numbers /* 17 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t roomy,
-                    double *room /* roomy */, const double *settings /* 5 */, int64_t bodies, int64_t changes,
+                    double *room /* roomy */, const double *settings /* 6 */, int64_t bodies, int64_t changes,
                     const double *body /* 1 + 2 * changes, bodies, 20 */, int64_t pooled, const double *pool /* pooled or NULL */,
                     const double *steps /* changes */, const double *x /* 3, columns, rows */,
                     const double *force /* columns, rows */, double *by_x /* changes, 3, columns, rows */,

@@ -50,9 +50,38 @@ def test_shear_sticks_and_then_slides_at_coulombs_limit():
     assert force[2][0] == pytest.approx(-DENSE.membrane.friction * force[2][2], rel=0.04)
 
 
-def between_films(radius, mass, gap, timestep=2e-3, friction=None):
-    """A ball between two inflated films that look at each other along y, `gap` m apart; weight
-    sets in slowly."""
+def ball_of(radius, mass):
+    def add(body):
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], mass=mass)
+
+    return add
+
+
+def pieces_of(radius, mass):
+    """A stone between two caps that slide towards it on springs: flesh, as a strawberry has it."""
+
+    def add(body):
+        body.explicitinertial = True
+        body.mass = 0.5 * mass
+        body.inertia = [0.1 * mass * radius**2] * 3
+        for sign in (-1.0, 1.0):
+            cap = body.add_body(pos=[0.0, sign * 1e-3, 0.0])
+            cap.add_joint(
+                type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 1, 0], stiffness=1e3, damping=1.0
+            )
+            cap.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_SPHERE,
+                size=[radius - 1e-3, 0, 0],
+                mass=0.25 * mass,
+                conaffinity=0,  # caps do not push each other away
+            )
+
+    return add
+
+
+def between_films(add, gap, timestep=2e-3, seconds=1.0):
+    """A body of what `add` adds between two inflated films that look at each other along y, `gap` m
+    apart; weight sets in slowly."""
     spec = mujoco.MjSpec()
     recommend_options(spec, timestep)
     spec.option.gravity = [0.0, 0.0, 0.0]
@@ -67,7 +96,7 @@ def between_films(radius, mass, gap, timestep=2e-3, friction=None):
         )
     ball = spec.worldbody.add_body(name="ball", pos=[0.0, 0.2, 0.0])
     ball.add_freejoint()
-    ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], mass=mass)
+    add(ball)
     world = World(spec, attachments)
     for sensor in world.sensors:
         sensor.open_valve()
@@ -75,7 +104,7 @@ def between_films(radius, mass, gap, timestep=2e-3, friction=None):
     for sensor in world.sensors:
         sensor.close_valve()
     world.data.qpos[:3] = 0.0
-    for step in range(round(1.0 / timestep)):
+    for step in range(round(seconds / timestep)):
         world.model.opt.gravity[2] = -G * min(max(step * timestep - 0.2, 0.0) / 0.3, 1.0)
         world.step()
     return world
@@ -87,7 +116,7 @@ def between_films(radius, mass, gap, timestep=2e-3, friction=None):
     [(0.005, 0.0232), (0.02, 0.0222), (0.05, 0.0212), (0.3, 0.0149)],
 )
 def test_light_and_heavy_balls_are_held_and_do_not_creep(mass, gap):
-    world = between_films(0.01, mass, gap)
+    world = between_films(ball_of(0.01, mass), gap)
     world.step(100)  # what hangs 1.2 mm low settles for longer
     before = world.data.qpos[2]
     world.step(100)
@@ -105,14 +134,24 @@ def test_light_and_heavy_balls_are_held_and_do_not_creep(mass, gap):
     assert carried == pytest.approx(mass * G, rel=1e-4)
 
 
+def test_what_is_held_by_jointed_pieces_is_damped_as_what_is_whole():
+    """Without that, strawberries swung ever more between films, until they were dropped."""
+    whole, pieces = (  # N s/m, before weight sets in
+        between_films(of(0.01, 0.02), 0.0212, seconds=0.01).model.dof_damping[:3]
+        for of in (ball_of, pieces_of)
+    )
+    # caps are a tenth less round, and go 0.2 mm in as the jaws close on them
+    np.testing.assert_allclose(pieces, whole, rtol=0.25)
+
+
 def test_what_friction_cannot_hold_falls():
-    world = between_films(0.01, 0.15, 0.0222)
+    world = between_films(ball_of(0.01, 0.15), 0.0222)
     grip = -truth.contact_force(world, 0)[2]
     assert world.data.qpos[2] < -0.02 or 2 * DENSE.membrane.friction * grip < 0.15 * G
 
 
 def test_forces_of_the_user_stay():
-    world = between_films(0.01, 0.02, 0.0222)
+    world = between_films(ball_of(0.01, 0.02), 0.0222)
     height = world.data.qpos[2]
     world.data.qfrc_applied[2] = 0.05
     world.step(100)
@@ -135,3 +174,38 @@ def test_what_a_film_cannot_rest_on_is_refused():
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.01, 0, 0])
     with pytest.raises(InputError, match="hill"):
         World(spec, [attachment])
+
+
+def beside_a_sensor(height):
+    """A ball of 30 mm over one side of the frame, `height` m above it; the film beside it."""
+    spec = mujoco.MjSpec()
+    recommend_options(spec, 2e-3)
+    site = spec.worldbody.add_site(name="s")
+    attachment = attach_membrane(spec, DENSE, site=site, effects=FILM)
+    radius = 0.015
+    side = DENSE.frame.width / 2
+    at = [0.0, side - 4e-3, height + np.sqrt(radius**2 - 4e-3**2)]
+    ball = spec.worldbody.add_body(name="ball", mocap=True, pos=at)
+    ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0])
+    world = World(spec, [attachment])
+    (sensor,) = world.sensors
+    sensor.inflate(np.zeros_like(sensor.displacements), 1000.0)
+    world.step(3)
+    return sensor
+
+
+def test_what_lies_on_the_rim_is_borne_and_said():
+    """The sheet's middle is half its thickness below the face that lies on the frame."""
+    above, on = (beside_a_sensor(height) for height in (4e-4, 0.0))
+    assert above.failure() is None and "rim" not in above.flags()
+    assert on.failure() is None and "frame's rim" in on.flags()["rim"]
+    assert on.wrench[2] < above.wrench[2] < -0.1  # N
+
+
+def test_what_is_far_below_the_rim_stops_it_when_it_stays():
+    sensor = beside_a_sensor(-1e-3)
+    assert sensor.failure() is None  # a thing that falls past the frame does so for some steps
+    assert "rim" in sensor.flags()["film"]
+    for _ in range(30):
+        sensor.update()
+    assert "rim" in sensor.failure()

@@ -66,7 +66,7 @@ class FilmSensor(SheetSensor):
         half = math.hypot(design.frame.length, design.frame.width) / 2
         reach = math.hypot(half, top) + 1e-3
         self._geoms = FeltGeoms(model, self.body_id, reach)
-        self._live = LiveFilm(film, self._geoms.rows, self._geoms.pool)
+        self._live = LiveFilm(film, self._geoms.rows, self._geoms.pool, design.membrane.thickness)
         self._sticking = sticking_of(film)
         self._given = np.array(
             [
@@ -364,6 +364,12 @@ class FilmSensor(SheetSensor):
         lost = int(self._memory[_LOST])
         if lost > _LATE:
             flags["film"] = f"the film found no rest for {lost} steps: {self._reason()}"
+        below = self._live.below_rim() if self._memory[_NEAR] else 0.0
+        if below > 0:
+            flags["rim"] = (
+                f"what touches lies on the frame's rim ({1e3 * below:.2f} mm below the sheet's "
+                "middle there): what the sheet bears on it is the frame's, not the film's"
+            )
         if self._memory[_NEAR] > 1:
             flags["bodies"] = (
                 "several bodies are near one film, which takes all that touches it for one of "
@@ -374,8 +380,8 @@ class FilmSensor(SheetSensor):
     def failure(self) -> str | None:
         """Say why this sensor's state is outside what the film describes, or None."""
         if self._memory[_LOST]:
-            misplaced = self._memory[_STATUS] in (Status.AT_THE_RIM, Status.ON_THE_GLASS)
-            if misplaced or self._memory[_LOST] >= _PATIENCE:
+            pushed = self._memory[_STATUS] == Status.ON_THE_GLASS
+            if pushed or self._memory[_LOST] >= _PATIENCE:
                 return f"sensor {self.prefix!r}: {self._reason()}; leave the sheet on"
         return self._empty()
 

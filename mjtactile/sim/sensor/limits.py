@@ -17,7 +17,8 @@ from mjtactile.core.types import Array
 
 Flags = dict[str, str]
 """Kind of doubt ("stretch", "wrinkles", "penetration", "mesh", "feature", "edge", "hull",
-"bending", "speed", "solver", "frame", "unsettled", "strain" of a soft object) to its reason."""
+"bending", "speed", "solver", "frame", "rim", "unsettled", "strain" of a soft object) to its
+reason."""
 
 GROWS = frozenset({"frame"})
 """Kinds whose reason says how much: it is replaced when there is more."""
