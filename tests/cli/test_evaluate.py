@@ -18,9 +18,8 @@ from mjtactile.export.episode import find_episodes
 from mjtactile.recording.reader import load_recording
 from tests.emulated_host import controller_text
 
+DRAWN = "--effects=-images,-sheet,-chain"  # the quickest level: what is asked here is no physics
 COMMON = [
-    "--sensor",
-    "paper16",
     "--controller",
     "quick.py",
     "--objects",
@@ -31,17 +30,17 @@ COMMON = [
     "none",
     "--worst",
     "1",
-    "--effects=-images",
+    DRAWN,
     "--seed",
     "7",
 ]
 
 
-@pytest.mark.slow
+@pytest.mark.slow(10)
 def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile, monkeypatch, capsys):
     (tmp_path / "quick.py").write_text(controller_text(hold=0.1))
     host = subprocess.Popen(
-        [sys.executable, "-m", "mjtactile", "evaluate", *COMMON, "--workers", "2", "--out", "one"],
+        [sys.executable, "-m", "mjtactile", "evaluate", *COMMON, "--workers", "1", "--out", "one"],
         cwd=tmp_path,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -131,9 +130,7 @@ def test_the_command_of_an_episode_draws_the_same_world(tmp_path, mjtactile):
         "[object]\nmass_percent = [100, 200]\n[sensor]\nblur_px = [0, 1]\n"
     )
     words = [
-        "--sensor",
-        "paper16",
-        "--effects=-images",
+        DRAWN,
         "--controller",
         "quick.py",
         "--objects",

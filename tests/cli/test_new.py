@@ -90,7 +90,7 @@ def test_what_it_says_to_run_next_runs(mjtactile, tmp_path):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.slow(10)
 def test_a_copied_controller_grasps_a_copied_object(mjtactile, tmp_path):
     for kind, name in (("object", "plum.xml"), ("controller", "mine.py")):
         assert mjtactile("new", kind, name).returncode == 0
@@ -101,10 +101,7 @@ def test_a_copied_controller_grasps_a_copied_object(mjtactile, tmp_path):
             "./plum.xml",
             "--controller",
             "./mine.py",
-            "--sensor",
-            "paper16",
-            "--workers",
-            "0",
+            "--effects=-images,-sheet,-chain",
             "--out",
             "result",
             "--json",

@@ -16,7 +16,8 @@ import pytest
 from mjtactile.kernels import build
 
 CHECKOUT = Path(__file__).resolve().parents[2]
-pytestmark = pytest.mark.slow
+# of one worker: it builds the wheel once
+pytestmark = [pytest.mark.slow(25), pytest.mark.xdist_group("a wheel")]
 BUILD_ONLY = ("hatchling", "pathspec", "trove-classifiers", "ziglang")
 """What the lock has for building; a wheel brings its compiled chain along."""
 GLIBC = (2, 17)  # what the tag manylinux_2_17 promises

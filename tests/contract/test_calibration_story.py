@@ -229,7 +229,7 @@ def calibrate_cameras(path, file):
         assert main([*what, "--sensor", str(path.parent / "slower.toml")]) == 0
 
 
-@pytest.mark.slow
+@pytest.mark.slow(100)
 def test_two_fingers_that_are_not_as_their_sensor_file_says(tmp_path, monkeypatch):
     path = write_rig(tmp_path)
     sensor = ("--sensor", str(tmp_path / "slower.toml"))
@@ -259,7 +259,7 @@ def test_two_fingers_that_are_not_as_their_sensor_file_says(tmp_path, monkeypatc
     assert np.abs(after).max() < ERROR_MAX
 
 
-@pytest.mark.slow
+@pytest.mark.slow(25)
 def test_servos_whose_torque_is_not_the_data_sheets(tmp_path, monkeypatch):
     with at_pace(2.0), client(write_rig(tmp_path)) as (emulator, file):
         calibrate(file, emulator, monkeypatch, "gripper")

@@ -30,7 +30,7 @@ class Errors(Observer):
             self.statuses.add(str(touch.status))
 
 
-@pytest.mark.slow
+@pytest.mark.slow(15)
 @pytest.mark.parametrize("sensor", ["dense", "dense_fiducials"])
 def test_a_grasp_goes_on_when_both_cameras_are_knocked(tmp_path, sensor):
     """At 4 s the fingers have just touched. Truth within five of the bars that are said, always."""

@@ -302,7 +302,7 @@ def test_gentle_lifts_an_egg(name, tmp_path):
     assert hand > 0.04
 
 
-@pytest.mark.slow
+@pytest.mark.slow(70)
 @pytest.mark.xdist_group("its air")
 @pytest.mark.clock
 def test_gentle_grasps_on_the_emulated_rig_and_commands_its_air(emulator, tmp_path):
@@ -342,7 +342,7 @@ def test_gentle_grasps_on_the_emulated_rig_and_commands_its_air(emulator, tmp_pa
     assert pressures[held].max() == pytest.approx(2000.0, abs=100)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(100)
 @pytest.mark.xdist_group("a task")
 @pytest.mark.clock
 def test_adaptive_does_a_task_on_the_emulated_rig(emulator):

@@ -81,7 +81,7 @@ def emulator_valves(running):
     return running.emulator.truth()["valve"].values()
 
 
-@pytest.mark.slow
+@pytest.mark.slow(45)
 @pytest.mark.parametrize(
     ("number", "times", "phase"), CASES, ids=[f"{n.name}-{t}-{p}" for n, t, p in CASES]
 )
@@ -112,7 +112,7 @@ def test_signals(emulator, tmp_path, number, times, phase):
             )
 
 
-@pytest.mark.slow
+@pytest.mark.slow(40)
 def test_a_second_signal_a_second_later_lets_go_at_once(emulator, tmp_path):
     with host(emulator, tmp_path) as running:
         running.wait_for_phase("hold")
@@ -126,7 +126,7 @@ def test_a_second_signal_a_second_later_lets_go_at_once(emulator, tmp_path):
         assert running.recording().columns["state"][-1] == "safe"  # it was not down yet
 
 
-@pytest.mark.slow
+@pytest.mark.slow(55)
 def test_output_that_nobody_reads_and_a_folder_that_is_removed(emulator, tmp_path):
     """`mjtactile grasp … 2>&1 | head -6`: the grasp goes on to its end."""
     reader, writer = os.pipe()
@@ -143,7 +143,7 @@ def test_output_that_nobody_reads_and_a_folder_that_is_removed(emulator, tmp_pat
         running.has_set_down()
 
 
-@pytest.mark.slow
+@pytest.mark.slow(55)
 def test_a_terminal_that_stands_still_a_full_disk_and_no_descriptors(emulator, tmp_path):
     reader, writer = pty.openpty()
     with host(emulator, tmp_path, controller_text(hold=0.5), stderr=writer) as running:
@@ -162,7 +162,7 @@ def test_a_terminal_that_stands_still_a_full_disk_and_no_descriptors(emulator, t
     os.close(writer)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(60)
 @pytest.mark.parametrize("fault", FAULTS if ALL else FAULTS[:1])
 def test_a_controller_that_fails(emulator, tmp_path, fault):
     text = controller_text().replace("def _hold(", f"def _hold(*_):\n    {fault}\n\n\ndef _unused(")
@@ -175,7 +175,7 @@ def test_a_controller_that_fails(emulator, tmp_path, fault):
         assert running.recording().columns["state"][-1] == "latched"
 
 
-@pytest.mark.slow
+@pytest.mark.slow(25)
 def test_a_host_that_stood_still_finds_what_it_held_and_sets_it_down(emulator, tmp_path):
     """With `on_host_loss = "hold"`: its servos' watchdogs have tripped, its chambers are sealed."""
     with host(emulator, tmp_path, loss="hold") as running:

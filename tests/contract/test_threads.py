@@ -48,7 +48,7 @@ def log(folder, *, without=lambda key: False):
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.slow(10)
 def test_a_grasp_is_the_same_with_and_without_processes(grasps):
     none, two, _ = grasps
     first = log(none)

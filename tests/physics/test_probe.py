@@ -58,7 +58,7 @@ def test_a_sponge_is_soft_and_its_modulus_is_felt(capsys, tmp_path, sensor):
     assert again == 0 and replayed == found  # lossless images, the same code: the same numbers
 
 
-@pytest.mark.slow
+@pytest.mark.slow(10)
 @pytest.mark.parametrize(("name", "kind"), [("block", "solid"), ("clay", "amorphous")])
 def test_class(capsys, name, kind, sensor, brisk):
     code, found = probe(capsys, "--object", name, "--sensor", sensor, "--controller", brisk)

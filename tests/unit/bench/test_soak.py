@@ -22,7 +22,7 @@ LEG = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.slow(40)
 @pytest.mark.clock
 def test_a_leg_grips_breaks_and_is_read_back(tmp_path):
     bench = soak.SoakBench(tmp_path, leg=10.0, grip=6.0)

@@ -24,7 +24,7 @@ def emulator():
     process.close()
 
 
-@pytest.mark.slow
+@pytest.mark.slow(10)
 @pytest.mark.clock
 def test_a_new_rig_from_nothing_but_ports_and_streams(tmp_path, emulator, monkeypatch):
     # sooner, on a busy computer

@@ -43,7 +43,7 @@ def test_what_is_found_is_a_section_of_a_sensor_file(tmp_path):
     assert design.relaxation.terms == ((0.05, 10.0),)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(10)
 def test_a_press_that_is_held_and_let_go_says_what_fades(tmp_path, capsys):
     text = resources.find("dense", "models/sensors", ".toml").read_text()
     terms = ((0.05, 1.0), (0.05, 10.0), (0.05, 100.0))

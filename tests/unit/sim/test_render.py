@@ -96,9 +96,9 @@ def around(design, p_SM, half=26):
 @pytest.mark.parametrize(
     ("blur", "worst", "rms"),
     [
-        pytest.param(0.35, 2.5, 0.2, marks=pytest.mark.slow),
+        pytest.param(0.35, 2.5, 0.2, marks=pytest.mark.slow(10)),
         (0.7, 1.2, 0.1),
-        pytest.param(1.3, 0.6, 0.07, marks=pytest.mark.slow),
+        pytest.param(1.3, 0.6, 0.07, marks=pytest.mark.slow(10)),
     ],
 )
 def test_markers_are_what_rays_see(blur, worst, rms):

@@ -124,7 +124,7 @@ def test_what_is_outside_of_the_image_or_missing_is_not_seen():
     assert len(ellipses) == 79 and (ellipses.status == "ok").all()
 
 
-@pytest.mark.slow
+@pytest.mark.slow(10)
 def test_a_grasp_without_images_holds_the_egg_and_says_so(tmp_path):
     with Recorder(tmp_path / "run", {}) as recorder:
         result = run_grasp(Scenario(effects="-images"), [recorder], workers=0)
