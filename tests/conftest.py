@@ -32,9 +32,27 @@ def pytest_addoption(parser):
     )
 
 
+def seconds(item):
+    """About how long a test takes, if its mark says so: `slow(60)`."""
+    mark = item.get_closest_marker("slow")
+    return mark.args[0] if mark and mark.args else 0
+
+
+def longest_first(items, workers):
+    """The order in which workers are busy until the end: a long test that is begun last is waited
+    for. xdist gives each worker two tests at once, so that behind the first of these it gets one
+    of the shortest that say how long they take."""
+    long = sorted((item for item in items if seconds(item)), key=seconds, reverse=True)
+    if len(long) > 2 * workers:
+        long = [*long[:workers], *long[: -workers - 1 : -1], *long[workers:-workers]]
+    return [*long, *(item for item in items if not seconds(item))]
+
+
 def pytest_collection_modifyitems(config, items):
     """Tests marked `hardware` run only when a rig was named; with one, nothing else of the contract
     suite is left out."""
+    if workers := int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "0")):
+        items[:] = longest_first(items, workers)
     if config.getoption("--hardware"):
         return
     skip = pytest.mark.skip(reason="needs a real rig: pytest --hardware RIG.toml")
