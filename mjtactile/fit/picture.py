@@ -114,7 +114,7 @@ def _areas(design: SensorDesign, camera: Camera, size: tuple[int, ...]) -> tuple
         distance[near] = np.minimum(distance[near], np.hypot(u[near] - cu, v[near] - cv))
     radius = camera.fx * design.markers.radius / design.camera.distance
     ray = optics.unproject(camera, np.stack([u[::8, ::8], v[::8, ::8]], axis=-1).astype(float))
-    xy = np.abs(ray[..., :2] / ray[..., 2:]) * design.camera.distance
-    room = np.array([design.frame.length, design.frame.width]) / 2 - _BORDER
-    opening = np.kron((xy < room).all(axis=-1), np.ones((8, 8), bool))[: size[0], : size[1]]
+    xy = ray[..., :2] / ray[..., 2:] * design.camera.distance
+    within = design.frame.inside(xy.reshape(-1, 2)).reshape(xy.shape[:-1]) > _BORDER
+    opening = np.kron(within, np.ones((8, 8), bool))[: size[0], : size[1]]
     return opening & (distance > 1.15 * radius + _EDGE_PX), distance < 0.85 * radius - _EDGE_PX

@@ -26,9 +26,11 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
+import numpy as np
 
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
+from mjtactile.core.outline import Outline
 from mjtactile.sim.sensor import features, limits
 from mjtactile.sim.sensor.film_sensor import FilmSensor
 from mjtactile.sim.sensor.films import FILM_GRID, add_feeler
@@ -69,6 +71,7 @@ _NEEDED = {
     mujoco.mjtDisableBit.mjDSBL_SPRING: "membrane and gas are passive forces",
     mujoco.mjtDisableBit.mjDSBL_DAMPER: "membrane and gas are passive forces",
 }
+_WALLS = 24  # around an outline: 0.1 mm off one of 30 mm
 _LEAST_MEMORY = 1 << 24  # bytes
 
 
@@ -320,8 +323,7 @@ def _add_housing(body: mujoco.MjsBody, design: SensorDesign, mass: float) -> Non
     """Frame walls around the chamber and a block for glass and camera behind it; nothing in front
     of z = 0.
 
-    A circular frame gets the walls of the square around it: what touches between circle and square
-    touches nothing.
+    Around an outline stand `_WALLS` walls, each of which touches it from outside.
     """
     frame = design.frame
     depth = design.chamber.depth
@@ -329,25 +331,44 @@ def _add_housing(body: mujoco.MjsBody, design: SensorDesign, mass: float) -> Non
     half_x = frame.length / 2
     half_y = frame.width / 2
     back = max(design.camera.distance - depth, 1e-3)
-    boxes = (
-        [
-            ((0, sign * (half_y + rim / 2), -depth / 2), (half_x + rim, rim / 2, depth / 2))
-            for sign in (-1, 1)
-        ]
-        + [
-            ((sign * (half_x + rim / 2), 0, -depth / 2), (rim / 2, half_y, depth / 2))
-            for sign in (-1, 1)
-        ]
-        + [((0, 0, -depth - back / 2), (half_x + rim, half_y + rim, back / 2))]
+    walls = (
+        [(0.0, sign * (half_y + rim / 2), half_x + rim, rim / 2, 0.0) for sign in (-1, 1)]
+        + [(sign * (half_x + rim / 2), 0.0, rim / 2, half_y, 0.0) for sign in (-1, 1)]
+        if frame.outline is None
+        else _walls_around(frame.outline, rim)
     )
-    for number, (pos, size) in enumerate(boxes):
+    boxes = [((x, y, -depth / 2), (a, b, depth / 2), angle) for x, y, a, b, angle in walls]
+    boxes.append(((0, 0, -depth - back / 2), (half_x + rim, half_y + rim, back / 2), 0.0))
+    for number, (pos, size, angle) in enumerate(boxes):
         body.add_geom(
             name=f"housing{number}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
             pos=pos,
+            quat=[math.cos(angle / 2), 0.0, 0.0, math.sin(angle / 2)],
             size=size,
             mass=mass / len(boxes),
             contype=0,
             conaffinity=ANYTHING,
             rgba=[0.25, 0.27, 0.3, 1.0],
         )
+
+
+def _walls_around(outline: Outline, rim: float) -> list[tuple[float, float, float, float, float]]:
+    """Walls of this width, m, that touch an outline from outside: x, y, half length, half width,
+    m, and the angle of each to x."""
+    at = outline.points(2 * _WALLS)
+    ends, touching = at[::2], at[1::2]
+    along = np.roll(ends, -1, axis=0) - ends
+    lengths = np.linalg.norm(along, axis=1)
+    along /= lengths[:, None]
+    outward = np.column_stack([along[:, 1], -along[:, 0]])
+    # to where the outline is farthest out, so that no wall reaches into the opening
+    farthest = np.maximum((touching * outward).sum(1), (ends * outward).sum(1))
+    middle = (ends + np.roll(ends, -1, axis=0)) / 2
+    out = farthest - (middle * outward).sum(1) + rim / 2
+    places = middle + outward * out[:, None]
+    # neighbours overlap at their outer corners' gap
+    half = lengths / 2 + rim * np.pi / _WALLS
+    angles = np.arctan2(along[:, 1], along[:, 0])
+    half_rim = np.full(_WALLS, rim / 2)
+    return [tuple(wall) for wall in np.column_stack([places, half, half_rim, angles]).tolist()]

@@ -3,6 +3,7 @@ against closed forms and an independent disc."""
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from membrane_scenes import scene, settle
@@ -18,6 +19,7 @@ from mjtactile.sensing.force.inverse import InverseMembrane
 from mjtactile.sensing.force.sheet import Gas, Sheet
 from mjtactile.sensing.law import SheetLaw
 from mjtactile.sensing.shape.surface import SurfaceFitter
+from mjtactile.sim.attach import attach_membrane, recommend_options
 
 ROUND = load_sensor("round30")
 ELLIPSE = load_sensor("ellipse")
@@ -267,3 +269,32 @@ def test_markers_of_the_grid_outside_are_left_out():
     wide = replace(ROUND, frame=Frame(40e-3, 40e-3, shape="circle"))
     assert wide.markers.count == 81
     assert replace(ROUND, frame=load_sensor("dense").frame).markers.frame is None
+
+
+@pytest.mark.parametrize("name", ["round30", "ellipse"])
+def test_the_housing_stands_around_the_outline(name):
+    frame = load_sensor(name).frame
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_site(name="tip")
+    recommend_options(spec)
+    attach_membrane(spec, name, site="tip", prefix="a_")
+    model = spec.compile()
+    walls = [g for g in range(model.ngeom) if "housing" in model.geom(g).name][:-1]
+    axes = [model.geom(g).quat for g in walls]
+    turn = [
+        np.array([[w * w - z * z, -2 * w * z], [2 * w * z, w * w - z * z]]) for w, *_, z in axes
+    ]
+    inside = []
+    rim = frame.outline.points(500)
+    rim = rim + 0.5 * frame.rim * rim / np.linalg.norm(rim, axis=1, keepdims=True)
+    covered = np.zeros(len(rim), bool)
+    for g, R in zip(walls, turn, strict=True):
+        half, middle = model.geom(g).size[:2], model.geom(g).pos[:2]
+        corners = middle + (half * [(-1, -1), (1, -1), (1, 1), (-1, 1)]) @ R.T
+        edges = np.concatenate(
+            [np.linspace(a, b, 20) for a, b in zip(corners, np.roll(corners, 1, 0), strict=True)]
+        )
+        inside.append(frame.inside(edges).max())
+        covered |= (np.abs((rim - middle) @ R) <= half).all(axis=1)
+    assert max(inside) < 1e-5  # none reaches into the opening; chords of 1/720 of the outline
+    assert covered.all()
