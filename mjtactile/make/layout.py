@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import InputError
+from mjtactile.core.sensor_parts import FrameShape
 from mjtactile.make import hardware as hw
 from mjtactile.make.hardware import BOLTS, PORTS, Bolt, Hardware, Port
 from mjtactile.make.limits import MM, Limit, check_all, limits_of
@@ -31,7 +33,13 @@ class Layout:
     @classmethod
     def of(cls, design: SensorDesign, hardware: Hardware, source: str) -> Layout:
         """Raises InputError naming the number that cannot be built and its limit."""
-        design.require_rectangle("`mjtactile make`")
+        if design.frame.shape == FrameShape.POLYGON:
+            raise InputError(
+                "'polygon' can be simulated and felt with, but `mjtactile make` has no part for it",
+                source=source,
+                field="frame.shape",
+                choices=[str(shape) for shape in FrameShape if shape != FrameShape.POLYGON],
+            )
         check_all(limits_of(design, hardware), source)
         layout = cls(design, hardware)
         check_all(layout.limits(), source)

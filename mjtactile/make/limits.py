@@ -134,12 +134,21 @@ def _pattern(design: SensorDesign, hardware: Hardware) -> Iterator[Limit]:
             f"leaves webs of less than {_WEB:g} mm in the stencil",
             stretch * (printed + _WEB),
         )
+        if frame.outline is not None:
+            continue
         room = (MM * size - 2 * MM * markers.radius - 2 * _MARGIN) / (count - 1)
         yield Limit(
             field,
             value,
             f"leaves less than {_MARGIN:g} mm between the outermost markers and the frame",
             high=room,
+        )
+    if frame.outline is not None:
+        yield Limit(
+            "markers.radius_mm",
+            MM * markers.radius,
+            f"leaves less than {_MARGIN:g} mm between the outermost markers and the frame",
+            high=MM * (min(opening_margins(design)) + markers.radius) - _MARGIN,
         )
 
 
@@ -172,6 +181,9 @@ def opening_margins(design: SensorDesign) -> tuple[float, float]:
     """From the outermost markers' edges to the opening's, along x and y, mm."""
     frame = design.frame
     markers = design.markers
+    if frame.outline is not None:
+        least = MM * float(frame.inside(markers.p_SM[:, :2]).min() - markers.radius)
+        return least, least
     return (
         MM * ((frame.length - (markers.columns - 1) * markers.pitch_x) / 2 - markers.radius),
         MM * ((frame.width - (markers.rows - 1) * markers.pitch_y) / 2 - markers.radius),

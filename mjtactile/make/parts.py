@@ -8,7 +8,8 @@ from itertools import pairwise
 
 from mjtactile.make import hardware as hw
 from mjtactile.make.layout import Layout
-from mjtactile.make.solid import Bore, Contour, Layer, Part, Region, circle, plate
+from mjtactile.make.limits import MM
+from mjtactile.make.solid import Bore, Contour, Layer, Part, Region, Traced, circle, plate
 
 _PRINTED = (0.36, 0.40, 0.46)
 _LIGHT = (0.55, 0.60, 0.66)
@@ -16,6 +17,7 @@ PEG = 1.25  # mm, radius of the stretching jig's pegs
 _JIG = 5.0
 _PEG_HEIGHT = 5.0
 _PEG_SPACING = 9.0
+_FLAT = 0.5  # mm of a round opening's flat beside the port
 JAW_HOLE = 1.7  # mm, radius: M3
 CAMERA_HOLE = 1.1  # M2, clear
 
@@ -49,13 +51,23 @@ def flange(layout: Layout) -> Contour:
 
 
 def opening(layout: Layout) -> Contour:
-    return Contour(layout.open_x, layout.open_y)
+    """The membrane's outline; where it is round, with a flat on the +x side for the port."""
+    return _outline(layout, 0.0, layout.port.radius + _FLAT)
 
 
-def rim_outer(layout: Layout) -> Contour:
-    """Outside of the rim that the sheet is laid over, with round corners so that it does not
-    tear."""
-    return Contour(layout.open_x + layout.rim, layout.open_y + layout.rim, layout.rim)
+def rim_outer(layout: Layout, more: float = 0.0) -> Contour:
+    """Outside of the rim that the sheet is laid over, with round corners so that it does not tear,
+    and `more` mm around it."""
+    return _outline(layout, layout.rim + more)
+
+
+def _outline(layout: Layout, by: float, flat: float = 0.0) -> Contour:
+    """The contour `by` mm outside of the opening's outline."""
+    frame = layout.design.frame
+    if frame.outline is not None and not frame.has_corners:
+        return Traced.around(frame.outline, by, flat)
+    radius = MM * frame.corner_radius if frame.has_corners else 0.0
+    return Contour(layout.open_x + by, layout.open_y + by, radius + by)
 
 
 def pegs(layout: Layout) -> list[tuple[float, float]]:
@@ -73,7 +85,7 @@ def pegs(layout: Layout) -> list[tuple[float, float]]:
 
 
 def _clamp_ring(layout: Layout) -> Part:
-    inner = Contour(layout.ring_x, layout.ring_y, layout.rim + layout.sheet + hw.CLEARANCE)
+    inner = _outline(layout, layout.ring)
     return Part(
         "clamp_ring",
         (plate(*layout.z_ring, flange(layout), [inner, *bolt_holes(layout)]),),
@@ -84,7 +96,7 @@ def _clamp_ring(layout: Layout) -> Part:
 
 def _membrane(layout: Layout) -> Part:
     """The rubber as mounted: over the opening and down the rim."""
-    cover = rim_outer(layout).grown(layout.sheet)
+    cover = rim_outer(layout, layout.sheet)
     skirt = plate(layout.z_flange + layout.sheet, 0.0, cover, [rim_outer(layout)])
     return Part(
         "membrane",

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
-from mjtactile.make.solid import Contour
+from mjtactile.make.solid import Contour, Traced
 
 # A4, A3, upright and across
 _PAPERS = ((210.0, 297.0), (297.0, 210.0), (297.0, 420.0), (420.0, 297.0))
@@ -152,6 +152,9 @@ def _svg(shape: Shape) -> str:
             f'<polyline points="{" ".join(f"{_n(x)},{_n(y)}" for x, y in shape.points)}" {paint}/>'
         )
     c = shape.contour
+    if isinstance(c, Traced):
+        corners = " ".join(f"{_n(x)},{_n(y)}" for x, y in c.points)
+        return f'<polygon points="{corners}" {paint}/>'
     if c.is_circle:
         return f'<circle cx="{_n(c.x)}" cy="{_n(c.y)}" r="{_n(c.r)}" {paint}/>'
     return (
@@ -202,7 +205,7 @@ def _figure(sheet: Sheet) -> Any:
 
 def _draw(axes: Any, shape: Shape) -> None:
     from matplotlib.lines import Line2D
-    from matplotlib.patches import Circle, FancyBboxPatch, Rectangle
+    from matplotlib.patches import Circle, FancyBboxPatch, Polygon, Rectangle
 
     fill, stroke, width = _STYLES[shape.style]
     paint = {
@@ -218,6 +221,8 @@ def _draw(axes: Any, shape: Shape) -> None:
         axes.add_artist(
             Line2D(*zip(*shape.points, strict=True), color=stroke, linewidth=width * 72 / 25.4)
         )
+    elif isinstance(c, Traced):
+        axes.add_artist(Polygon(c.points, **paint))
     elif c.is_circle:
         axes.add_artist(Circle((c.x, c.y), c.r, **paint))
     elif c.r:

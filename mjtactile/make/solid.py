@@ -1,5 +1,5 @@
-"""Solids as stacks of plates: each layer is bounded by rounded rectangles and circles, which may be
-nested but never cross.
+"""Solids as stacks of plates: each layer is bounded by rounded rectangles, circles and convex
+polygons, which may be nested but never cross.
 
 That is all that a milled, printed or laser-cut housing needs, and it keeps the exact shape: `step`
 writes its planes and cylinders, `mesh` its triangles, and its volume is a closed form. mm, frame S
@@ -14,10 +14,13 @@ from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
+from mjtactile.core.outline import Outline
 from mjtactile.core.types import Array
 
 _APART = 1e-3  # mm
+_CORNERS = 240  # of a polygon for an outline: 1 um off a circle of 30 mm
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,64 @@ class Contour:
             angles = first + 0.5 * math.pi / per_quarter * np.arange(1, steps)
             points.extend(centre + self.r * np.column_stack([np.cos(angles), np.sin(angles)]))
         return np.array(points)
+
+
+@dataclass(frozen=True)
+class Traced(Contour):
+    """A convex polygon about the origin, counter-clockwise, in place of an outline that is neither
+    rectangle nor circle; its farthest points along x are on the axis.
+
+    Attributes:
+        points: (x, y) of each corner, mm.
+    """
+
+    points: tuple[tuple[float, float], ...] = ()
+
+    @classmethod
+    def around(cls, outline: Outline, by: float = 0.0, flat: float = 0.0) -> Traced:
+        """The polygon `by` mm outside of an outline (m); with `flat`, mm, its +x side is straight
+        that far to both sides of the axis, for a bore."""
+        at = 1e3 * outline.points(_CORNERS)
+        along = np.roll(at, -1, axis=0) - np.roll(at, 1, axis=0)
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        at = at + by * np.column_stack([along[:, 1], -along[:, 0]])
+        half = np.abs(at).max(axis=0)
+        if flat:
+            ends = [(half[0], -flat), (half[0], flat)]
+            at = np.concatenate([at, ends])
+            at = at[ConvexHull(at).vertices]  # counter-clockwise
+            at = at[np.hypot(*(at - [half[0], 0.0]).T) > 1e-9]
+        return cls(*half.tolist(), points=tuple((float(x), float(y)) for x, y in at))
+
+    @property
+    def area(self) -> float:
+        x, y = np.array(self.points).T
+        return float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
+
+    @property
+    def is_circle(self) -> bool:
+        return False
+
+    def grown(self, by: float) -> Contour:
+        """Not known: an outline's own neighbours are `around` it."""
+        raise NotImplementedError
+
+    def distance(self, x: float, y: float) -> float:
+        """Signed distance of a point: negative inside; outside, beyond a corner, less than it."""
+        at = np.array(self.points)
+        along = np.roll(at, -1, axis=0) - at
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        off = np.array([x, y]) - at
+        return float((off[:, 0] * along[:, 1] - off[:, 1] * along[:, 0]).max())
+
+    def edges(self) -> list[tuple[Array, Array, Array | None]]:
+        """As of a rectangle, all straight."""
+        at = np.array(self.points)
+        return [(a, b, None) for a, b in zip(at, np.roll(at, -1, axis=0), strict=True)]
+
+    def polygon(self, per_quarter: int) -> Array:
+        """Its corners (n, 2)."""
+        return np.array(self.points)
 
 
 def circle(radius: float, x: float = 0.0, y: float = 0.0) -> Contour:

@@ -38,13 +38,18 @@ class State:
 def growth(design: SensorDesign, states: Sequence[State]) -> float:
     """Largest mean growth, over the states, of the distances between neighbouring markers: what
     elastic markers grow by."""
-    rows = design.markers.rows
-    columns = design.markers.columns
+    markers = design.markers
+    flat = markers.p_SM[:, :2]
+    pairs = [
+        np.nonzero(np.abs(flat[None] - flat[:, None] - step).max(axis=2) < 1e-9)
+        for step in ((markers.pitch_x, 0.0), (0.0, markers.pitch_y))
+    ]
     found = []
     for state in states:
-        grid = state.p_SM.reshape(rows, columns, 3)
-        along, across = (np.linalg.norm(np.diff(grid, axis=axis), axis=2).mean() for axis in (1, 0))
-        found.append((along / design.markers.pitch_x + across / design.markers.pitch_y) / 2 - 1)
+        along, across = (
+            np.linalg.norm(state.p_SM[b] - state.p_SM[a], axis=1).mean() for a, b in pairs
+        )
+        found.append((along / markers.pitch_x + across / markers.pitch_y) / 2 - 1)
     return float(max(found))
 
 

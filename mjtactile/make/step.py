@@ -158,8 +158,17 @@ def _sides(file: _File, part: Part) -> Iterable[int]:
                 continue
             along = np.append(q - p, 0) / np.linalg.norm(q - p)
             normal = np.cross(along, _Z) * (1 if outer else -1)
-            mouths = _mouths(file, part.bore, contour, normal, low, high, outer=outer)
+            bore = part.bore if _spans_bore(part.bore, p, q) else None
+            mouths = _mouths(file, bore, contour, normal, low, high, outer=outer)
             yield file.face(file.plane(np.append(p, low), normal, along), [loop, *mouths])
+
+
+def _spans_bore(bore: Bore | None, p: Array, q: Array) -> bool:
+    """Whether a wall from `p` to `q` is as wide as the bore where that is."""
+    if bore is None:
+        return False
+    low, high = sorted((p[1], q[1]))
+    return low < bore.y - bore.radius and bore.y + bore.radius < high
 
 
 def _levels(file: _File, part: Part) -> Iterable[int]:

@@ -19,7 +19,7 @@ from mjtactile.make import camera, hardware, limits, mesh, patterns, pictures, s
 from mjtactile.make.build import write
 from mjtactile.make.hardware import Hardware
 from mjtactile.make.layout import Layout
-from mjtactile.make.parts import make_parts
+from mjtactile.make.parts import make_parts, opening
 from mjtactile.make.solid import Bore, Contour, Part, circle, crossing, plate
 from mjtactile.make.states import State, growth, simulate
 
@@ -216,22 +216,26 @@ def step_shell(text):
     return ends, loops, faces, shells, points
 
 
+def check_shell(part, genus):
+    """A STEP file's faces are one closed shell of this genus."""
+    ends, loops, faces, shells, points = step_shell(step.write_step(part))
+    assert len(shells) == 1 and len(shells[0]) == len(faces)
+    used = Counter(edge for face in faces for loop in face for edge in loops[loop])
+    # each edge once each way: closed, consistent
+    assert set(used.values()) == {1} and {e for e, _ in used} == set(ends)
+    assert all((edge, not forward) in used for edge, forward in used)
+    for loop in loops.values():
+        way = [ends[e] if forward else ends[e][::-1] for e, forward in loop]
+        assert all(one[1] == other[0] for one, other in pairwise([*way, way[0]]))
+    euler = len(points) - len(ends) + len(faces) - (sum(map(len, faces)) - len(faces))
+    assert euler == 2 - 2 * genus, part.name  # Euler and Poincare
+    assert np.ptp(np.array(list(points.values()))[:, 2]) == pytest.approx(part.size[2])
+
+
 def test_step_files_are_closed_shells_of_the_right_genus(parts, solids):
     for name, part in parts.items():
-        if not part.make:
-            continue
-        ends, loops, faces, shells, points = step_shell(step.write_step(part))
-        assert len(shells) == 1 and len(shells[0]) == len(faces)
-        used = Counter(edge for face in faces for loop in face for edge in loops[loop])
-        # each edge once each way: closed, consistent
-        assert set(used.values()) == {1} and {e for e, _ in used} == set(ends)
-        assert all((edge, not forward) in used for edge, forward in used)
-        for loop in loops.values():
-            way = [ends[e] if forward else ends[e][::-1] for e, forward in loop]
-            assert all(one[1] == other[0] for one, other in pairwise([*way, way[0]]))
-        euler = len(points) - len(ends) + len(faces) - (sum(map(len, faces)) - len(faces))
-        assert euler == 2 - 2 * solids[name].genus(), name  # Euler and Poincare; the mesh's genus
-        assert np.ptp(np.array(list(points.values()))[:, 2]) == pytest.approx(part.size[2])
+        if part.make:
+            check_shell(part, solids[name].genus())  # the mesh's
 
 
 def test_the_bore_makes_one_way_into_the_chamber(parts, solids, layout):
@@ -407,11 +411,40 @@ def test_what_the_optics_cannot_do_is_refused():
         camera.plan_camera(DENSE, Hardware(f_number=22.0), STATES, "mine.toml")
 
 
-def test_round_sensors_are_refused():
-    with pytest.raises(InputError, match="handles rectangles only"):
-        Layout.of(
-            replace(DENSE, frame=replace(DENSE.frame, shape="circle")), Hardware(), "round.toml"
-        )
+def test_polygons_are_refused():
+    corners = ((-0.02, -0.02), (0.02, -0.02), (0.0, 0.02))
+    frame = replace(DENSE.frame, shape="polygon", corners=corners)
+    with pytest.raises(InputError, match=r"frame\.shape: 'polygon' .* no part for it"):
+        Layout.of(replace(DENSE, frame=frame), Hardware(), "mine.toml")
+
+
+ROUNDED = replace(DENSE.frame, shape="rounded", corner_radius=4e-3)
+
+
+@pytest.mark.parametrize(
+    "design",
+    [load_sensor("round30"), load_sensor("ellipse"), replace(DENSE, frame=ROUNDED)],
+    ids=["circle", "ellipse", "rounded"],
+)
+def test_a_frame_of_another_outline_is_a_solid_around_it(design):
+    layout = Layout.of(design, Hardware(), "mine.toml")
+    area = 1e6 * design.frame.area
+    # a polygon of 240 corners, and the flat where the air comes in
+    assert opening(layout).area == pytest.approx(area, rel=2e-3)
+    found = make_parts(layout)
+    for name in ("frame", "clamp_ring", "membrane", "gasket"):
+        solid = mesh.solid_of(found[name])
+        # chords of the bolts' holes; closed forms beside them
+        assert solid.volume() == pytest.approx(found[name].volume, rel=2e-3)
+        if found[name].make:
+            check_shell(found[name], solid.genus())
+    assert mesh.solid_of(found["frame"]).genus() == len(layout.bolts) + 2  # opening, port
+    assert cover_of(found["membrane"]) > area
+
+
+def cover_of(membrane):
+    """mm^2 of the rubber in front of the rim and the opening."""
+    return membrane.layers[-1].regions[0].area
 
 
 def test_the_pane_holds_what_roark_says():
