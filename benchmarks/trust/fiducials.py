@@ -1,27 +1,27 @@
 """`mjtactile bench fiducials`: a camera that changes, felt by a sensor with fiducials and by one
 without.
 
-The same egg, seed and troubles for both; each with the pressure gauge and without; and what
-fiducials cost an image.
+The same eggs, seeds and troubles for both; each with the pressure gauge and without; what a
+trouble changes of what is felt in the same images without it; and what fiducials cost an image.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.accuracy.run import stamp
-from benchmarks.trust.kinds import ALWAYS, RUN, Kind, kinds
+from benchmarks.trust.kinds import ALWAYS, RUN, kinds
 from benchmarks.trust.numbers import numbers
-from benchmarks.trust.replay import Grasp, feel, record
+from benchmarks.trust.replay import Felt, Grasp, feel, record
 from mjtactile.run.progress import Progress
 
 SENSORS = ("dense", "dense_fiducials")
-GRASP_SEED = 4
+GRASP_SEEDS = (4, 21, 22, 23)
 NAMES = (
     "none",
     "knock of 0.5 px",
@@ -44,38 +44,57 @@ _TURNS = 3  # of both sensors, in turn, for the time
 def run(
     out: Path, *, quick: bool = False, say: Callable[[str], None] | None = None
 ) -> dict[str, Any]:
-    """Both sensors under each of `NAMES`, after the references; `quick`: every fourth."""
+    """Both sensors under each of `NAMES`, after the references; `quick`: one seed, and every fourth
+    trouble."""
     say = say or Progress().message
-    grasps = {sensor: record(sensor, GRASP_SEED) for sensor in SENSORS}
-    wanted = NAMES[:: 4 if quick else 1]
+    seeds = GRASP_SEEDS[: 1 if quick else None]
+    grasps = {}
     rows = []
-    for kind in kinds():
-        if kind.name not in wanted or kind.when != (ALWAYS if kind.name == "none" else RUN):
-            continue
-        for sensor, grasp in grasps.items():
-            for gauge in (True, False):
-                row = _row(sensor, grasp, kind, gauge=gauge)
-                rows.append(row)
-                say(f"{sensor}, {kind.name}, gauge {gauge}: worst {row['worst_N']:.3f} N")
+    for sensor in SENSORS:
+        for seed in seeds:
+            grasp = record(sensor, seed)
+            grasps.setdefault(sensor, grasp)
+            say(f"{sensor}, seed {seed}")
+            rows += _rows(sensor, seed, grasp, NAMES[:: 4 if quick else 1], say)
     return {
         "stamp": stamp(),
-        "grasp_seed": GRASP_SEED,
+        "grasp_seeds": list(seeds),
         "rows": rows,
         "ms": _prices(grasps, 1 if quick else _TURNS),
     }
 
 
-def _row(sensor: str, grasp: Grasp, kind: Kind, *, gauge: bool) -> dict[str, Any]:
-    (felt,) = feel(grasp, kind, gauges=(gauge,))
-    found = numbers(grasp, felt)
-    first = felt.touches[0].force_normal - grasp.true[0]
+def _rows(
+    sensor: str, seed: int, grasp: Grasp, names: Sequence[str], say: Callable[[str], None]
+) -> list[dict[str, Any]]:
+    """One grasp under each trouble, with the gauge and without; the first is none."""
+    rows = []
+    clean: Sequence[Felt] = ()
+    for kind in kinds():
+        if kind.name not in names or kind.when != (ALWAYS if kind.name == "none" else RUN):
+            continue
+        both = feel(grasp, kind)
+        clean = clean or both
+        for gauge, felt, without in zip((True, False), both, clean, strict=True):
+            row = _row(grasp, felt, without)
+            head = {"sensor": sensor, "seed": seed, "name": kind.name, "gauge": gauge}
+            rows.append({**head, "strength": dict(kind.table), **row})
+            say(f"{kind.name}, gauge {gauge}: worst {row['worst_N']:.3f} N")
+    return rows
+
+
+def _row(grasp: Grasp, felt: Felt, clean: Felt) -> dict[str, Any]:
+    """How far felt forces are from true ones, and from those that are felt in the same images
+    without a trouble."""
+    forces, usual = (
+        np.array([touch.force_normal for touch in one.touches]) for one in (felt, clean)
+    )
+    changed = forces - usual
     return {
-        "sensor": sensor,
-        "name": kind.name,
-        "strength": dict(kind.table),
-        "gauge": gauge,
-        "first_N": float(first),
-        **found,
+        "first_N": float(forces[0] - grasp.true[0]),
+        "changed_rms_N": float(np.sqrt(np.nanmean(changed**2))),
+        "changed_worst_N": float(np.nanmax(np.abs(changed))),
+        **numbers(grasp, felt),
     }
 
 
@@ -92,21 +111,22 @@ def _prices(grasps: Mapping[str, Grasp], turns: int) -> dict[str, float]:
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """Markdown: a row for each trouble; rms / worst, the first image, both sensors."""
+    """Markdown: a row for each trouble, both sensors, over all seeds."""
     plain, fixed = SENSORS
+    seeds = ", ".join(map(str, result["grasp_seeds"]))
     lines = [
-        "| trouble, after the references | "
-        f"`{plain}`, N: rms / worst, first image | `{fixed}` | "
-        "without gauge | without gauge, fiducials |",
+        f"Eggs of seeds {seeds}; N, rms / worst over all of them. Changed: against the same images "
+        "without the trouble. First: of the first image after the references, the worst.",
+        "",
+        f"| trouble, after the references | `{plain}`: felt less true; changed; first | "
+        f"`{fixed}` | without gauge | without gauge, fiducials |",
         "|---|---|---|---|---|",
     ]
     for name in dict.fromkeys(row["name"] for row in result["rows"]):
         cells = [
-            _cell(row)
+            _cell([row for row in result["rows"] if _is(row, name, sensor, gauge)])
             for gauge in (True, False)
             for sensor in SENSORS
-            for row in result["rows"]
-            if (row["name"], row["sensor"], row["gauge"]) == (name, sensor, gauge)
         ]
         lines.append(f"| {name} | {' | '.join(cells)} |")
     ms = result["ms"]
@@ -117,10 +137,26 @@ def table(result: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _cell(row: Mapping[str, Any]) -> str:
-    if row["rms_N"] is None:
+def _is(row: Mapping[str, Any], name: str, sensor: str, gauge: bool) -> bool:
+    return (row["name"], row["sensor"], row["gauge"]) == (name, sensor, gauge)
+
+
+def _cell(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Of one trouble, one sensor and all seeds."""
+    known = [row for row in rows if row["rms_N"] is not None]
+    if not known:
         return "none ok"
-    text = f"{row['rms_N']:.3f} / {row['worst_N']:.2f}, {row['first_N']:+.3f}"
-    if row["ok"] < row["images"]:
-        text += f", {row['images'] - row['ok']} not ok"
-    return text + (f", {row['far']} far" if row["far"] else "")
+
+    def rms(key: str) -> float:
+        return float(np.sqrt(np.mean([row[key] ** 2 for row in known])))
+
+    def worst(key: str) -> float:
+        return max(abs(row[key]) for row in known)
+
+    text = (
+        f"{rms('rms_N'):.3f} / {worst('worst_N'):.2f}; {rms('changed_rms_N'):.3f} / "
+        f"{worst('changed_worst_N'):.3f}; {worst('first_N'):.3f}"
+    )
+    unknown = sum(row["images"] - row["ok"] for row in rows)
+    far = sum(row["far"] for row in rows)
+    return text + (f"; {unknown} not ok" if unknown else "") + (f"; {far} far" if far else "")

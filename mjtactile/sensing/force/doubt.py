@@ -8,6 +8,7 @@ presses, taps, drags and holds (`bench bars`).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,7 +48,8 @@ class Doubt:
         frame = design.frame
         self._sharp_most = settings.sharp_most
         s = settings
-        self._shares = np.array([s.share, s.lateral, s.sharp, s.outside, s.burst], float)[:, AXES]
+        shares = [s.share, s.lateral, s.sharp, s.caught, s.outside, s.burst]
+        self._shares = np.array(shares, float)[:, AXES]
         self._change = np.array(s.change)[AXES]
         self._lag = s.lag
         self._outside = _outside(layout, nodes)
@@ -60,11 +62,13 @@ class Doubt:
         """Of force, N^2, and torque, (N m)^2, about the origin of S, (6,)."""
         size = float(np.linalg.norm(felt.force.sum(axis=1)))
         sums = np.abs(felt.force)
+        excess = min(felt.excess, self._sharp_most)
         loads = np.array(
             [
                 [size * self._sparse],
                 [float(sums[:2].sum())],
-                [size * min(felt.excess, self._sharp_most)],
+                [size * excess],
+                [float(sums[:2].sum()) * math.sqrt(max(excess - 1, 0.0))],
                 [float((sums @ self._outside).sum())],
                 [_burst(float(np.linalg.norm(felt.change[:3])), size)],
             ]

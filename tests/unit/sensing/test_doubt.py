@@ -16,7 +16,7 @@ NODES = np.array([[0.0, 0.0], [18e-3, 0.0]])  # the second is beyond the outermo
 NOTHING = DEFAULTS.override(
     {
         f"doubt.{name}": (0.0,) * 4
-        for name in ("share", "lateral", "sharp", "outside", "change", "burst")
+        for name in ("share", "lateral", "sharp", "caught", "outside", "change", "burst")
     }
     | {"doubt.drag": 0.0}
 ).doubt
@@ -43,6 +43,18 @@ def test_shares_are_of_the_force_and_torques_have_a_lever():
 def test_shear_that_cancels_itself_is_doubted_all_the_same():
     felt = loaded([0.5, 0.0, 0.0], [-0.5, 0.0, 0.0])
     assert sd(felt, lateral=(0.1, 0.0, 0.0, 0.0))[:2] == pytest.approx([0.1, 0.1])
+
+
+@pytest.mark.parametrize(("excess", "factor"), [(0.6, 0.0), (1.0, 0.0), (5.0, 2.0), (1e3, 19**0.5)])
+def test_shear_of_edges_that_catch_the_sheet_is_doubted_and_that_of_smooth_bodies_is_not(
+    excess, factor
+):
+    """By the root of the markers' excess noise beyond one, of which 20 count."""
+    felt = loaded([0.3, 0.0, -1.0], [-0.1, 0.0, 0.0], excess=excess)
+    found = sd(felt, caught=(0.1, 0.0, 0.2, 0.0))
+    assert found == pytest.approx(
+        np.array([0.04, 0.04, 0.0, 0.08 * 3e-3, 0.08 * 3e-3, 0.0]) * factor
+    )
 
 
 def test_only_what_lies_beyond_the_markers_is_outside():
