@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.paper.deformation import Fields, MembraneModel
 from benchmarks.paper.settings import DEFAULTS, PaperSettings
 from mjtactile.core.types import Array, Markers, Surface
-from mjtactile.sensing.shape.deformation import Fields, MembraneModel
 
 
 def spring_grid_force(surface: Surface, rest: Surface, tension: float) -> Array:

@@ -17,13 +17,13 @@ import numpy as np
 
 from benchmarks.paper.marker_accuracy import paper_like
 from benchmarks.paper.marker_methods import compare_methods
+from benchmarks.paper.pad import Pad
 from mjtactile.calibrate.area import AreaCalibration
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.experiments.station import Station
 from mjtactile.sim.scenes.indentation import Indenter
-from mjtactile.sim.scenes.specimens import Pad
 
 CYLINDER = Indenter("cylinder", 6e-3)
 SPONGE = Pad("pad", 6e-3, stiffness=250.0, stiffening=2.5e5)

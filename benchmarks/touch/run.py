@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.paper.deformation import MembraneModel
 from benchmarks.paper.levels import MembraneForce, spring_grid_force
 from benchmarks.touch.area import calibrate_area
 from benchmarks.touch.tables import draw, summary, table
@@ -25,7 +26,6 @@ from mjtactile.calibrate.area import AreaCalibration
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.types import Array, Image, Touch
 from mjtactile.experiments.station import View, take_references
-from mjtactile.sensing.shape.deformation import MembraneModel
 from mjtactile.sim import truth
 from mjtactile.sim.picture.renderer import Renderer
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld

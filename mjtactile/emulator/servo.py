@@ -26,7 +26,6 @@ _TICKS_PER_RAD = 4096 / (2 * math.pi)
 _RPM_UNIT = 0.229 * 2 * math.pi / 60  # rad/s
 _ACCELERATION_UNIT = 214.577 * 2 * math.pi / 3600  # rad/s^2: "Profile Acceleration(108)", rev/min^2
 _PWM_FULL = 885
-_VOLTAGE = 0x01
 _OVERHEATING = 0x04
 _OVERLOAD = 0x20
 _FIRMWARE = {330: 52, 430: 46, 540: 46}

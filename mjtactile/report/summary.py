@@ -21,8 +21,6 @@ from mjtactile.rig.registry import build_rig
 from mjtactile.run.session import Session
 from mjtactile.sensing.perception import Perception
 
-PICTURES = ("summary.png", "summary.html")
-
 
 def write_pictures(
     folder: Path,

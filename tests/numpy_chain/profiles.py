@@ -26,6 +26,7 @@ from mjtactile.sensing.image import ellipse
 from mjtactile.sensing.image.edges import SOFTEN, SOFTEN_VARIANCE, EdgeFit
 from mjtactile.sensing.image.ellipse import middle
 from mjtactile.sensing.settings import DEFAULTS, ProfileSettings
+from tests.numpy_chain.ellipse import covariance_of_moves
 
 # along a profile; of these, at either end, for the levels
 _SAMPLES = 17
@@ -363,7 +364,7 @@ def _result(
     return EdgeFit(
         center,
         shape,
-        ellipse.covariance_of_moves(cov, shape),
+        covariance_of_moves(cov, shape),
         inside,
         outside,
         optical,

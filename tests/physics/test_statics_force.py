@@ -8,10 +8,10 @@ import pytest
 from reference_membrane import ReferenceMembrane
 from scipy.interpolate import RectBivariateSpline
 
+from benchmarks.paper.deformation import MembraneModel
 from benchmarks.paper.levels import MembraneForce, spring_grid_force
 from mjtactile.core.design import load_sensor
 from mjtactile.core.types import Markers, Surface
-from mjtactile.sensing.shape.deformation import MembraneModel
 
 SUPPLY = 1000.0  # Pa
 

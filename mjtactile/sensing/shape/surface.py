@@ -88,21 +88,6 @@ class Spline:
         """z or its derivative of order (dx, dy) on the fitter's grid, (ny, nx)."""
         return self.fitter.grid_y[dy] @ self.coefficients @ self.fitter.grid_x[dx].T
 
-    def mean_curvature(self) -> Array:
-        """Mean curvature H (ny, nx) 1/m on the grid; positive where the membrane is hollow seen
-        from outside (+z).
-
-        Do Carmo, Differential Geometry of Curves and Surfaces, 3-3, example 5 (Monge patch).
-        """
-        p = self.grid(1, 0)
-        q = self.grid(0, 1)
-        top = (
-            (1 + q * q) * self.grid(2, 0)
-            - 2 * p * q * self.grid(1, 1)
-            + (1 + p * p) * self.grid(0, 2)
-        )
-        return top / (2 * (1 + p * p + q * q) ** 1.5)
-
     def height_sd(self, x: ArrayLike, y: ArrayLike) -> Array:
         """Standard deviation (N,) m of z at points `x`, `y` (N,) m."""
         rows = self.fitter.rows(x, y)

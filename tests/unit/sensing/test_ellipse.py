@@ -3,6 +3,7 @@
 import numpy as np
 
 from mjtactile.sensing.image import ellipse
+from tests.numpy_chain.ellipse import conic_from_shape, covariance_of_moves
 
 
 def shapes(count=200):
@@ -24,7 +25,7 @@ def test_conic_vanishes_on_the_boundary():
     center = np.random.default_rng(1).uniform(-50, 600, (len(shape), 2))
     points, _ = ellipse.boundary(center, shape, 17)
     x = np.concatenate([points, np.ones_like(points[..., :1])], axis=-1)
-    value = np.einsum("nki,nij,nkj->nk", x, ellipse.conic_from_shape(center, shape), x)
+    value = np.einsum("nki,nij,nkj->nk", x, conic_from_shape(center, shape), x)
     assert np.abs(value).max() < 1e-8  # rounding times (600/2)^2
 
 
@@ -74,8 +75,5 @@ def test_moves_have_the_covariance_of_their_derivative():
     A = np.random.default_rng(1).normal(size=(50, 5, 5))
     cov = A @ A.transpose(0, 2, 1)
     np.testing.assert_allclose(
-        ellipse.covariance_of_moves(cov, shape),
-        J @ cov @ J.transpose(0, 2, 1),
-        rtol=1e-6,
-        atol=1e-6,
+        covariance_of_moves(cov, shape), J @ cov @ J.transpose(0, 2, 1), rtol=1e-6, atol=1e-6
     )

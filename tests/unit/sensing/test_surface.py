@@ -221,7 +221,7 @@ def test_uncertainties_are_those_of_repeated_measurements():
     ).all()
 
 
-def test_slopes_and_curvature_of_the_spline():
+def test_slopes_and_curvatures_of_the_spline():
     design = load_sensor("dense")
     shape = Cosine()
     markers = measured(design, shape, noise=0.0)
@@ -230,9 +230,10 @@ def test_slopes_and_curvature_of_the_spline():
     expected = geometry.normal_from_slope(shape(x, y, 1, 0), shape(x, y, 0, 1))
     # spline's slope error, h^3 z''''
     np.testing.assert_allclose(spline.normals(x, y), expected, atol=2e-3)
-    middle = spline.mean_curvature()[len(spline.fitter.y) // 2, len(spline.fitter.x) // 2]
-    top = -3e-3 * np.pi**2 * (1 / L**2 + 1 / W**2) / 2  # level there: H = (z_xx + z_yy) / 2
-    assert middle == pytest.approx(top, rel=0.02)
+    middle = (len(spline.fitter.y) // 2, len(spline.fitter.x) // 2)
+    across, down = (spline.grid(*order)[middle] for order in ((2, 0), (0, 2)))
+    assert across == pytest.approx(-3e-3 * (np.pi / L) ** 2, rel=0.02)
+    assert down == pytest.approx(-3e-3 * (np.pi / W) ** 2, rel=0.02)
 
 
 def test_slope_sd_is_that_of_the_axis_ratio():
