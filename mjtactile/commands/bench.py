@@ -24,6 +24,7 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   stability   more than 300 hard cases of the simulation, each judged by physics
   rig         the emulated rig: loop rate, latency, reaction to every fault, host killed
   accuracy    work-precision diagrams: error of force and surface against time, every knob
+  levels      the levels without a mesh in the same measures, and whether episodes end alike
   speed       two membranes holding an object: against the clock, rigid pads, mesh size
   cheap       episodes without images against episodes with them: markers, forces, time
   drawn       what a sensor's chain errs by in grasps, for --effects=-sheet,-chain
@@ -59,6 +60,7 @@ BENCHMARKS = {
     "grasp": "grasp",
     "speed": "speed.run",
     "accuracy": "accuracy.run",
+    "levels": "accuracy.levels",
     "effects": "effects",
     "perception": "perception.run",
     "material": "material",
@@ -101,7 +103,7 @@ OPTIONS = {
     "cases": ("truth",),
     "data": ("bubble", "dots"),
     "against": ("speed",),
-    "pairs": ("cheap", "learning"),
+    "pairs": ("cheap", "learning", "levels"),
     "episodes": ("tasks", "slip"),
     "sensor": ("drawn",),
 }

@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 from mjtactile.core.design import SensorDesign
-from mjtactile.sim.effects.catalog import choose
+from mjtactile.sim.effects.catalog import choose, film_serves
 from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR, Fidelity
 from mjtactile.sim.scenes.objects import load_object
 from mjtactile.sim.sensor.switches import set_design
@@ -18,8 +18,11 @@ def effects_of(
     """The object's name, the force error asked for, N, and a row for each effect. Raises
     InputError."""
     grasped = load_object(object_name)
-    fidelity = _fidelity(accuracy)
+    films = bool(accuracy) and film_serves(design, grasped, overrides)
+    fidelity = _fidelity(accuracy, films)
     wanted = _force_error(fidelity)
+    if fidelity is not None:
+        overrides = fidelity.with_effects(overrides)
     return (
         grasped.name,
         wanted,
@@ -38,8 +41,8 @@ def simulation_of(
     return set_design(design, effects), {"effects": effects} | how
 
 
-def _fidelity(accuracy: str) -> Fidelity | None:
-    return Fidelity.parse(accuracy) if accuracy else None
+def _fidelity(accuracy: str, films: bool = False) -> Fidelity | None:
+    return Fidelity.parse(accuracy, films=films) if accuracy else None
 
 
 def _force_error(fidelity: Fidelity | None) -> float:

@@ -26,7 +26,7 @@ from mjtactile.rig.variation import FAULTLESS, Drawn, ObjectChange, RigChange, d
 from mjtactile.sim.camera import SimCamera
 from mjtactile.sim.chain_errors import load_errors
 from mjtactile.sim.drawn import TouchDrawer
-from mjtactile.sim.effects.catalog import choose
+from mjtactile.sim.effects.catalog import choose, film_serves
 from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR, Fidelity
 from mjtactile.sim.scenes.grasp_world import GraspWorld, finger_designs
 from mjtactile.sim.scenes.happenings import Happenings
@@ -290,15 +290,21 @@ def build_sim_rig(
     drawn = draw(scenario.vary, scenario.seed, design, file) if drawn is None else drawn
     seed = scenario.seed
     pose, seeds = start_of(seed)
-    fidelity = Fidelity.parse(scenario.accuracy) if scenario.accuracy else None
-    largest = _LARGEST_STEP if fidelity is None else fidelity.timestep * (1 + 1e-9)
     task = load_task(scenario.task)
     drawn_task = task.draw(seed, len(file.fingers))
     grasped = load_object(scenario.object)
+    fidelity = None
+    if scenario.accuracy:
+        films = film_serves(design, grasped, scenario.effects)
+        fidelity = Fidelity.parse(scenario.accuracy, films=films)
+    largest = _LARGEST_STEP if fidelity is None else fidelity.timestep * (1 + 1e-9)
     drawn = replace(drawn, object=_with_task(drawn.object, drawn_task, grasped, design))
     grasped = _breaking(grasped.changed(drawn.object), task, drawn_task, len(file.fingers))
     wanted = DEFAULT_FORCE_ERROR if fidelity is None else fidelity.asked
-    chosen = choose(design, grasped, force_error=wanted, overrides=scenario.effects)
+    overrides = scenario.effects
+    if fidelity is not None:
+        overrides = fidelity.with_effects(overrides)
+    chosen = choose(design, grasped, force_error=wanted, overrides=overrides)
     on = chosen.on
     files = finger_designs(file, design)
     designs = tuple(set_design(own, on) for own in files)

@@ -36,6 +36,8 @@ def test_a_saved_policy_acts_as_the_learner_does(tmp_path, monkeypatch):
     for shown in rng.uniform(-1, 1, (5, len(example["SCALE"]))) * example["SCALE"]:
         wanted, _ = model.predict((shown / example["SCALE"]).astype(np.float32), deterministic=True)
         np.testing.assert_allclose(
-            np.clip(controller["load"](path)(shown), -1, 1), wanted, atol=1e-5
+            np.clip(controller["load"](path)(shown), -1, 1),
+            example["MIDDLE"] + example["SPAN"] * wanted,
+            atol=1e-5,
         )
     env.close()

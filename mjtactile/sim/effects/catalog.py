@@ -411,6 +411,14 @@ EFFECTS: tuple[Entry, ...] = (
 )
 
 
+def film_serves(design: SensorDesign, grasped: ObjectModel, overrides: str) -> bool:
+    """Whether `--accuracy` may take a film: nobody has said what the sheet is to be, and it would
+    lie on something rigid and round, as what its error was measured on."""
+    if Effect.SHEET in parse(overrides) or design.relaxation is not None:
+        return False
+    return grasped.flesh is None and not _feature(grasped)[1]
+
+
 def _feature(grasped: ObjectModel | None) -> tuple[float, bool, tuple[float, float]]:
     """Smallest radius of the object, m, whether it has sharp edges, and half its extents across the
     fingers' way, m."""

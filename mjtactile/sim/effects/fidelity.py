@@ -7,7 +7,8 @@ measured to give it is taken.
 
 The table behind it, models/fidelity/measured.json, is written by `mjtactile bench accuracy` and
 says on which machine and with which versions it was measured. Errors are those of the shipped
-sensors' membrane (see docs/accuracy.md).
+sensors' membrane (see docs/accuracy.md). Where a film can serve, a force error may be had from it,
+too: models/fidelity/levels.json, by `mjtactile bench levels`.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ REAL_TIME_MARGIN = 1.25
 """Physics must be this much faster than the clock: cameras, perception and the rest want their
 share."""
 CHOICES = ("0.02N (a force error)", "realtime")
+FILM = "-sheet"
 DEFAULT_FORCE_ERROR = 0.02
 """Force error, N, that effects are chosen for when nobody says."""
 
@@ -54,6 +56,8 @@ class Fidelity:
     met: bool = True
     basis: str = ""
     asked: float = DEFAULT_FORCE_ERROR
+    effects: str = ""
+    """What it leaves out, as `--effects` has it: a film's grid is `mesh` then."""
 
     @property
     def real_time_factor(self) -> float:
@@ -61,9 +65,11 @@ class Fidelity:
         return 1000.0 / self.cost
 
     @classmethod
-    def for_force_error(cls, force_error: float, table: Path | None = None) -> Fidelity:
+    def for_force_error(
+        cls, force_error: float, table: Path | None = None, *, films: bool = False
+    ) -> Fidelity:
         """The cheapest measured setting with at most `force_error` N; else the most accurate one,
-        with `met` False.
+        with `met` False. With `films`, one without a mesh may be it.
 
         Raises InputError when `force_error` is not a finite number > 0.
         """
@@ -74,6 +80,7 @@ class Fidelity:
                 field="force_error_N",
             )
         rows, stamp = load_table(table)
+        rows = [*rows, *(load_films() if films else ())]
         good = [row for row in rows if row.force_error <= force_error]
         if good:
             best = min(good, key=lambda row: row.cost)
@@ -106,8 +113,9 @@ class Fidelity:
         return _with_basis(fastest, False, reason, stamp)
 
     @classmethod
-    def parse(cls, text: str, table: Path | None = None) -> Fidelity:
-        """Read "0.02N" or "realtime". Raises InputError listing the choices."""
+    def parse(cls, text: str, table: Path | None = None, *, films: bool = False) -> Fidelity:
+        """Read "0.02N" or "realtime"; `films`: a force error may be had from a film. Raises
+        InputError listing the choices."""
         word = text.strip().lower()
         if word in ("realtime", "real-time"):
             return cls.for_real_time(table)
@@ -117,7 +125,12 @@ class Fidelity:
             value = math.nan
         if not word.endswith("n") or not value > 0 or math.isinf(value):
             raise InputError(f"{text!r} is not an accuracy", field="--accuracy", choices=CHOICES)
-        return cls.for_force_error(value, table)
+        return cls.for_force_error(value, table, films=films)
+
+    def with_effects(self, overrides: str) -> str:
+        """What was forced by hand, as `--effects` has it, and what this setting leaves out."""
+        parts = [self.effects, "" if overrides == "auto" else overrides]
+        return ",".join(part for part in parts if part) or "auto"
 
     def summary(self) -> dict[str, Any]:
         """What a run writes down about its setting; JSON keys carry units."""
@@ -141,9 +154,10 @@ def row_from_json(row: dict[str, Any]) -> Fidelity:
         1e-3 * row["timestep_ms"],
         row["tolerance"],
         row["force_error_N"],
-        1e-6 * row["surface_error_um"],
+        1e-6 * _known(row["surface_error_um"]),
         _known(row.get("force_noise_N")),
         row["ms_per_s"],
+        effects=row.get("effects", ""),
     )
 
 
@@ -153,6 +167,21 @@ def _known(value: float | None) -> float:
 
 def table_path() -> Path:
     return resources.folder("models/fidelity") / "measured.json"
+
+
+def levels_path() -> Path:
+    return resources.folder("models/fidelity") / "levels.json"
+
+
+@cache
+def load_films() -> Sequence[Fidelity]:
+    """The films that were measured; touch is felt by the whole chain there. None, where there is no
+    such file."""
+    path = levels_path()
+    if not path.is_file():
+        return ()
+    rows = json.loads(path.read_text(encoding="utf-8"))["rows"]
+    return [row_from_json(row) for row in rows if row["effects"] == FILM]
 
 
 @cache
@@ -175,19 +204,10 @@ def load_table(path: Path | None = None) -> tuple[Sequence[Fidelity], str]:
 
 
 def _with_basis(row: Fidelity, met: bool, reason: str, stamp: str) -> Fidelity:
+    kind = "a film's nodes" if row.effects else "vertices"
     text = (
-        f"{reason}: {row.mesh[0]}x{row.mesh[1]} vertices at {1e3 * row.timestep:.3g} ms, "
+        f"{reason}: {row.mesh[0]}x{row.mesh[1]} {kind} at {1e3 * row.timestep:.3g} ms, "
         f"measured {row.force_error:.3g} N, "
         f"{1e6 * row.surface_error:.0f} um, {row.real_time_factor:.2f} x real time ({stamp})"
     )
-    return Fidelity(
-        row.mesh,
-        row.timestep,
-        row.tolerance,
-        row.force_error,
-        row.surface_error,
-        row.force_noise,
-        row.cost,
-        met,
-        text,
-    )
+    return replace(row, met=met, basis=text)

@@ -5,8 +5,12 @@ import json
 import pytest
 
 from mjtactile.core.errors import InputError
+from mjtactile.core.scenario import Scenario
 from mjtactile.sim.effects import fidelity
 from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR, Fidelity
+from mjtactile.sim.rig import build_sim_rig
+from mjtactile.sim.sensor.films import FILM_GRID
+from mjtactile.sim.sensor.switches import Effect
 
 
 def _row(mesh, error, cost):
@@ -100,3 +104,29 @@ def test_shipped_table_can_be_read_and_orders_by_mesh():
     by_mesh = sorted(rows, key=lambda row: row.mesh[0] * row.mesh[1])
     assert by_mesh[-1].force_error < 0.5 * by_mesh[0].force_error
     assert by_mesh[-1].cost > by_mesh[0].cost
+
+
+@pytest.mark.parametrize(
+    ("accuracy", "effects", "grasped", "sheet"),
+    [
+        ("0.03N", "auto", "egg", False),
+        ("0.03N", "-friction", "egg", False),
+        ("0.03N", "+sheet", "egg", True),
+        ("realtime", "auto", "egg", True),
+        ("", "auto", "egg", True),
+        ("0.03N", "auto", "vial", True),  # it has edges: its error was not measured
+        ("0.0001N", "auto", "egg", True),  # nothing is that good, the finest mesh comes closest
+    ],
+)
+def test_a_force_error_may_be_had_from_a_film_where_the_object_is_round(
+    monkeypatch, accuracy, effects, grasped, sheet
+):
+    """And the rig says which it took."""
+    film = fidelity.row_from_json(_row([21, 16], 0.01, 10.0) | {"effects": "-sheet"})
+    monkeypatch.setattr(fidelity, "load_films", lambda: [film])
+    rig = build_sim_rig(Scenario(object=grasped, accuracy=accuracy, effects=effects))
+    rig.close()
+    assert (Effect.SHEET in rig.scene.effects) is sheet
+    if not sheet:
+        assert tuple(rig.simulated["mesh"]) == FILM_GRID
+    assert (Effect.FRICTION in rig.scene.effects) is (effects != "-friction")

@@ -1,0 +1,172 @@
+"""`mjtactile bench levels`: the levels without a mesh, as `bench accuracy` measures meshes.
+
+The same presses of spheres against the same finest mesh, the same egg held; for drawn touch the
+error of what is felt, in place of the force's own. Then episodes of `gentle`, the same seeds with
+everything and at each level: how many end alike. What is written, models/fidelity/levels.json, is
+what `--accuracy` chooses a film by.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.accuracy.run import _QUICK_REFERENCE, _REFERENCE, stamp
+from benchmarks.settings import CASES, SENSOR, Case, Pressed, Setting, core_ms, hold, press
+from mjtactile.core.design import load_sensor
+from mjtactile.core.scenario import Scenario
+from mjtactile.evaluate.episodes import Episode, run_episode
+from mjtactile.recording.files import write_json
+from mjtactile.run.progress import Progress
+from mjtactile.sim import truth
+from mjtactile.sim.chain_errors import load_errors
+from mjtactile.sim.drawn import TouchDrawer
+from mjtactile.sim.effects.fidelity import levels_path
+from mjtactile.sim.scenes.grasp_world import GraspWorld
+from mjtactile.sim.scenes.indentation import Indenter, PressWorld
+from mjtactile.sim.sensor.films import FILM_GRID
+from mjtactile.sim.sensor.switches import PHYSICS, Effect
+
+STEP = 1 / 480  # s: what a rig takes for films
+FIRST_SEED = 9400  # nothing was fitted or tuned on these
+PAIRS, PAIRS_QUICK = 12, 1
+FILM, DRAWN = "-sheet", "-sheet,-chain"
+_DRAWS = 400
+_WITHOUT = PHYSICS - {Effect.SHEET}
+
+Say = Callable[[str], None]
+
+
+def run(
+    out: Path, *, quick: bool = False, pairs: int | None = None, say: Say | None = None
+) -> dict[str, Any]:
+    """Measure both levels; unless `quick`, write what `--accuracy` reads."""
+    say = say or Progress().message
+    cases = CASES[:2] if quick else CASES
+    finest = (_QUICK_REFERENCE if quick else _REFERENCE)[1]
+    force = []
+    felt = []
+    apart = []
+    for case in cases:
+        say(f"levels: a ball of {1e3 * case.radius:g} mm")
+        true = press(finest, case)
+        mine = _press(case)
+        force.append(mine.force - true.force)
+        felt.append(_felt(mine.force) - true.force)
+        apart.append(np.linalg.norm(mine.p_SM - true.p_SM, axis=1))
+    say("levels: an egg held")
+    held = _held()
+    rows = [
+        _row(FILM, held["force_noise_N"], force, _rms(apart), held["film_ms"]),
+        _row(DRAWN, 0.0, felt, math.nan, held["film_ms"] + held["drawing_ms"]),
+    ]
+    count = pairs or (PAIRS_QUICK if quick else PAIRS)
+    ended = [_outcomes(FIRST_SEED + k, k, count, say) for k in range(count)]
+    for row in rows:
+        row["outcomes"] = count
+        row["same_outcomes"] = sum(one[row["effects"]] == one["auto"] for one in ended)
+    result = {"stamp": stamp(), "rows": rows, "ended": ended}
+    if not quick:
+        write_json(levels_path(), {"stamp": result["stamp"], "rows": rows})
+    write_json(out / "levels.json", result)
+    return result
+
+
+def _row(
+    effects: str, noise: float, errors: list[Any], surface: float, cost: float
+) -> dict[str, Any]:
+    bias = _rms(errors)
+    return {
+        "effects": effects,
+        "mesh": list(FILM_GRID),
+        "timestep_ms": 1e3 * STEP,
+        "tolerance": Setting().tolerance,
+        "force_error_N": math.hypot(bias, noise),
+        "surface_error_um": None if math.isnan(surface) else 1e6 * surface,
+        "force_noise_N": noise,
+        "ms_per_s": cost,
+    }
+
+
+def _rms(values: Any) -> float:
+    return float(np.sqrt(np.mean(np.square(np.concatenate([np.ravel(one) for one in values])))))
+
+
+def _press(case: Case) -> Pressed:
+    """As `benchmarks.settings.press`, of a film."""
+    world = PressWorld(
+        SENSOR,
+        Indenter("sphere", case.radius),
+        at=case.at,
+        timestep=STEP,
+        mesh=FILM_GRID,
+        effects=_WITHOUT,
+    )
+    world.inflate(1000.0, seal=True)
+    world.press(case.depth)
+    world.step(20)
+    force = -truth.contact_force(world, 0)[2]
+    return Pressed(float(force), world.marker_poses(0)[0], 0.0)
+
+
+def _felt(force: float) -> np.ndarray:
+    """(n,) N that the chain says of this normal force, in as many grasps as draws."""
+    errors = load_errors(load_sensor(SENSOR))
+    here = errors.at(force)
+    rng = np.random.default_rng(0)
+    return force * (1 + errors.gain[2, 2]) - here.mean[2] + here.sd[2] * rng.standard_normal(_DRAWS)
+
+
+def _held() -> dict[str, float]:
+    """Two films that hold an egg: ms of a core for a second of that, and of drawing its touch;
+    noise of the force."""
+    world = hold(GraspWorld(SENSOR, "egg", timestep=STEP, opening=0.05, effects=_WITHOUT))
+    frame = 16  # steps at 30 Hz
+    film = core_ms(lambda: world.step(frame), 20) / frame / STEP
+    design = load_sensor(SENSOR)
+    drawers = [
+        TouchDrawer(sensor, load_errors(design), design.membrane.friction, k)
+        for k, sensor in enumerate(world.sensors)
+    ]
+    drawing = core_ms(lambda: [one.draw() for one in drawers], 50) * design.camera.rate
+    forces = []
+    for _ in range(round(0.2 / STEP)):
+        world.step()
+        forces.append([truth.contact_force(world, i)[2] for i in range(len(world.sensors))])
+    noise = float(np.std(forces, axis=0).mean())
+    return {"film_ms": film, "drawing_ms": drawing, "force_noise_N": noise}
+
+
+def _outcomes(seed: int, number: int, count: int, say: Say) -> dict[str, str]:
+    ended = {}
+    for effects in ("auto", FILM, DRAWN):
+        say(f"levels: episode {number + 1} of {count}, {effects}")
+        scenario = Scenario(object=f"random:{seed}", seed=seed, effects=effects, vary="default")
+        ended[effects] = run_episode(Episode(number, scenario))["outcome"]
+    return ended
+
+
+def table(result: dict[str, Any]) -> str:
+    """The rows as Markdown."""
+    names = {FILM: "a film", DRAWN: "a film, touch drawn"}
+    made = result["stamp"]
+    lines = [
+        f"Measured on {made['machine']}, MuJoCo {made['mujoco']}, {made['date']}.",
+        "",
+        "| level | `effects` | step ms | force error mN | surface error um | noise mN "
+        "| ms per simulated s | the same outcome |",
+        "|---" * 8 + "|",
+    ]
+    for row in result["rows"]:
+        surface = row["surface_error_um"]
+        lines.append(
+            f"| {names[row['effects']]} | `{row['effects']}` | {row['timestep_ms']:.2f} "
+            f"| {1e3 * row['force_error_N']:.1f} | {'' if surface is None else f'{surface:.0f}'} "
+            f"| {1e3 * row['force_noise_N']:.1f} | {row['ms_per_s']:.0f} "
+            f"| {row['same_outcomes']} of {row['outcomes']} |"
+        )
+    return "\n".join(lines) + "\n"
