@@ -1,9 +1,9 @@
 """`mjtactile bench learning`: how fast touch is at each level of simulation, and what that costs.
 
 Steps of the environment by a fixed policy, in processor time of one core; several environments in
-threads against one thread, by the clock; episodes of `gentle` at each level, the same seeds: their
-outcomes, the force they held, and how many an hour of one core is; what is made once for a design;
-memory of many environments, in a process of their own.
+threads against one thread, by the clock and by the same policy; episodes of `gentle` at each level,
+the same seeds: their outcomes, the force they held, and how many an hour of one core is; what is
+made once for a design; memory of many environments, in a process of their own.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ EPISODES, EPISODES_QUICK = 4, 1
 TOGETHER = 8
 MANY = 64
 FIRST_SEED = 9000  # of pairs: nothing was fitted or tuned on these
-_STEPS = 100  # of those together
+_STEPS, _STEPS_QUICK = 224, 30  # of those together: a grasp and the reset after it
 _FORCE = 0.6  # N that the policy grips with
 
 Say = Callable[[str], None]
@@ -59,7 +59,7 @@ def run(
         say(f"learning: steps, {name}")
         speeds[name] = _speed(effects, EPISODES_QUICK if quick else EPISODES)
     say("learning: environments together")
-    together = {str(threads): _together(threads) for threads in (1, 2)}
+    together = {str(threads): _together(threads, quick) for threads in (1, 2)}
     count = pairs or (PAIRS_QUICK if quick else PAIRS)
     rows = [_pair(FIRST_SEED + k, k, count, say) for k in range(count)]
     say("learning: design and memory")
@@ -117,17 +117,19 @@ def _speed(effects: str, episodes: int) -> dict[str, float]:
     return {"steps_a_second": steps / spent, "reset_s": resets / episodes}
 
 
-def _together(threads: int) -> float:
-    """Steps a second by the clock, of all environments."""
+def _together(threads: int, quick: bool) -> float:
+    """Steps a second by the clock, of all environments, over a whole grasp of each."""
     envs = gymnasium.make_vec(mjtactile.gym.ID, num_envs=TOGETHER, effects=DRAWN, threads=threads)
-    envs.reset(seed=0)
-    action = np.tile(np.array([-0.4, -0.5, 0.0], np.float32), (TOGETHER, 1))
+    shown, info = envs.reset(seed=0)
+    steps = _STEPS_QUICK if quick else _STEPS
     begin = time.perf_counter()
-    for _ in range(_STEPS):
-        envs.step(action)
+    for _ in range(steps):
+        pairs = zip(shown, info["phase"], strict=True)
+        actions = np.array([grip(*pair) for pair in pairs], np.float32)
+        shown, *_, info = envs.step(actions)
     spent = time.perf_counter() - begin
     envs.close()
-    return TOGETHER * _STEPS / spent
+    return TOGETHER * steps / spent
 
 
 # -- pairs
