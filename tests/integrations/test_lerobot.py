@@ -10,10 +10,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import mjtactile
+
 pytest.importorskip("lerobot")
 robot_package = pytest.importorskip("lerobot_robot_mjtactile")
 pytest.importorskip("lerobot_teleoperator_mjtactile")
-pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
+camera_package = pytest.importorskip("lerobot_camera_mjtactile")
+pytestmark = pytest.mark.filterwarnings("ignore")
 
 SECONDS = 5  # until the egg has been held for more than a second
 LOOKS = 3  # at the clock, in each turn of LeRobot's loop
@@ -24,6 +27,56 @@ def command(monkeypatch, module, *options):
     module.main()
 
 
+def first_picture(data, name):
+    import av
+
+    [file] = data.glob(f"videos/observation.images.{name}/**/*.mp4")
+    with av.open(str(file)) as video:
+        return next(video.decode(video=0)).to_ndarray(format="rgb24")
+
+
+class NewestFrame:
+    """A driver that takes a picture every other time that it is asked, each brighter by one."""
+
+    def __init__(self, device):
+        self.device = device
+        self.asked = 0
+        self.closed = False
+
+    def read(self):
+        self.asked += 1
+        taken = self.asked // 2
+        grey = np.full((self.device.height, self.device.width), taken, np.uint8)
+        return mjtactile.Image(grey, taken / self.device.rate)
+
+    def close(self):
+        self.closed = True
+
+
+def test_a_finger_of_a_rig_file_on_anybodys_robot(monkeypatch):
+    """LeRobot makes the camera from its options: size and rate are the rig file's, and a picture
+    is handed out once."""
+    from lerobot.cameras import make_cameras_from_configs
+
+    monkeypatch.setattr(camera_package.camera, "load_backend", lambda group, name: NewestFrame)
+    config = camera_package.MjtactileCameraConfig(rig="two_xm430", finger="right")
+    device = config.device()
+    assert (config.width, config.height, config.fps) == (device.width, device.height, device.rate)
+    [camera] = make_cameras_from_configs({"tip": config}).values()
+    with camera:
+        shown = [camera.async_read() for _ in range(4)]
+        driver = camera._driver
+        assert camera.is_connected and driver.device.finger == "right"
+    assert shown[0].shape == (device.height, device.width, 3) and shown[0].dtype == np.uint8
+    assert np.all(np.diff([int(picture[0, 0, 0]) for picture in shown]) == 1)
+    assert driver.closed and not camera.is_connected
+    with pytest.raises(ConnectionError, match="not open"):
+        camera.read()
+    with pytest.raises(ValueError, match="no camera of finger 'middle'"):
+        camera_package.MjtactileCameraConfig(rig="two_xm430", finger="middle")
+
+
+@pytest.mark.slow
 def test_an_episode_is_recorded_and_replayed(tmp_path, monkeypatch):
     import pandas
     from lerobot.scripts import lerobot_record, lerobot_replay
@@ -44,6 +97,7 @@ def test_an_episode_is_recorded_and_replayed(tmp_path, monkeypatch):
         lerobot_record,
         *hand,
         *data,
+        "--robot.cameras={tip: {type: mjtactile, finger: right}}",
         "--teleop.type=mjtactile",
         f"--teleop.calibration_dir={tmp_path}",
         "--dataset.single_task=grasp the egg",
@@ -58,7 +112,12 @@ def test_an_episode_is_recorded_and_replayed(tmp_path, monkeypatch):
     states = np.array(rows["observation.state"].tolist())
     force = states[:, names.index("finger1.force_normal_N")]
     height = states[:, names.index("lift_height_m")]
-    assert info["features"]["observation.images.left"]["shape"] == [480, 640, 3]
+    for name in ("left", "right", "tip"):
+        assert info["features"][f"observation.images.{name}"]["shape"] == [480, 640, 3]
+    own, tip = (first_picture(tmp_path / "data", name) for name in ("right", "tip"))
+    # the same picture, through the same encoder
+    np.testing.assert_array_equal(own, tip)
+    assert own.std() > 5  # grey values: there is something in it
     # `gentle` holds with 0.6 N, 40 mm above the table
     assert height.max() == pytest.approx(0.04, abs=2e-3)
     assert np.median(force[height > 0.03]) == pytest.approx(0.6, abs=0.05)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from lerobot.cameras import CameraConfig
 from lerobot.robots import RobotConfig
 
 
@@ -19,7 +20,8 @@ class MjtactileRobotConfig(RobotConfig):
         sensor: What is on the fingers.
         seed: Of placement and noise, of a simulation.
         fingers: Their names, in the rig's order.
-        images: Whether the cameras' images are observations.
+        images: Whether the fingers' images are observations, by the fingers' names.
+        cameras: Others, of any type.
     """
 
     rig: str = "sim"
@@ -28,3 +30,4 @@ class MjtactileRobotConfig(RobotConfig):
     seed: int = 0
     fingers: list[str] = field(default_factory=lambda: ["left", "right"])
     images: bool = True
+    cameras: dict[str, CameraConfig] = field(default_factory=dict)

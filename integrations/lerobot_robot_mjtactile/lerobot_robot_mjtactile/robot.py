@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
+from lerobot.cameras import make_cameras_from_configs
 from lerobot.robots import Robot
 
 import mjtactile
@@ -14,6 +15,7 @@ from lerobot_robot_mjtactile.config_mjtactile import MjtactileRobotConfig
 
 ACTIONS = ("opening_m", "force_limit_N", "lift_height_m")
 _latest: list[mjtactile.Observation] = []
+_images: dict[str, mjtactile.Image] = {}
 
 
 def latest() -> mjtactile.Observation:
@@ -25,6 +27,18 @@ def latest() -> mjtactile.Observation:
     if not _latest:
         raise ConnectionError("no mjtactile robot has looked yet: --robot.type=mjtactile")
     return _latest[-1]
+
+
+def latest_image(finger: str) -> mjtactile.Image:
+    """What the robot of this process saw last with a finger: for `{type: mjtactile}` cameras.
+
+    Raises:
+        ConnectionError: No robot has seen anything with such a finger.
+    """
+    if finger not in _images:
+        names = ", ".join(_images) or "none: --robot.type=mjtactile, or name the camera's rig file"
+        raise ConnectionError(f"no image of finger {finger!r}; there are {names}")
+    return _images[finger]
 
 
 class MjtactileRobot(Robot):
@@ -39,17 +53,22 @@ class MjtactileRobot(Robot):
         self.scenario = mjtactile.Scenario(
             rig=config.rig, object=config.object, sensor=config.sensor, seed=config.seed
         )
-        self.cameras = dict.fromkeys(config.fingers) if config.images else {}
+        self._others = make_cameras_from_configs(config.cameras)
+        self._pictured = list(config.fingers) if config.images else []
+        # LeRobot counts them, for its threads that write images
+        self.cameras = dict.fromkeys(self._pictured) | self._others
         self._stack = ExitStack()
         self._steps: Any = None
 
     @property
     def observation_features(self) -> dict[str, type | tuple[int, int, int]]:
-        """What a policy of ours is shown (`mjtactile.policy_names`), and each finger's image."""
+        """What a policy of ours is shown (`mjtactile.policy_names`), and images: each finger's, and
+        the other cameras'."""
         camera = self.scenario.design().camera
         names = mjtactile.policy_names(len(self.config.fingers))
-        images = dict.fromkeys(self.cameras, (camera.height, camera.width, 3))
-        return {**dict.fromkeys(names, float), **images}
+        images = dict.fromkeys(self._pictured, (camera.height, camera.width, 3))
+        others = {name: (one.height, one.width, 3) for name, one in self._others.items()}
+        return {**dict.fromkeys(names, float), **images, **others}
 
     @property
     def action_features(self) -> dict[str, type]:
@@ -80,22 +99,29 @@ class MjtactileRobot(Robot):
             raise ValueError(f"the rig's fingers are {names}: --robot.fingers='{names}'")
         session.take_references()
         self._steps = self._stack.enter_context(session.steps())
+        for camera in self._others.values():
+            camera.connect()
+            self._stack.callback(camera.disconnect)
 
     def disconnect(self) -> None:
         """Bring the rig to its safe state."""
         self._steps = None
         _latest.clear()
+        _images.clear()
         self._stack.close()
 
     def get_observation(self) -> dict[str, Any]:
         """Wait for the next images, and feel them."""
         seen = self._steps.observe()
         _latest[:] = [seen]
+        _images.update(zip(self.config.fingers, self._steps.images, strict=True))
         names = mjtactile.policy_names(len(self.config.fingers))
         values = mjtactile.policy_vector(seen)
         found: dict[str, Any] = dict(zip(names, map(float, values), strict=True))
-        for finger, image in zip(self.cameras, self._steps.images, strict=False):
-            found[finger] = np.repeat(image.pixels[..., None], 3, axis=2)
+        for finger in self._pictured:
+            found[finger] = np.repeat(_images[finger].pixels[..., None], 3, axis=2)
+        for name, camera in self._others.items():
+            found[name] = camera.async_read()
         return found
 
     def send_action(self, action: dict[str, Any]) -> dict[str, float]:

@@ -1,0 +1,106 @@
+# pyright: reportMissingImports=false
+"""The camera of one finger as a LeRobot camera."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from lerobot.cameras import Camera
+from lerobot_robot_mjtactile import latest_image
+
+import mjtactile
+from lerobot_camera_mjtactile.config_mjtactile import MjtactileCameraConfig
+from mjtactile.rig.registry import CAMERAS, load_backend
+
+_PAUSE = 1e-3  # s between two looks at a driver that hands out its newest image
+
+
+class MjtactileCamera(Camera):
+    """Grey pictures of the membrane from inside, as (height, width, 3): what is felt is found in
+    them by `mjtactile`, now or from the data set later."""
+
+    def __init__(self, config: MjtactileCameraConfig):
+        super().__init__(config)
+        self.config = config
+        self._driver: Any = None
+        self._seen = -np.inf  # s: when the newest picture that was handed out was taken
+
+    @property
+    def is_connected(self) -> bool:
+        return self._driver is not None
+
+    @staticmethod
+    def find_cameras() -> list[dict[str, Any]]:
+        """None: fingers are listed in rig files, devices by `mjtactile devices`."""
+        return []
+
+    def connect(self, warmup: bool = True) -> None:
+        """Open the rig file's camera; of a robot in this process, nothing is to be opened."""
+        if self.is_connected:
+            raise ConnectionError(f"the camera of finger {self.config.finger} is open")
+        if not self.config.rig:
+            self._driver = _OfRobot(self.config.finger)
+            return
+        device = self.config.device()
+        self._driver = load_backend(CAMERAS, device.backend)(device)
+        if warmup:
+            self.read()
+
+    def read(self) -> np.ndarray:
+        """The newest picture.
+
+        Raises:
+            ConnectionError: Not open, or the camera has failed.
+        """
+        image = self._newest()
+        self._seen = image.time
+        return np.repeat(image.pixels[..., None], 3, axis=2)
+
+    def async_read(self, timeout_ms: float = 200) -> np.ndarray:
+        """The newest picture that was not handed out yet; of a robot in this process the newest,
+        since that robot's loop waits for it.
+
+        Raises:
+            ConnectionError: Not open, or the camera has failed.
+            TimeoutError: No new picture came in that time.
+        """
+        until = time.perf_counter() + timeout_ms / 1e3
+        while self.config.rig and self._newest().time <= self._seen:
+            if time.perf_counter() > until:
+                raise TimeoutError(f"no new picture of finger {self.config.finger}")
+            time.sleep(_PAUSE)
+        return self.read()
+
+    def read_latest(self, max_age_ms: int = 500) -> np.ndarray:
+        """The newest picture; a driver of ours has none that is old.
+
+        Raises:
+            ConnectionError: Not open, or the camera has failed.
+        """
+        return self.read()
+
+    def disconnect(self) -> None:
+        """Close the device."""
+        driver, self._driver = self._driver, None
+        close = getattr(driver, "close", lambda: None)
+        close()
+
+    def _newest(self) -> mjtactile.Image:
+        if self._driver is None:
+            raise ConnectionError(f"the camera of finger {self.config.finger} is not open")
+        try:
+            return self._driver.read()
+        except mjtactile.DeviceError as error:
+            raise ConnectionError(str(error)) from error
+
+
+class _OfRobot:
+    """What the mjtactile robot of this process saw last with a finger."""
+
+    def __init__(self, finger: str):
+        self._finger = finger
+
+    def read(self) -> mjtactile.Image:
+        return latest_image(self._finger)
