@@ -99,7 +99,8 @@ class Hardware:
             angle = jaw.angle(self._shared["opening"] / len(configs))
             jaw.servo = self._build_servo(config.id, config.model, angle)
             jaws.append(jaw)
-        return Jaws(jaws)
+        emulator = self._rig_file.emulator or EmulatorConfig()
+        return Jaws(jaws, emulator.backlash)
 
     def _build_lift(self) -> EmulatedServo | None:
         lift = self._rig_file.lift
@@ -120,7 +121,7 @@ class Hardware:
         if not self.bus.is_busy():
             for servo in self.servos.values():
                 servo.check_watchdog(now)
-        goal, force = self._jaws.drive()
+        goal, force = self._jaws.drive(shared["opening"])
         shared["force"] = force
         shared["goal"] = math.nan if goal is None else goal
         if self._lift is not None:

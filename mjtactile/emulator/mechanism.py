@@ -52,21 +52,28 @@ class Jaw:
 
 
 class Jaws:
-    """All jaws; a gear keeps them symmetric, so that each owns the same part of the opening."""
+    """All jaws; a gear keeps them symmetric, so that each owns the same part of the opening.
+    `backlash` m of the opening: how far the shafts turn before the jaws follow."""
 
-    def __init__(self, jaws: Sequence[Jaw]):
+    def __init__(self, jaws: Sequence[Jaw], backlash: float = 0.0):
         self._jaws = tuple(jaws)
+        self._play = backlash / 2
 
-    def drive(self) -> tuple[float | None, float]:
-        """Goal opening m (None: nobody drives), and the most force N on each finger that the servos
-        may use together."""
+    def drive(self, opening: float) -> tuple[float | None, float]:
+        """Goal opening m of the jaws (None: nobody drives), which are at `opening` m, and the most
+        force N on each finger that the servos may use together."""
         drives = [(jaw, jaw.servo.drive()) for jaw in self._jaws]
         on = [(jaw, drive) for jaw, drive in drives if drive.torque_max > 0]
         if not on:
             return None, 0.0
         parts = [jaw.part(drive.goal) for jaw, drive in on]
         forces = [drive.torque_max / abs(jaw.lever(jaw.servo.angle)) for jaw, drive in on]
-        return sum(parts) / len(on) * len(self._jaws), sum(forces) / len(self._jaws)
+        goal = sum(parts) / len(on) * len(self._jaws)
+        return goal - self._slack(goal, opening), sum(forces) / len(self._jaws)
+
+    def _slack(self, goal: float, opening: float) -> float:
+        """How far the shafts are ahead of the jaws on their way to `goal`, m of the opening."""
+        return min(max(goal - opening, -self._play), self._play)
 
     def follow_load(self, opening: float, speed: float, force: float, period: float) -> None:
         """Turn the shafts to where the jaws are; those that drive share the closing `force` N on
@@ -74,7 +81,10 @@ class Jaws:
         on = [jaw for jaw in self._jaws if jaw.servo.drive().torque_max > 0]
         count = len(self._jaws)
         for jaw in self._jaws:
-            angle = jaw.angle(opening / count)
+            part = opening / count
+            if jaw in on and self._play:
+                part += self._slack(count * jaw.part(jaw.servo.drive().goal), opening) / count
+            angle = jaw.angle(part)
             lever = jaw.lever(angle)
             torque = -force * count / len(on) * lever if jaw in on else 0.0
             jaw.servo.follow_load(angle, speed / count / lever, torque, period)

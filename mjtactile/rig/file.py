@@ -178,13 +178,15 @@ class ValveConfig:
 @dataclass(frozen=True)
 class EmulatorConfig:
     """How to start the emulated hardware; the ports of such a file are "emulator". `torque_share`:
-    how much more torque per ampere its servos give than their data sheet says; `servo_firmware`
+    how much more torque per ampere its servos give than their data sheet says; `backlash` m of the
+    opening by which their shafts turn before the jaws follow; `servo_firmware`
     None: the newest; `watchdog`: what a tripped bus watchdog leaves of a servo, held where it is
     ("brake") or free ("limp")."""
 
     usb_latency: float = number("usb_latency_ms", 0, 100, MS, default=1e-3)
     valve_sensors: bool = flag("valve_sensors", default=True)
     torque_share: float = number("torque_percent", -50, 100, PERCENT, default=0.0)
+    backlash: float = number("backlash_mm", 0, 5, MM, default=0.0)
     servo_firmware: int | None = whole("servo_firmware", 1, 255, default=None)
     watchdog: str = text("watchdog", ("brake", "limp"), default="brake")
     specimens: tuple[SpecimenConfig, ...] = ()

@@ -24,8 +24,11 @@ from mjtactile.core.fields import (
     numbers,
     part,
 )
+from mjtactile.core.relaxation import Relaxation, decades
 from mjtactile.core.types import Array
 from mjtactile.rig.troubles import UNTROUBLED, CameraTroubles
+
+_CREEP_TIMES = (1.0, 1e3)  # s: shortest and longest
 
 
 @dataclass(frozen=True)
@@ -92,6 +95,14 @@ class SpecimenConfig:
     pre_stretch: float = number(
         "pre_stretch_offset", -0.2, 0.5, default=0.0, group="sensor", about="more of it"
     )
+    creep: float = number(
+        "creep_percent",
+        0,
+        50,
+        PERCENT,
+        default=0.0,
+        about="of the lasting stress, that fades in each decade from 1 to 1000 s",
+    )
     friction_share: float = number(
         "friction_percent", -100, 400, PERCENT, default=0.0, group="sensor", about="more friction"
     )
@@ -156,7 +167,15 @@ def true_design(design: SensorDesign, specimen: SpecimenConfig) -> SensorDesign:
     leds = design.leds
     leds = replace(leds, membrane_dn=light * leds.membrane_dn, marker_dn=light * leds.marker_dn)
     markers = replace(design.markers, radius=design.markers.radius + specimen.radius)
-    return replace(design, camera=camera, membrane=membrane, markers=markers, leds=leds)
+    creep = Relaxation(decades(specimen.creep, *_CREEP_TIMES)) if specimen.creep else None
+    return replace(
+        design,
+        camera=camera,
+        membrane=membrane,
+        markers=markers,
+        leds=leds,
+        relaxation=creep or design.relaxation,
+    )
 
 
 def camera_pose(design: SensorDesign, specimen: SpecimenConfig) -> tuple[Array, Array]:

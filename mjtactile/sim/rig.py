@@ -305,14 +305,15 @@ def build_sim_rig(
     if fidelity is not None:
         overrides = fidelity.with_effects(overrides)
     chosen = choose(design, grasped, force_error=wanted, overrides=overrides)
-    on = chosen.on
+    specimens = [drawn.specimen(finger.name) for finger in file.fingers]
+    creeps = {Effect.RELAXATION} if any(one.creep for one in specimens) else set()
+    on = chosen.on | creeps  # sensing knows nothing of it: its design has none
     files = finger_designs(file, design)
     designs = tuple(set_design(own, on) for own in files)
     if Effect.SHEET not in on:
         largest = min(largest, _LARGEST_STEP_OF_A_FILM)
     rate = min(own.camera.rate for own in designs)
     steps = int(np.ceil(1 / (rate * largest)))  # a whole number of steps per camera frame
-    specimens = [drawn.specimen(finger.name) for finger in file.fingers]
     true = [
         set_design(_true_design(own, specimen, drawn), on)
         for own, specimen in zip(files, specimens, strict=True)

@@ -4,6 +4,7 @@ import copy
 import math
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,13 +13,17 @@ from emulated import Chambers
 from mjtactile.core import geometry, optics, pace, resources
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
+from mjtactile.core.scenario import Scenario
 from mjtactile.emulator.faults import Faults
+from mjtactile.emulator.mechanism import Jaw, Jaws
 from mjtactile.emulator.servo import EmulatedServo
 from mjtactile.emulator.valve import ValveFirmware, framed, unframed
-from mjtactile.rig.file import load_rig_file, rig_from_table
+from mjtactile.rig.file import ServoConfig, load_rig_file, rig_from_table
 from mjtactile.rig.specimen import SpecimenConfig, camera_pose, true_design
+from mjtactile.rig.variation import Drawn
 from mjtactile.sensing.image.markers import detect
 from mjtactile.sim.picture.renderer import Effects, Renderer
+from mjtactile.sim.rig import build_sim_rig
 
 DESIGN = load_sensor("dense")
 
@@ -121,3 +126,49 @@ def test_a_servo_with_more_torque_needs_less_current():
     for one in (servo, strong):
         one.follow_load(0.0, 0.0, 0.2, 0.01)
     assert servo.current / strong.current == pytest.approx(1.08)
+
+
+def test_shafts_with_backlash_turn_before_the_jaws_follow():
+    """A play of 1 mm, half a turn back: the jaws stay while the shafts go through it, then both go
+    on with the play between them."""
+    config = ServoConfig(1, "XL330-M288", per_rad=0.012, zero_ticks=0)
+    servo = EmulatedServo(1, "XL330-M288", angle=2.0)
+    jaw = Jaw(servo, config, "rig.toml")
+    goal = 0.024
+    servo.drive = lambda: SimpleNamespace(goal=jaw.angle(goal), torque_max=0.1)
+    jaws = Jaws([jaw], backlash=1e-3)
+
+    def driven(opening):
+        jaws.follow_load(opening, 0.0, 0.0, 0.01)
+        return jaws.drive(opening)[0], jaw.part(servo.angle)
+
+    # the jaws stand at the goal: the shaft, too
+    assert driven(0.024) == (pytest.approx(0.024), pytest.approx(0.024, abs=2e-5))
+    # 0.3 mm further: within the play, the jaws stay, the shaft is there
+    goal = 0.0237
+    assert driven(0.024) == (pytest.approx(0.024), pytest.approx(0.0237, abs=2e-5))
+    # 3 mm further: the jaws are to stop half the play before it, the shaft is half the play ahead
+    goal = 0.021
+    assert driven(0.024) == (pytest.approx(0.0215), pytest.approx(0.0235, abs=2e-5))
+    assert driven(0.0215) == (pytest.approx(0.0215), pytest.approx(0.021, abs=2e-5))
+    # and back: the whole play is gone through before the jaws open
+    goal = 0.0218
+    assert driven(0.0215)[0] == pytest.approx(0.0215)
+    goal = 0.025
+    assert driven(0.0215)[0] == pytest.approx(0.0245)
+
+
+def test_a_specimen_that_creeps_meets_a_quick_stretch_with_more():
+    """5 % of the lasting stress in each decade from 1 to 1000 s: 20 % more at first; the file's
+    modulus is the lasting one."""
+    design = load_sensor("dense")
+    true = true_design(design, SpecimenConfig("left", creep=0.05))
+    assert true.relaxation is not None and true.relaxation.quick == pytest.approx(1.2)
+    assert true.membrane == design.membrane
+    # an emulated world has it though sensing's file says nothing of it
+    rig = build_sim_rig(
+        Scenario(effects="-images"), drawn=Drawn(specimens=(SpecimenConfig("left", creep=0.05),))
+    )
+    [left, right] = rig.scene.sensors
+    assert left.design.relaxation is not None and right.design.relaxation is None
+    assert rig.fingers[0].design.relaxation is None
