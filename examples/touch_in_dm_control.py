@@ -1,3 +1,4 @@
+# pyright: reportMissingImports=false
 """Touch as an observable of dm_control's composer: a weight comes to rest on a fingertip.
 
 Tried with dm_control 1.0.50 (docs/integrations.md).

@@ -76,7 +76,7 @@ def test_arm_follows_touch(capsys):
 def test_touch_in_robosuite(capsys):
     example = run("touch_in_robosuite", "robosuite")
     felt = example.seen["force_normal"]
-    true = [-finger.true_wrench()[2] for finger in example.fingers]
+    true = [-finger.true_wrench()[2] for finger in example.env.fingers]
     assert np.min(felt) > 0.8  # it closes until 1 N is felt on the average
     # an image is up to 33 ms old and the arm is on its way up: the mean of both fingers moves least
     assert np.mean(felt) == pytest.approx(np.mean(true), rel=0.1)
