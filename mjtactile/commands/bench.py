@@ -43,6 +43,7 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   attacks     everything bad that the tests do, counted by what must come of it
   settings    what half and twice of each number of the sensing chain do to what is felt
   relaxation  holds of ten minutes on rubber that relaxes: felt less true, and the price
+  first_day   setup, calibrate, fit, grasp and shadow of an emulated rig with every trouble
   tasks       what touch buys: tasks that ask for it, with and without, over the same episodes
   numbers     measures nothing: all numbers on one page, from the pages of the others
   headline    measures nothing: the few of them that the README shows"""
@@ -87,6 +88,7 @@ BENCHMARKS = {
     "attacks": "attacks",
     "settings": "sensitivity",
     "relaxation": "relaxation",
+    "first_day": "first_day.run",
     "tasks": "tasks.run",
     "bubble": "real.bubble",
     "dots": "real.dots",
@@ -97,7 +99,7 @@ BENCHMARKS = {
 draws into `out`, and `table(result) -> str` in Markdown."""
 
 OPTIONS = {
-    "resume": ("stability", "rig", "bars", "tasks", "attacks", "explore", "trust"),
+    "resume": ("stability", "rig", "bars", "tasks", "attacks", "explore", "trust", "first_day"),
     "parts": ("rig",),
     "soak": ("rig",),
     "cases": ("truth",),
@@ -130,8 +132,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--resume",
         action="store_true",
-        help="stability, rig, bars, tasks, attacks, explore, trust: keep what an interrupted run "
-        "finished",
+        help="stability, rig, bars, tasks, attacks, explore, trust, first_day: keep what an "
+        "interrupted run finished",
     )
     parser.add_argument(
         "--parts",

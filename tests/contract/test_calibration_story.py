@@ -10,15 +10,13 @@ reads the instruments, in the emulated world.
 
 import contextlib
 import json
-import sys
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 
+from benchmarks.first_day.person import Person, photograph_board
 from mjtactile.calibrate import live
-from mjtactile.calibrate.camera import Board
 from mjtactile.cli import main
 from mjtactile.commands.emulate import client_text
 from mjtactile.core import resources
@@ -36,9 +34,7 @@ from tests.emulated import at_pace
 pytestmark = pytest.mark.clock
 
 RATE = 15.0  # Hz; half of what the emulated cameras give: two processors draw and look at them
-BOARD = Board(9, 7, 5e-3, 3.75e-3)
 ERROR_MAX = 0.02  # N, of the felt force on each finger, after calibration
-PIXELS = 60  # of the drawn board a square
 
 
 def write_rig(folder):
@@ -133,65 +129,6 @@ def grasp_error(path):
 # --------------------------------------------------------------------------------
 
 
-class Person:
-    """Stands for stdin and stderr: reads what is asked, looks at the instrument, types."""
-
-    def __init__(self, emulator):
-        self._emulator = emulator
-        self._asked = ""
-        self.read = []
-
-    def write(self, text):
-        self.read.append(text)
-        self._asked = text if text.strip() else self._asked
-
-    def flush(self):
-        pass
-
-    def isatty(self):
-        return True
-
-    def fileno(self):
-        return sys.__stderr__.fileno()
-
-    def readline(self):
-        truth = self._emulator.truth()
-        if "squeezed with" in self._asked:
-            return f"{(truth['contact_1'] + truth['contact_2']) / 2:.3f}\n"
-        if "currents say" in self._asked:  # soft membranes, not inflated: their frames carry a part
-            return f"{truth['grip_force']:.3f}\n"
-        if "caliper" in self._asked:
-            return f"{1e3 * truth['opening']:.2f}\n"
-        return "\n"
-
-
-def photograph_board(folder, camera):
-    """Pictures of the board through OpenCV's model of that camera, without membrane and pane, all
-    over the view and tilted."""
-    K = camera.K
-    k = np.array(camera.distortion)
-    u, v = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))
-    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
-    points = cv2.undistortPoints(np.stack([u.ravel(), v.ravel()], axis=1), K, k, criteria=criteria)
-    rays = np.concatenate([points.reshape(*u.shape, 2), np.ones((*u.shape, 1))], axis=2)
-    drawn = cv2.GaussianBlur(BOARD.draw(PIXELS), (0, 0), 1.5)
-    rng = np.random.default_rng(5)
-    folder.mkdir()
-    for i in range(12):
-        rotation = np.array([*rng.uniform(-0.5, 0.5, 2), rng.uniform(-0.3, 0.3)])
-        depth = rng.uniform(0.045, 0.065)
-        R = cv2.Rodrigues(rotation)[0]
-        aim = np.array([(-1, 1)[i % 2] * 0.16, (-1, 1)[i // 2 % 2] * 0.13, 1.0]) * depth
-        corner = aim - R @ np.array([BOARD.columns, BOARD.rows, 0]) * BOARD.square / 2
-        at = rays @ np.linalg.inv(np.column_stack([R[:, 0], R[:, 1], corner])).T
-        at = (at[..., :2] / at[..., 2:] * PIXELS / BOARD.square + PIXELS / 2 - 0.5).astype(
-            np.float32
-        )
-        gray = cv2.remap(drawn, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=255)
-        gray = cv2.GaussianBlur(gray, (0, 0), 0.7) * 0.7 + 30 + rng.normal(0, 2.0, gray.shape)
-        cv2.imwrite(str(folder / f"{i:02d}.png"), np.clip(gray, 0, 255).astype(np.uint8))
-
-
 @contextlib.contextmanager
 def client(path):
     """An emulator, and the rig file of who talks to it."""
@@ -212,9 +149,7 @@ def calibrate(file, emulator, monkeypatch, *options):
     monkeypatch.setattr(live, "_SPEED", 0.1)
     monkeypatch.setattr(live, "_REST_TIME", 0.3)
     monkeypatch.setattr(live, "_VALVE_STAGES", (1.0, 1.0, 0.5))
-    with monkeypatch.context() as patch:
-        patch.setattr("sys.stdin", person)
-        patch.setattr("sys.stderr", person)
+    with person.at_the_terminal():
         code = main(["calibrate", *options, "--rig", str(file)])
     assert code == 0, "".join(person.read)
 

@@ -1,0 +1,405 @@
+"""`mjtactile bench first_day`: a rehearsal of the first day with a rig, on an emulated one that has
+a real one's troubles all at once (models/rigs/emulated_first_day.toml).
+
+Each step is the command that a user types, in this process, with a person at the terminal who
+reads the instruments (`person`). True forces are read from the emulated world only to say what is
+felt less true. The presses that `fit` needs are made on a simulated stage, with the left finger's
+sheet and a camera that is as its file says.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import shutil
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.first_day.person import Person, photograph_board
+from mjtactile.calibrate import live
+from mjtactile.calibrate.setup import setup
+from mjtactile.cli import main
+from mjtactile.commands.emulate import client_text
+from mjtactile.core import pace, resources
+from mjtactile.core.calibration import load_calibration
+from mjtactile.core.design import load_sensor
+from mjtactile.core.errors import MjtactileError
+from mjtactile.core.scenario import Scenario
+from mjtactile.core.toml import read_json
+from mjtactile.core.types import FINGERS
+from mjtactile.devices import listing
+from mjtactile.devices.rig import build_device_rig
+from mjtactile.devices.valve.driver import connect_valves
+from mjtactile.emulator.process import EmulatorProcess
+from mjtactile.experiments.stage import NOTHING, record_stage
+from mjtactile.recording.files import write_json
+from mjtactile.recording.stage import Stage, read_moves
+from mjtactile.recording.writer import Recorder
+from mjtactile.rig.file import load_rig_file
+from mjtactile.rig.specimen import SpecimenConfig, true_design
+from mjtactile.run.controller import load_controller
+from mjtactile.run.session import Session
+
+RIG = "emulated_first_day"
+ASKED = 0.04  # N, felt less true
+SEEDS = (11, 12, 13)
+SLOW = 4.0  # the emulated world's time: two processors draw and look at two cameras
+HOLD = 60  # images of each grasp's hold that are compared
+_PRESSES = (("press_05", 500.0), ("press_3", 3000.0))
+_STILL = 40.0  # s that a membrane is watched after it was inflated
+_NOWHERE = {
+    "servo": "/dev/none",
+    "valve": "/dev/none",
+    "cameras": {"left": "http://127.0.0.1:9/1", "right": "http://127.0.0.1:9/2"},
+}
+_HURRIED = (
+    (listing, "BAUDS", (1_000_000,)),
+    (listing, "IDS", range(1, 4)),
+    (listing, "_REPLY_TIME", 0.3),
+    (live, "_SPEED", 0.1),
+    (live, "_REST_TIME", 0.3),
+    (live, "_VALVE_STAGES", (1.0, 1.0, 0.5)),
+)
+"""What is shortened of the commands' waiting: emulated jaws have nothing to settle."""
+
+
+def run(
+    out: Path,
+    *,
+    quick: bool = False,
+    resume: bool = False,
+    say: Callable[[str], None] = lambda _: None,
+) -> dict[str, Any]:
+    """The day, step by step; with `quick` one grasp before and after, and no shadow. What was done
+    so far is kept in `out`/first_day.json: with `resume` a day that was cut off goes on."""
+    if not resume:
+        shutil.rmtree(out / "day", ignore_errors=True)
+        (out / "first_day.json").unlink(missing_ok=True)
+    seeds = SEEDS[:1] if quick else SEEDS
+    with _hurried():
+        day = Day(out, say)
+        day.step("grasp, before", lambda: day.grasps("dense", day.bare(), seeds))
+        day.step("setup", day.set_up)
+        for finger in FINGERS:
+            day.step(f"calibrate camera, {finger}", lambda finger=finger: day.lens(finger))
+        day.step("record and fit", day.fit)
+        for what in (["valve", "--seal", "2"], ["frame"], ["force", "--load-cell"], ["gripper"]):
+            day.step(f"calibrate {what[0]}", lambda what=what: day.calibrate(*what))
+        day.step("grasp, after", lambda: day.grasps(day.sensor, day.file, seeds))
+        if not quick:
+            day.step("shadow", day.shadow)
+    return day.told()
+
+
+@contextlib.contextmanager
+def _hurried() -> Iterator[None]:
+    before = [getattr(module, name) for module, name, _ in _HURRIED]
+    slow = pace.slow()
+    pace.set_slow(max(slow, SLOW))
+    for module, name, value in _HURRIED:
+        setattr(module, name, value)
+    try:
+        yield
+    finally:
+        pace.set_slow(slow)
+        for (module, name, _), value in zip(_HURRIED, before, strict=True):
+            setattr(module, name, value)
+
+
+class Day:
+    """One folder with the user's files, and the emulated hardware on the table."""
+
+    def __init__(self, out: Path, say: Callable[[str], None]):
+        self.folder = out / "day"
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self._out = out
+        self._say = say
+        kept = out / "first_day.json"
+        self.rows: list[dict[str, Any]] = read_json(kept)["steps"] if kept.exists() else []
+        self.world = resources.find(RIG, "models/rigs", ".toml")
+        self.file = self.folder / "my_gripper.toml"
+        # fitted, it is the same sensor to its calibration files: by its name
+        self._fitted = self.folder / "fitted" / "dense.toml"
+        self.sensor = str(self._fitted) if self._fitted.exists() else "dense"
+
+    def step(self, name: str, do: Callable[[], Mapping[str, Any]]) -> None:
+        """Do it, unless it was done, and keep what came of it; a step that fails is told, and the
+        day goes on."""
+        if any(row["step"] == name and "failed" not in row for row in self.rows):
+            return
+        begin = time.monotonic()
+        try:
+            row: dict[str, Any] = {"step": name, **do()}
+        except MjtactileError as error:
+            row = {"step": name, "failed": str(error)}
+        row["seconds"] = round((time.monotonic() - begin) / pace.slow(), 1)
+        self.rows = [*(one for one in self.rows if one["step"] != name), row]
+        write_json(self._out / "first_day.json", self.told())
+        self._say(f"{name}: {row}")
+
+    def told(self) -> dict[str, Any]:
+        """All that was done."""
+        return {"asked_N": ASKED, "slow": pace.slow(), "steps": self.rows}
+
+    @contextlib.contextmanager
+    def hardware(self, seed: int = 0) -> Iterator[EmulatorProcess]:
+        """The emulated gripper, switched on: its world's sensors are `dense` and what they are
+        beside that."""
+        emulator = EmulatorProcess(
+            load_rig_file(self.world), load_sensor("dense"), object_name="egg", seed=seed
+        )
+        try:
+            yield emulator
+        finally:
+            emulator.close()
+
+    @contextlib.contextmanager
+    def plugged_in(self, file: Path, seed: int = 0) -> Iterator[EmulatorProcess]:
+        """The same, with `file` naming today's ports."""
+        with self.hardware(seed) as emulator:
+            text = file.read_text(encoding="utf-8")
+            ends = emulator.endpoints
+            cameras = iter(ends["cameras"].values())
+            text = re.sub(
+                r'^source = ".*"', lambda _: f'source = "{next(cameras)}"', text, flags=re.M
+            )
+            ports = iter([ends["servo"], ends["valve"], ends["valve"]])
+            text = re.sub(r'^port = ".*"', lambda _: f'port = "{next(ports)}"', text, flags=re.M)
+            file.write_text(text, encoding="utf-8")
+            yield emulator
+
+    def bare(self) -> Path:
+        """A rig file without anything measured."""
+        path = self.folder / "bare.toml"
+        path.write_text(client_text(self.world, _NOWHERE), encoding="utf-8")
+        return path
+
+    def set_up(self) -> dict[str, Any]:
+        """`mjtactile setup`: ports, servos and cameras found; the chamber of the finger that is to
+        be pressed is filled. Then calibration files are named."""
+        like = self.bare()
+        asked: list[str] = []
+        pressed: list[Any] = []
+
+        def ask(question: str) -> str:
+            asked.append(question)
+            if finger := re.search(r"of the (\w+) finger", question):
+                while pressed:
+                    pressed.pop().close(quiet=True)
+                boards, valves = connect_valves(load_rig_file(self.file).valves)
+                valves[FINGERS.index(finger[1])].open(1000.0)
+                pressed.extend(boards)
+            return ""
+
+        with self.hardware() as emulator:
+            ends = emulator.endpoints
+            try:
+                setup(
+                    self.file,
+                    like=like,
+                    ports=[ends["valve"], ends["servo"]],
+                    cameras=[ends["cameras"]["right"], ends["cameras"]["left"]],
+                    ask=ask,
+                    say=lambda _: None,
+                )
+            finally:
+                for board in pressed:
+                    board.close(quiet=True)
+            rig = load_rig_file(self.file)
+            right = [camera.source for camera in rig.cameras] == [
+                ends["cameras"][finger] for finger in FINGERS
+            ]
+        text = self.file.read_text(encoding="utf-8")
+        text = text.replace("[gripper]\n", '[gripper]\ncalibration = "gripper.json"\n')
+        for finger in FINGERS:
+            named = f'[[camera]]\ncalibration = "{finger}.json"\nfinger = "{finger}"'
+            text = text.replace(f'[[camera]]\nfinger = "{finger}"', named)
+        self.file.write_text(text, encoding="utf-8")
+        return {"questions": len(asked), "cameras_told_apart": right}
+
+    def _specimen(self, finger: str) -> SpecimenConfig:
+        emulator = load_rig_file(self.world).emulator
+        assert emulator is not None
+        return emulator.specimen(finger)
+
+    def lens(self, finger: str) -> dict[str, Any]:
+        """`calibrate camera` from twelve pictures of a printed board."""
+        photos = self.folder / f"photos_{finger}"
+        true = true_design(load_sensor("dense"), self._specimen(finger)).camera
+        photograph_board(photos, true)
+        self._command("camera", str(photos), "--rig", str(self.file), "--finger", finger)
+        lens = load_calibration(self.folder / f"{finger}.json").lens
+        assert lens is not None
+        return {"fx_px": [true.fx, lens.fx], "cx_px": [true.cx, lens.cx]}
+
+    def _command(self, *options: str) -> None:
+        code = main(["calibrate", *options])
+        if code:
+            raise MjtactileError(f"calibrate {options[0]}: exit code {code}")
+
+    def calibrate(self, *options: str) -> dict[str, Any]:
+        """One `mjtactile calibrate`, on the live rig."""
+        with self.plugged_in(self.file) as emulator:
+            person = Person(emulator)
+            with person.at_the_terminal():
+                code = main(
+                    ["calibrate", *options, "--rig", str(self.file)]
+                    + ([] if options[0] == "gripper" else ["--sensor", self.sensor])
+                )
+        said = "".join(person.read)
+        return {"exit_code": code} if code == 0 else {"exit_code": code, "failed": said[-400:]}
+
+    def fit(self) -> dict[str, Any]:
+        """`record` on a stand, and `fit --relaxation`: the left finger's sheet and gas."""
+        specimen = self._specimen("left")
+        nominal = load_sensor("dense")
+        true = true_design(nominal, specimen)
+        chamber = replace(nominal.chamber, leak_conductance=specimen.leak)
+        true = replace(true, camera=nominal.camera, markers=nominal.markers, chamber=chamber)
+        folders = []
+        for number, (name, pressure) in enumerate((*_PRESSES, ("still", 2000.0))):
+            stage = NOTHING
+            if name != "still":
+                stage = Stage("sphere:8", (0.0, 0.0), read_moves("press"))
+            folders.append(self.folder / name)
+            header = {"sensor": "dense", "rig": "stage", "design": "dense", "seed": number}
+            with Recorder(folders[-1] / "recording", header) as recorder:
+                record_stage(
+                    replace(true, chamber=replace(chamber, supply_gauge=pressure)),
+                    stage,
+                    recorder,
+                    seconds=_STILL if name == "still" else 9.0,
+                    seed=number,
+                )
+        out = self._fitted
+        out.parent.mkdir()
+        code = main(
+            ["fit", "--relaxation", str(folders[-1]), "--out", str(out)]
+            + [word for folder in folders for word in ("--recording", str(folder))]
+        )
+        if code:
+            raise MjtactileError(f"fit: exit code {code}")
+        self.sensor = str(out)
+        found = load_sensor(out)
+        faded = 0.0 if found.relaxation is None else found.relaxation.quick - 1
+        return {
+            "young_MPa": [1e-6 * true.membrane.young, 1e-6 * found.membrane.young],
+            "pre_stretch": [true.membrane.pre_stretch, found.membrane.pre_stretch],
+            "quick_over_lasting_less_1": [
+                true.relaxation.quick - 1 if true.relaxation else 0,
+                faded,
+            ],
+        }
+
+    def grasps(self, sensor: str, file: Path, seeds: tuple[int, ...]) -> dict[str, Any]:
+        """An egg is grasped and held, by each seed: felt less true on each finger, N."""
+        design = load_sensor(sensor)
+        errors = []
+        for seed in seeds:
+            where = self.folder / ("before" if file.name == "bare.toml" else "after") / str(seed)
+            shutil.rmtree(where, ignore_errors=True)  # of a day that was cut off
+            header = Scenario(object="egg", sensor=sensor, rig=str(file), seed=seed).header()
+            with self.plugged_in(file, seed) as emulator:
+                rig = build_device_rig(load_rig_file(file), design)
+                try:
+                    errors.append(_held_error(rig, emulator, where, header))
+                finally:
+                    rig.close()
+        mean = np.array([np.nanmean(one, axis=0) for one in errors])
+        return {
+            "mean_N": mean.tolist(),
+            "worst_mean_N": float(np.abs(mean).max()),
+            "rms_N": float(np.sqrt(np.nanmean(np.concatenate(errors) ** 2))),
+            "worst_N": float(np.nanmax(np.abs(np.concatenate(errors)))),
+        }
+
+    def shadow(self) -> dict[str, Any]:
+        """`mjtactile shadow` of the first grasp after it all."""
+        recording = self.folder / "after" / str(SEEDS[0])
+        page = self.folder / "shadow"
+        code = main(
+            ["shadow", str(recording), "--until-s", "6", "--out", str(page), "--workers", "2"]
+        )
+        if code not in (0, 1):
+            raise MjtactileError(f"shadow: exit code {code}")
+        found = read_json(page / "shadow.json")
+        return {"verdict": found["verdict"], "apart": found["apart"]}
+
+
+def _held_error(rig: Any, emulator: EmulatorProcess, where: Path, header: dict[str, Any]) -> Any:
+    """(images, fingers) Felt less true while an egg is held, N."""
+    errors: list[list[float]] = []
+    controller = load_controller("gentle")
+    with Recorder(where / "recording", header) as recorder:
+        session = Session(rig, threads=0)  # no time-out of a thread that a busy computer keeps
+        recorder.begin(session)
+        session.take_references(recorder)
+
+        class Brief:
+            path = Path("gentle")
+
+            def step(self, observation: Any) -> Any:
+                command = controller.step(observation)
+                return replace(command, phase="done") if len(errors) >= HOLD else command
+
+        def on_cycle(cycle: Any) -> None:
+            recorder.add(cycle)
+            if cycle.sent.phase == "hold":
+                truth = emulator.truth()
+                errors.append(
+                    [
+                        one.force_normal - truth[f"contact_{k}"]
+                        for k, one in enumerate(cycle.touch, 1)
+                    ]
+                )
+
+        session.run(Brief(), time_limit=60.0, on_cycle=on_cycle)
+    if not errors:
+        raise MjtactileError("nothing was held")
+    return np.array(errors)
+
+
+def table(result: Mapping[str, Any]) -> str:
+    """The result as Markdown."""
+    lines = ["| step | what came of it |", "|---|---|"]
+    for row in result["steps"]:
+        name = row["step"]
+        came = f"failed: {row['failed']}" if "failed" in row else _came(name, row)
+        lines.append(f"| {name} | {came} |")
+    minutes = sum(row["seconds"] for row in result["steps"] if "fit" not in row["step"]) / 60
+    note = (
+        f"Felt less true force is asked to be within {result['asked_N']:g} N. All but the fit's "
+        f"own calculation took {minutes:.0f} minutes of the emulated rig's time, with the waiting "
+        "of some commands shortened."
+    )
+    return "\n".join(lines) + f"\n\n{note}\n"
+
+
+def _came(step: str, row: Mapping[str, Any]) -> str:
+    """What a step came to, in words."""
+    if step.startswith("grasp"):
+        means = [f"{left:+.3f}, {right:+.3f}" for left, right in row["mean_N"]]
+        return (
+            f"an egg is held {len(means)} times; felt less true on each finger (left, right), N, "
+            f"means: {'; '.join(means)}; worst image {row['worst_N']:.3f}"
+        )
+    if step == "setup":
+        told = "told apart" if row["cameras_told_apart"] else "taken for each other"
+        return f"{row['questions']} questions; the cameras are {told}"
+    if "fx_px" in row:
+        (true, found), (cx, found_cx) = row["fx_px"], row["cx_px"]
+        return f"focal length {found:.1f} px ({true:.0f} truly), centre {found_cx:.1f} ({cx:.1f})"
+    if "young_MPa" in row:
+        (young, found), (stretch, found_stretch) = row["young_MPa"], row["pre_stretch"]
+        quick, found_quick = row["quick_over_lasting_less_1"]
+        return (
+            f"modulus {found:.2f} MPa ({young:.2f} truly when all has faded), pre-stretch "
+            f"{found_stretch:.3f} ({stretch:.3f}), {found_quick:.0%} fade within the recording "
+            f"({quick:.0%} in 1000 s)"
+        )
+    return row.get("verdict", "good")
