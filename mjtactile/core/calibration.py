@@ -211,8 +211,8 @@ class Calibration:
             )
         if self.sensor != design.name:
             raise InputError(
-                f"is of a sensor {self.sensor!r}, but the {finger} finger has {design.name!r}; of the "
-                f"same sensor a fitted file is called {self.sensor}.toml, too",
+                f"is of a sensor {self.sensor!r}, but the {finger} finger has {design.name!r}; a "
+                f"file fitted to the same sensor is called {self.sensor}.toml, too",
                 source=source,
                 field="sensor",
             )
