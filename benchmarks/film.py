@@ -9,8 +9,9 @@ x 31 and 121 x 91 nodes. `paper16` has the sheet, frame and gas of `dense`, and 
 from __future__ import annotations
 
 import json
+import multiprocessing
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,8 @@ TIMED = (*GRIDS, (61, 46))
 PLACED = (*GRIDS, (81, 61))  # the last tells how much is the bulge's own, which is no plane
 PLACES, PLACES_QUICK = 12, 2
 BURSTS, BURSTS_QUICK = 20, 2
+AT_ONCE = 64
+_SECONDS = 1.0  # of two processes at once
 _STEPS = 10  # of a burst, each 0.05 mm deeper
 _MARKERS = np.stack(
     np.meshgrid(np.linspace(-0.016, 0.016, 9), np.linspace(-0.012, 0.012, 9), indexing="ij"), -1
@@ -176,11 +179,16 @@ def _bowl(numbers: Array) -> Obstacle:
     return Film.obstacle("quadric", (*numbers[3:5], 0.012), numbers[:3], turn)
 
 
+def _deeper(film: Film) -> list[Obstacle]:
+    """Balls, each 0.05 mm deeper than the one before."""
+    heights = [0.0095 - 5e-5 * k for k in range(_STEPS + 1)]
+    return [film.obstacle("sphere", (8e-3,), (0, 0, height)) for height in heights]
+
+
 def _times(grid: tuple[int, int], bursts: int) -> dict[str, Any]:
     """Best times, us, of a step from the one before, 0.05 mm deeper, and of films at once."""
     film = Film("dense", grid, 1000.0)
-    heights = [0.0095 - 5e-5 * k for k in range(_STEPS + 1)]
-    balls = [film.obstacle("sphere", (8e-3,), (0, 0, height)) for height in heights]
+    balls = _deeper(film)
     start = film.solve(balls[0])
     best = {trend: np.full(_STEPS, np.inf) for trend in (True, False)}
     steps = 0
@@ -201,24 +209,63 @@ def _times(grid: tuple[int, int], bursts: int) -> dict[str, Any]:
         derived = min(derived, time.perf_counter() - begin)
     rates = {
         f"{size}, {threads}": _rate(film, balls, size, threads, bursts)
-        for size, threads in ((1, 1), (8, 1), (64, 1), (256, 1), (64, 2))
+        for size, threads in ((1, 1), (8, 1), (AT_ONCE, 1), (256, 1), (AT_ONCE, 2))
     }
     return {"grid": list(grid), "step_us": 1e6 * float(np.median(best[True])),
             "alone_us": 1e6 * float(np.median(best[False])), "most_steps": steps,
-            "derivatives_us": 1e6 * derived, "batch_per_s": rates}  # fmt: skip
+            "derivatives_us": 1e6 * derived, "batch_per_s": rates,
+            "ceiling": _ceiling(grid, _SECONDS * bursts / BURSTS)}  # fmt: skip
 
 
 def _rate(film: Film, balls: list[Obstacle], size: int, threads: int, bursts: int) -> float:
     """Films a second of `size` at once, which are at rest already."""
+    solve = _at_rest(film, balls, size, threads)
+    return size / min(solve() for _ in range(bursts))
+
+
+def _at_rest(film: Film, balls: list[Obstacle], size: int, threads: int) -> Callable[[], float]:
+    """Times, s, of `size` films at once, each time anew from where they are at rest already."""
     many = [[balls[k % 8]] for k in range(size)]
     batch = film.solve_batch(many)
     batch = film.solve_batch(many, batch)
-    least = np.inf
-    for _ in range(bursts):
+
+    def solve() -> float:
         begin = time.perf_counter()
         film.solve_batch(many, batch, threads=threads)
-        least = min(least, time.perf_counter() - begin)
-    return size / least
+        return time.perf_counter() - begin
+
+    return solve
+
+
+def _ceiling(grid: tuple[int, int], seconds: float) -> float:
+    """What a second processor adds at most: the rate of two processes, which share nothing, over
+    that of one. Two threads cannot do better: processors share caches and memory, if not more."""
+    context = multiprocessing.get_context("spawn")
+    rates = {}
+    for count in (1, 2):
+        together = context.Barrier(count)
+        found: Any = context.SimpleQueue()
+        given = (grid, seconds, together, found)
+        workers = [context.Process(target=_alone, args=given) for _ in range(count)]
+        for worker in workers:
+            worker.start()
+        rates[count] = sum(found.get() for _ in workers)
+        for worker in workers:
+            worker.join()
+    return rates[2] / rates[1]
+
+
+def _alone(grid: tuple[int, int], seconds: float, together: Any, found: Any) -> None:
+    """In a process of its own: the best rate of a batch in one thread, over some time that begins
+    when all are `together`."""
+    film = Film("dense", grid, 1000.0)
+    solve = _at_rest(film, _deeper(film), AT_ONCE, 1)
+    together.wait()
+    end = time.perf_counter() + seconds
+    least = np.inf
+    while time.perf_counter() < end:
+        least = min(least, solve())
+    found.put(AT_ONCE / least)
 
 
 # -- picture and table -----------------------------------------------------------------------------
@@ -268,6 +315,10 @@ def _line(name: str, rows: list[dict[str, Any]], key: str, by: float, worst: boo
         most = f" ({max(map(abs, found), default=float('nan')):.1f})" if worst else ""
         cells.append(f"{_rms(found):.2f}{most}")
     return f"| {name} | {' | '.join(cells)} |"
+
+
+def _row(values: Iterable[float], form: str) -> str:
+    return " | ".join(f"{value:{form}}" for value in values)
 
 
 def _cell(place: dict[str, float]) -> str:
@@ -327,6 +378,12 @@ def table(result: dict[str, Any]) -> str:
     for size in (1, 8, 64, 256):
         each = (f"{1e6 / t['batch_per_s'][f'{size}, 1']:.0f}" for t in times)
         lines.append(f"| {size} at once at rest, one thread, us each | {' | '.join(each)} |")
-    gains = (f"{t['batch_per_s']['64, 2'] / t['batch_per_s']['64, 1']:.2f}" for t in times)
-    lines.append(f"| 64 at once: rate of two threads over one | {' | '.join(gains)} |")
+    gains = [t["batch_per_s"]["64, 2"] / t["batch_per_s"]["64, 1"] for t in times]
+    ceilings = [t["ceiling"] for t in times]
+    shares = (100 * gain / most for gain, most in zip(gains, ceilings, strict=True))
+    lines += [
+        f"| {AT_ONCE} at once: rate of two threads over one | {_row(gains, '.2f')} |",
+        f"| two processes, which share nothing, over one | {_row(ceilings, '.2f')} |",
+        f"| what two threads reach of that, % | {_row(shares, '.0f')} |",
+    ]
     return "\n".join(lines) + "\n"

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull, Delaunay
 
 from mjtactile import Film, InputError
 
@@ -23,6 +24,105 @@ def box_of_triangles():
     """The lower face of the box that CORNERS span, as two triangles."""
     a, b, c, d = (corner for corner in CORNERS if corner[2] < 0)
     return np.array([[a, b, c], [b, d, c]])
+
+
+CLOUD = np.random.default_rng(3).normal(size=(30, 3)) * [4e-3, 3e-3, 2e-3]
+AXES = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
+R_SO = AXES * np.sign(np.linalg.det(AXES))
+TILTED = np.array([[1, 0, 0], [0, np.cos(0.3), -np.sin(0.3)], [0, np.sin(0.3), np.cos(0.3)]])
+PLACE = np.array([0.5e-3, -0.4e-3, 8e-3])
+HALF_THICKNESS = 1.5e-4
+
+
+def in_bowl(x):
+    k_x, k_y, reach = 90.0, -40.0, 6e-3
+    return (x[:, 2] >= (k_x * x[:, 0] ** 2 + k_y * x[:, 1] ** 2) / 2) & (
+        np.hypot(x[:, 0], x[:, 1]) <= reach
+    )
+
+
+def in_rimmed_disc(x):
+    """All within 1 mm of a disc of 4 mm radius and 3 mm half height."""
+    beyond = np.stack([np.hypot(x[:, 0], x[:, 1]) - 4e-3, np.abs(x[:, 2]) - 3e-3])
+    return np.linalg.norm(np.maximum(beyond, 0), axis=0) <= 1e-3
+
+
+def in_hull(x):
+    return Delaunay(CLOUD).find_simplex(x) >= 0
+
+
+# What is inside a body, in its frame, by its definition alone; and how it is turned.
+INSIDE = {
+    "plane": ((), None, lambda x: x[:, 2] >= 0, TILTED),
+    "quadric": ((90.0, -40.0, 6e-3), None, in_bowl, TILTED),
+    "disc": ((5e-3, 4e-3, 1e-3), None, in_rimmed_disc, TILTED),
+    "mesh": ((), CLOUD, in_hull, R_SO),
+    "triangles": ((), CLOUD[ConvexHull(CLOUD).simplices], in_hull, R_SO),
+}
+
+
+def lowest_inside(inside, turn, places):
+    """Heights (n,) m at which a line from below comes into a body: looked for in steps of 0.1 mm,
+    then halved to 1e-12 m."""
+    steps = np.arange(-4e-3, 20e-3, 1e-4)
+    at = np.repeat(places, len(steps), axis=0)
+    lines = np.column_stack([at, np.tile(steps, len(places))])
+    hits = inside((lines - PLACE) @ turn).reshape(len(places), -1)
+    first = hits.argmax(axis=1)
+    high = np.where(hits.any(axis=1) & (first > 0), steps[first], np.nan)
+    low = high - 1e-4
+    for _ in range(27):
+        middle = (low + high) / 2
+        is_in = inside((np.column_stack([places, middle]) - PLACE) @ turn)
+        low, high = np.where(is_in, low, middle), np.where(is_in, middle, high)
+    return high
+
+
+@pytest.mark.parametrize("kind", INSIDE)
+def test_heights_are_where_a_line_from_below_comes_into_the_body(film, kind):
+    """By what is inside alone; half the sheet's thickness off, across the surface's slope."""
+    sizes, data, inside, turn = INSIDE[kind]
+    places = np.random.default_rng(1).uniform(-4e-3, 4e-3, (60, 2))
+    found = film.heights_of(film.obstacle(kind, sizes, PLACE, turn, data=data), places)
+    step = 1e-7  # m; of slopes, by differences of heights that are good to 1e-12
+    ahead = [lowest_inside(inside, turn, places + step * axis) for axis in np.eye(2)]
+    height = lowest_inside(inside, turn, places)
+    slope = np.hypot(*(one - height for one in ahead)) / step
+    flat = (slope < 0.9) & np.isfinite(found)  # steeper rims count as ended
+    assert flat.sum() > 10
+    off = HALF_THICKNESS * np.sqrt(1 + slope[flat] ** 2)
+    # m; a rim of 1 mm bends by 1e-4 over the step, which changes what is off by 1e-8
+    np.testing.assert_allclose(found[flat], height[flat] - off, atol=2e-8)
+    if kind == "mesh":
+        np.testing.assert_array_equal(np.isfinite(found), np.isfinite(height))
+
+
+def test_a_disc_that_is_all_rim_is_a_ball(film):
+    place = (0.7e-3, 0.2e-3, 8.5e-3)
+    disc = force(film, film.obstacle("disc", (8e-3, 8e-3, 8e-3), place, TILTED))
+    # its offset is taken across its slope where a ball's is exact: 1 um at the contact's rim
+    assert disc == pytest.approx(force(film, film.obstacle("sphere", (8e-3,), place)), rel=3e-3)
+
+
+def test_a_tilted_plane_bears_along_its_normal(film):
+    """Without friction all of the force is across the plane; so is each node's."""
+    c, s = np.cos(0.06), np.sin(0.06)  # 0.9 mm at the frame
+    turn = np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]])
+    state = film.solve(film.obstacle("plane", p_SO=(0, 0, 1.8e-3), R_SO=turn))
+    normal = turn[:, 2]
+    assert state.converged and state.force_normal > 0.05
+    np.testing.assert_allclose(
+        state.wrench[:2] / state.wrench[2], normal[:2] / normal[2], atol=1e-6
+    )
+
+
+def test_a_bowl_turned_about_its_axis_is_the_same_where_it_is_round(film):
+    c, s = np.cos(0.7), np.sin(0.7)
+    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+    at = (1e-3, 0.5e-3, 1.5e-3)
+    sizes = (90.0, 90.0, 0.012)
+    straight = force(film, film.obstacle("quadric", sizes, at))
+    assert force(film, film.obstacle("quadric", sizes, at, turn)) == pytest.approx(straight, 1e-4)
 
 
 def test_triangles_and_hull_are_the_box_that_they_bound(film):
