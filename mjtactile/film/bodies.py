@@ -9,6 +9,7 @@ a thing that comes from the side, or hooks under the sheet, is beyond a film.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -38,6 +39,7 @@ KINDS: dict[str, tuple[int, tuple[str, ...]]] = {
     "triangles": (10, ()),
     "heights": (11, ()),
 }
+_FEW = 16  # numbers, which Python looks at faster than numpy
 _FLAT = 1e-9  # m, of a skin that has no thickness
 _MAY_VANISH = {"curvature x", "curvature y", "rim radius"}
 
@@ -108,7 +110,8 @@ def obstacle(
     numbers = np.zeros(NUMBERS)
     numbers[0] = number
     size = finite("sizes", sizes, (len(names),))
-    for name, value in zip(names, size, strict=True):
+    sides = size.tolist()  # as numbers of Python: bodies are made by the dozen, for derivatives
+    for name, value in zip(names, sides, strict=True):
         if (
             value < 0
             and name not in ("curvature x", "curvature y")
@@ -127,8 +130,8 @@ def obstacle(
     numbers[17] = len(pool)
     if kind == "heights":
         numbers[1:3] = np.shape(data)  # type: ignore[arg-type]
-    numbers[18] = _least_width(kind, size, data)
-    numbers[19] = _reach(kind, size, data)
+    numbers[18] = _least_width(kind, sides, data)
+    numbers[19] = _reach(kind, sides, data)
     return Obstacle(kind, numbers, pool.ravel())
 
 
@@ -148,25 +151,25 @@ def pooled(bodies: Sequence[Obstacle], grid: tuple[int, int]) -> tuple[Array, Ar
     return rows, np.concatenate([body.pool for body in bodies])
 
 
-def _least_width(kind: str, size: Array, data: ArrayLike | None) -> float:
+def _least_width(kind: str, size: list[float], data: ArrayLike | None) -> float:
     """How wide, m, a body is where it is thinnest; infinite for what cannot pass between nodes."""
     if kind in ("mesh", "triangles"):
         wide = np.ptp(np.asarray(data, dtype=float).reshape(-1, 3), axis=0)
         return float(wide[wide > _FLAT].min(initial=np.inf))
     if kind in ("plane", "quadric", "heights", "cone"):
         return np.inf
-    return 0.0 if kind == "wedge" else 2 * float(size[:2].min())
+    return 0.0 if kind == "wedge" else 2 * min(size[:2])
 
 
-def _reach(kind: str, size: Array, data: ArrayLike | None) -> float:
+def _reach(kind: str, size: list[float], data: ArrayLike | None) -> float:
     """How far from its middle, m, a body ends at the latest."""
     if kind in ("mesh", "triangles"):
         return float(np.linalg.norm(np.asarray(data, dtype=float).reshape(-1, 3), axis=1).max())
     if kind in ("plane", "heights"):
         return np.inf
     if kind == "quadric":
-        return float(size[2] * np.hypot(1, size[2] * np.abs(size[:2]).max() / 2))
-    return float(size.sum())
+        return size[2] * math.hypot(1.0, size[2] * max(abs(size[0]), abs(size[1])) / 2)
+    return sum(size)
 
 
 def _pool(kind: str, size: Array, data: ArrayLike | None) -> Array:
@@ -243,6 +246,10 @@ def finite(field: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
     if not fits:
         wanted = ", ".join("n" if want < 0 else str(want) for want in shape)
         raise InputError(f"has shape {array.shape}, not ({wanted})", field=field)
-    if not np.isfinite(array).all():
+    if array.size < _FEW:
+        known = all(map(math.isfinite, array.ravel().tolist()))
+    else:
+        known = bool(np.isfinite(array).all())
+    if not known:
         raise InputError("is not finite", field=field)
     return array

@@ -21,14 +21,15 @@ typedef struct {
     Seen seen;
     SheetFields fields;                 /* (3, count) twice: forces, and the volume's slopes */
     Stencil stiffness;
+    float *singles;                     /* of the stiffness */
     float *band;                        /* of panels, 3 inner */
     double *slope, *spring, *obstacle;  /* where the film is: (2, count), (4, count), (count) */
     double *at, *pressed;               /* the film: (3, count), (count) */
     double *x, *force, *low, *high;     /* moved: (3, count), (count); what bodies do: (4, count) */
     Eight *rhs;                         /* 3 inner, with room behind */
-    Lanes *residual;                    /* (4, count) by bodies: forces on nodes, and how far what touches is off its body */
-    Lanes *borne, *given;               /* (3, count): what the sheet bears of all that was found, and of what is found next */
-    Lanes *found;                       /* (4, count): displacements and forces */
+    Eight *residual;                    /* (4, count) by bodies: forces on nodes, and how far what touches is off its body */
+    Eight *borne, *given;               /* (3, count): what the sheet bears of all that was found, and of what is found next */
+    Eight *found;                       /* (4, count): displacements and forces */
     Lanes swells;                       /* m^3 of what was found */
     double gas_stiffness, pressure, tension, volume;
 } Tangent;
@@ -40,8 +41,8 @@ static long band_of(const Film *f) { return panels_of(f) * PANEL * panels_height
 static long rows_of(const Film *f) { return panels_of(f) * PANEL + panels_height(FILM_WIDTH(f)); }
 
 static long room_of(const Film *f) {
-    const long lanes = 14 * f->count, singles = band_of(f) / 2 + PANEL / 2 * rows_of(f);
-    return film_seen_size(f) + film_stencil_size(f) + singles + (3 + 3 + 4 + 7 + 4 + 8) * f->count + 16 + LANES * lanes;
+    const long singles = FILM_SINGLES(f) + band_of(f) + PANEL * (rows_of(f) + 14 * f->count);
+    return film_seen_size(f) + film_stencil_size(f) + singles / 2 + (3 + 3 + 4 + 7 + 4 + 8) * f->count + 32;
 }
 
 int64_t film_derive_room(const double *numbers) {
@@ -56,11 +57,12 @@ static Tangent tangent_in(const Film *f, double *room) {
     t.fields.along_x = t.seen.along_x, t.fields.along_y = t.seen.along_y;
     t.stiffness = film_stencil_in(f, &room);
     t.at = film_take(&room, 3 * n + 8), t.pressed = film_take(&room, n);
+    t.singles = (float *)film_take(&room, FILM_SINGLES(f) / 2); /* lines are whole eights */
     t.band = (float *)film_take(&room, band_of(f) / 2), t.rhs = (Eight *)film_take(&room, PANEL / 2 * rows_of(f));
     t.slope = film_take(&room, 2 * n), t.spring = film_take(&room, 4 * n), t.obstacle = film_take(&room, n);
     t.x = film_take(&room, 3 * n + 8), t.force = film_take(&room, n), t.low = film_take(&room, 4 * n), t.high = film_take(&room, 4 * n);
-    t.residual = (Lanes *)film_take(&room, LANES * 4 * n), t.borne = (Lanes *)film_take(&room, LANES * 3 * n);
-    t.given = (Lanes *)film_take(&room, LANES * 3 * n), t.found = (Lanes *)film_take(&room, LANES * 4 * n);
+    t.residual = (Eight *)film_take(&room, PANEL / 2 * 4 * n), t.borne = (Eight *)film_take(&room, PANEL / 2 * 3 * n);
+    t.given = (Eight *)film_take(&room, PANEL / 2 * 3 * n), t.found = (Eight *)film_take(&room, PANEL / 2 * 4 * n);
     memset(t.low, 0, 8 * n * sizeof *t.low), memset(t.residual, 0, 4 * n * sizeof *t.residual);
     memset(t.at, 0, (3 * n + 8) * sizeof *t.at), memset(t.slope, 0, 2 * n * sizeof *t.slope);
     return t;
@@ -106,7 +108,10 @@ static void add_pairs(const Film *f, const Tangent *t) {
                 eliminate(f, t, pair, node, K);
                 for (int k = 0; k < 3; k++) {
                     float *column = t->band + (first + k) * height - (first + k) / PANEL * PANEL + other;
-                    for (int l = pair == PAIR_OWN ? k : 0; l < 3; l++) column[l] += (float)K[k][l];
+                    const int below = pair != PAIR_OWN; /* written out: as a loop it becomes masked vectors, at three times the time */
+                    if (below || k == 0) column[0] += (float)K[k][0];
+                    if (below || k <= 1) column[1] += (float)K[k][1];
+                    column[2] += (float)K[k][2];
                 }
             }
 }
@@ -157,19 +162,19 @@ static int make_tangent(const Film *f, const Bodies *bodies, const double *x, co
     const long height = panels_height(FILM_WIDTH(f));
     memset(t->band, 0, band_of(f) * sizeof *t->band);
     for (long k = 3 * f->inner; k < panels_of(f) * PANEL; k++) t->band[k * height + k % PANEL] = 1; /* behind the last */
-    film_stencil(f, x, t->pressure, &t->stiffness);
+    film_stencil(f, x, t->pressure, &t->stiffness), film_stencil_singles(f, &t->stiffness, t->singles);
     add_pairs(f, t), add_springs(f, t), add_bends(f, bodies, x, force, t);
     return panels_factor(panels_of(f), 0, height, t->band);
 }
 
 /* What edges' springs bear of `what`, as film_stencil_times of the sheet; of the heights alone. */
-static void times_springs(const Film *f, const Tangent *t, const Lanes *what, Lanes *to) {
+static void times_springs(const Film *f, const Tangent *t, const Eight *what, Eight *to) {
     for (int side = 0; side < 4; side++)
         for (long k = t->seen.box[0] * f->line; k < t->seen.box[1] * f->line; k++) {
-            const double spring = t->spring[side * f->count + k];
+            const float spring = (float)t->spring[side * f->count + k];
             if (spring == 0) continue;
             const long one = 2 * f->count + k, other = one + film_next(f, side);
-            const Lanes pull = spring * (what[other] - what[one]);
+            const Eight pull = spring * (what[other] - what[one]);
             to[one] -= pull, to[other] += pull;
         }
 }
@@ -207,8 +212,8 @@ static void press(const Film *f, const Bodies *bodies, const double *x, const do
 static void move(const Film *f, const double *x, const double *force, double step, int lane, Tangent *t) {
     const long count = f->count, from = first_line(f, &t->seen) * f->line, to = behind_lines(f, &t->seen) * f->line;
     for (int c = 0; c < 3; c++)
-        for (long k = c * count + from; k < c * count + to; k++) t->x[k] = x[k] + step * t->found[k][lane];
-    for (long k = from; k < to; k++) t->force[k] = force[k] + step * t->found[3 * count + k][lane];
+        for (long k = c * count + from; k < c * count + to; k++) t->x[k] = x[k] + step * (double)t->found[k][lane];
+    for (long k = from; k < to; k++) t->force[k] = force[k] + step * (double)t->found[3 * count + k][lane];
 }
 
 typedef struct { Bodies low, high; double step; } Change;
@@ -218,7 +223,7 @@ static void find_residuals(const Film *f, const Change *change, int lane, const 
     move(f, x, force, change->step, lane, t), press(f, &change->high, t->x, t->force, t, t->high);
     const long from = first_line(f, &t->seen) * f->line, to = behind_lines(f, &t->seen) * f->line;
     for (int c = 0; c < 4; c++)
-        for (long k = c * f->count + from; k < c * f->count + to; k++) t->residual[k][lane] = (t->high[k] - t->low[k]) / (2 * change->step);
+        for (long k = c * f->count + from; k < c * f->count + to; k++) t->residual[k][lane] = (float)((t->high[k] - t->low[k]) / (2 * change->step));
 }
 
 /* -- all of it --------------------------------------------------------------------------------------------------------- */
@@ -233,15 +238,17 @@ static void solve(const Film *f, Tangent *t) {
     for (long k = 0; k < count; k++) {
         const long m = film_inner(f, k);
         if (m < 0) continue;
-        Lanes here[3];
-        for (int c = 0; c < 3; c++) here[c] = __builtin_convertvector(t->rhs[3 * m + c], Lanes);
-        if (t->seen.touching[k]) here[2] = t->slope[k] * here[0] + t->slope[count + k] * here[1];
-        for (int c = 0; c < 3; c++) swells += v[c * count + k] * here[c], t->given[c * count + k] = here[c];
+        Eight here[3], bulges = {0};
+        for (int c = 0; c < 3; c++) here[c] = t->rhs[3 * m + c];
+        if (t->seen.touching[k]) here[2] = (float)t->slope[k] * here[0] + (float)t->slope[count + k] * here[1];
+        for (int c = 0; c < 3; c++) bulges += (float)v[c * count + k] * here[c], t->given[c * count + k] = here[c];
+        swells += __builtin_convertvector(bulges, Lanes);
     }
     const Lanes by_gas = t->gas_stiffness * swells / (1 + t->gas_stiffness * swells[AT_ONCE]);
     t->swells += swells - by_gas * swells[AT_ONCE];
+    const Eight gas_moves = __builtin_convertvector(by_gas, Eight);
     for (long k = 0; k < 3 * count; k++) {
-        t->given[k] -= by_gas * t->given[k][AT_ONCE];
+        t->given[k] -= gas_moves * t->given[k][AT_ONCE];
         t->found[k] += t->given[k];
     }
 }
@@ -254,29 +261,32 @@ static void sweep(const Film *f, Tangent *t, int last) {
     memset(t->given, 0, 3 * count * sizeof *t->given);
     for (long k = first * f->line; k < behind * f->line; k++) {
         if (!touching[k]) continue;
-        const Lanes off = -t->residual[3 * count + k];
-        t->given[2 * count + k] = off, t->found[2 * count + k] += off, t->swells += v[2 * count + k] * off;
+        const Eight off = -t->residual[3 * count + k];
+        t->given[2 * count + k] = off, t->found[2 * count + k] += off;
+        t->swells += v[2 * count + k] * __builtin_convertvector(off, Lanes);
     }
-    film_stencil_times(f, &t->stiffness, first, behind, t->given, t->borne), times_springs(f, t, t->given, t->residual);
+    film_stencil_times(f, t->singles, first, behind, t->given, t->borne), times_springs(f, t, t->given, t->residual);
+    const Eight gas = __builtin_convertvector(t->gas_stiffness * t->swells, Eight);
     for (long k = 0; k < count; k++) {
         const long m = film_inner(f, k);
         if (m < 0) continue;
-        Lanes row[3];
+        Eight row[3];
         for (int c = 0; c < 3; c++) {
             const long at = c * count + k;
-            row[c] = -(t->residual[at] + t->borne[at] + t->gas_stiffness * t->swells * v[at]);
-            row[c][AT_ONCE] = v[at];
+            row[c] = -(t->residual[at] + t->borne[at] + gas * (float)v[at]);
+            row[c][AT_ONCE] = (float)v[at];
         }
-        if (touching[k]) row[0] += t->slope[k] * row[2], row[1] += t->slope[count + k] * row[2], row[2] -= row[2];
-        for (int c = 0; c < 3; c++) t->rhs[3 * m + c] = __builtin_convertvector(row[c], Eight);
+        if (touching[k]) row[0] += (float)t->slope[k] * row[2], row[1] += (float)t->slope[count + k] * row[2], row[2] -= row[2];
+        for (int c = 0; c < 3; c++) t->rhs[3 * m + c] = row[c];
     }
     memset(t->given, 0, 3 * count * sizeof *t->given);
     solve(f, t);
     const long from = last ? (long)most(first - 1, 0) : 0, to = last ? (long)least(behind + 1, f->columns) : f->columns;
-    film_stencil_times(f, &t->stiffness, from, to, t->given, t->borne), times_springs(f, t, t->given, t->residual);
+    film_stencil_times(f, t->singles, from, to, t->given, t->borne), times_springs(f, t, t->given, t->residual);
+    const Eight last_gas = __builtin_convertvector(t->gas_stiffness * t->swells, Eight);
     for (long k = first * f->line; k < behind * f->line; k++) {
         const long z = 2 * count + k;
-        if (touching[k]) t->found[3 * count + k] -= t->residual[z] + t->borne[z] + t->gas_stiffness * t->swells * v[z];
+        if (touching[k]) t->found[3 * count + k] -= t->residual[z] + t->borne[z] + last_gas * (float)v[z];
     }
 }
 
@@ -305,6 +315,18 @@ static void found_after(const Film *f, const Bodies *bodies, double step, int la
     found[VOLUME] = t->volume + step * t->swells[lane], found[TENSION] = t->tension + step * tension;
     found[PRESSURE] = t->pressure - step * t->gas_stiffness * t->swells[lane];
     add_up(f, t->x, t->force, found, &t->seen);
+}
+
+/* Lanes of what was found, as Python has them: displacements (many, 3, nodes) and forces (many, nodes). */
+static void hand_over(const Film *f, const Eight *found, long many, double *by_x, double *by_force) {
+    const long nodes = f->columns * f->rows;
+    for (int c = 0; c < 4; c++)
+        for (long i = 0; i < f->columns; i++)
+            for (long j = 0; j < f->rows; j++) {
+                const Eight here = found[c * f->count + i * f->line + j];
+                double *to = (c < 3 ? by_x + c * nodes : by_force) + i * f->rows + j;
+                for (long a = 0; a < many; a++) to[a * (c < 3 ? 3 : 1) * nodes] = (double)here[a];
+            }
 }
 
 /* Where the film is: what touches and how, pressure, tension, and how these hang on displacements. Returns the number of sweeps. */
@@ -351,16 +373,16 @@ int64_t film_derive(const double *numbers, const double *law, int64_t columns, i
         }
         Lanes tension = {0};
         for (int c = 0; c < 3; c++)
-            for (long k = 0; k < count; k++) tension += t.stiffness.tension_by[c * t.stiffness.apart + k] * t.found[c * count + k];
+            for (long k = 0; k < count; k++)
+                tension += t.stiffness.tension_by[c * t.stiffness.apart + k] * __builtin_convertvector(t.found[c * count + k], Lanes);
         for (long a = 0; a < many; a++) {
             double before[FOUND] = {0}, after[FOUND] = {0};
             found_after(&f, &change[a].low, -change[a].step, (int)a, tension[a], x, force, &t, before);
             found_after(&f, &change[a].high, change[a].step, (int)a, tension[a], x, force, &t, after);
             for (int k = 0; k < FOUND; k++) by_found[(first + a) * FOUND + k] = (after[k] - before[k]) / (2 * change[a].step);
-            for (long k = 0; k < 4 * count; k++) t.low[k] = t.found[k][a];
-            film_unpad(&f, 3, t.low, by_x + (first + a) * 3 * nodes), film_unpad(&f, 1, t.low + 3 * count, by_force + (first + a) * nodes);
             memset(t.low, 0, 4 * count * sizeof *t.low);
         }
+        hand_over(&f, t.found, many, by_x + first * 3 * nodes, by_force + first * nodes);
     }
     return 0;
 }

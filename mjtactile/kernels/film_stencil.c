@@ -145,21 +145,36 @@ void film_stencil(const Film *f, const double *x, double pressure, const Stencil
             for (int corner = 0; corner < 4; corner++) add_corner(f, x, pressure, i, j, corner / 2, corner % 2, to);
 }
 
-void film_stencil_times(const Film *f, const Stencil *s, long first, long last, const Lanes *what, Lanes *to) {
+void film_stencil_singles(const Film *f, const Stencil *s, float *singles) {
+    for (int entry = 0; entry < 9 * PAIRS; entry++) {
+        const double *from = s->block[entry / 9] + entry % 9 * s->apart;
+        float *to = singles + entry * f->count;
+        for (long node = 0; node < f->count; node++) to[node] = (float)from[node];
+    }
+}
+
+void film_stencil_times(const Film *f, const float *singles, long first, long last, const Eight *restrict what, Eight *restrict to) {
     const long count = f->count;
     for (long node = first * f->line; node < last * f->line; node++) {
         if (node % f->line >= f->rows) continue;
+        Eight own[3], sum[3];
+        for (int k = 0; k < 3; k++) own[k] = what[k * count + node], sum[k] = to[k * count + node];
         for (int k = 0; k < 3; k++)
-            for (int m = 0; m < 3; m++) to[k * count + node] += film_block(s, PAIR_OWN, k, m, node) * what[m * count + node];
+            for (int m = 0; m < 3; m++) sum[k] += singles[(3 * k + m) * count + node] * own[m];
         for (int pair = PAIR_UP; pair < PAIRS; pair++) {
             const long other = node + film_pair(f, pair);
             if (other >= count) continue;
+            const float *block = singles + 9 * pair * count + node;
+            Eight there[3], back[3];
+            for (int k = 0; k < 3; k++) there[k] = what[k * count + other], back[k] = to[k * count + other];
             for (int k = 0; k < 3; k++)
                 for (int m = 0; m < 3; m++) {
-                    const double by = film_block(s, pair, k, m, node);
-                    to[k * count + node] += by * what[m * count + other], to[m * count + other] += by * what[k * count + node];
+                    const float by = block[(3 * k + m) * count];
+                    sum[k] += by * there[m], back[m] += by * own[k];
                 }
+            for (int k = 0; k < 3; k++) to[k * count + other] = back[k];
         }
+        for (int k = 0; k < 3; k++) to[k * count + node] = sum[k];
     }
 }
 

@@ -4,6 +4,7 @@
 #define MJTACTILE_FILM_STENCIL_H
 #include "band.h"
 #include "film.h"
+#include "panels.h"
 
 enum { PAIR_OWN, PAIR_UP, PAIR_BESIDE, PAIR_RISING, PAIR_FALLING, PAIRS };
 typedef struct {
@@ -16,8 +17,11 @@ long film_stencil_size(const Film *film);
 Stencil film_stencil_in(const Film *film, double **room);
 /* At displacements `x` (3, count), with room for a vector behind them. */
 void film_stencil(const Film *film, const double *x, double pressure, const Stencil *to);
+/* Its blocks in single precision, (PAIRS, 3, 3, count), for products. */
+#define FILM_SINGLES(film) (9 * PAIRS * (film)->count)
+void film_stencil_singles(const Film *film, const Stencil *stencil, float *singles);
 /* Adds the stiffness times `what` (3, count) of nodes on lines `first` to `last` - 1, to what these and their neighbours bear. */
-void film_stencil_times(const Film *film, const Stencil *stencil, long first, long last, const Lanes *what, Lanes *to);
+void film_stencil_times(const Film *film, const float *singles, long first, long last, const Eight *what, Eight *to);
 
 /* Band of it (3 inner), the three displacements of a node together. */
 #define FILM_WIDTH(film) (3 * ((film)->inner_rows + 1) + 2)
