@@ -64,6 +64,8 @@ KINDS = (
         "the hand retreats, then one line that names the file",
         (
             "tests/unit/run/test_safety.py",
+            "tests/unit/run/test_failures.py",
+            "tests/unit/run/test_air.py",
             "tests/unit/run/test_controller.py",
             "tests/unit/run/test_grasp_outcome.py",
             "tests/cli/test_bad_input.py::test_a_controller_that_misbehaves_is_named",

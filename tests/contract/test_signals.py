@@ -52,7 +52,7 @@ ALL = os.environ.get("MJTACTILE_SIGNALS") == "all"
 # nobody who sends these wants it quicker when they come again
 REPEATED = itertools.product((XCPU, signal.SIGALRM, signal.SIGUSR1), ("each second",), PHASES)
 CASES = [*itertools.product((INT, TERM, HUP, QUIT), TIMES, PHASES), *REPEATED] if ALL else SOME
-# the others also in test_safety.py
+# the others also in tests/unit/run/test_failures.py
 FAULTS = ["while True: pass", "import sys; sys.exit(0)", "raise KeyboardInterrupt"]
 
 

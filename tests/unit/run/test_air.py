@@ -1,0 +1,120 @@
+"""Air as a command: its range, its rate, and what becomes of it when something fails."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from mjtactile.core.errors import DeviceError, InputError
+from mjtactile.core.types import Command, ValveState
+from mjtactile.rig.limits import Limits
+from mjtactile.run import loop
+from mjtactile.run.supervisor import Supervisor
+from tests.stub_rig import BLIND, LAST, OK, PERIOD, World
+
+
+@pytest.fixture
+def supervisor():
+    supervisor = Supervisor(PERIOD)
+    supervisor.arm(0.0)
+    return supervisor
+
+
+AIR = Limits(pressure=(200.0, 2000.0), pressure_rate=600.0)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "last", "period", "sent"),
+    [
+        ((1500.0, 900.0), (1000.0, 1000.0), 0.05, (1030.0, 970.0)),  # 600 Pa/s
+        ((1500.0,), (1000.0,), 0.1, (1045.0,)),  # what an image may find changed
+        ((9000.0, 0.0), (1990.0, 210.0), 0.05, (2000.0, 200.0)),
+        (None, (1000.0,), 0.05, None),
+    ],
+)
+def test_air_keeps_range_and_rate(wanted, last, period, sent):
+    wanted = Command(0.05, 1.0, pressure_gauge=wanted)
+    assert AIR.apply(wanted, Command(0.05, 1.0, pressure_gauge=last), period).pressure_gauge == sent
+
+
+class Chamber:
+    """A valve that does at once what it is told."""
+
+    def __init__(self):
+        self.told = []
+        self.pressure = 1000.0
+
+    def state(self):
+        return ValveState(bool(self.told) and self.told[-1] is not None, self.pressure, 0.0)
+
+    def follow(self, pressure):
+        self.told.append(pressure)
+        self.pressure = self.pressure if pressure is None else pressure
+
+
+def run_air(world, valve, step, limits=AIR):
+    rig = world.rig()
+    rig = replace(rig, fingers=(replace(rig.fingers[0], valve=valve),), limits=limits)
+    controller = SimpleNamespace(path=Path("mine.py"), step=step)
+    feels = SimpleNamespace(perceive=lambda image, now, reading=None: OK)
+    return loop.run_loop(rig, [feels], controller, time_limit=3.0)  # type: ignore[list-item, arg-type]
+
+
+def test_air_begins_at_what_the_gauge_shows_and_is_sealed_when_it_is_left_alone():
+    valve = Chamber()
+    world = World()
+    world.lift = 0.0
+
+    def step(observation):
+        calls = round(observation.time * 30)
+        return replace(
+            observation.command,
+            phase="done" if calls == 9 else "hold",
+            pressure_gauge=(600.0,) if 2 <= calls < 6 else None,
+        )
+
+    run_air(world, valve, step)
+    assert valve.told == pytest.approx([980.0, 960.0, 940.0, 920.0, None])  # 20 Pa a cycle
+
+
+@pytest.mark.parametrize(
+    ("pressures", "limits", "message"),
+    [
+        ((600.0,), Limits(), "Command: pressure_gauge: rig 'stub' has no valves"),
+        ((600.0, 600.0), AIR, "Command: pressure_gauge: 2 pressures for 1 fingers"),
+        ((math.nan,), AIR, "nan is not a finite number"),
+    ],
+)
+def test_air_that_a_rig_cannot_give_is_refused_by_name_and_the_hand_goes_down(
+    pressures, limits, message
+):
+    world = World()
+    with pytest.raises(InputError, match=message):
+        run_air(
+            world,
+            Chamber(),
+            lambda o: replace(o.command, pressure_gauge=pressures) if o.time > 0.2 else o.command,
+            limits,
+        )
+    assert world.has_set_down()
+
+
+def test_a_blind_rig_keeps_its_air_and_a_retreat_too(supervisor):
+    last = replace(LAST, pressure_gauge=(900.0,))
+    wanted = replace(LAST, pressure_gauge=(2000.0,))
+    assert supervisor.decide(0.1, wanted, last, (BLIND,), ()).pressure_gauge == (900.0,)
+    supervisor.make_safe("a fault", 0.2, last)
+    assert supervisor.decide(0.3, wanted, last, (OK,), ()).pressure_gauge == (900.0,)
+
+
+def test_a_valve_that_does_not_obey_leads_to_the_retreat():
+    class Broken(Chamber):
+        def follow(self, pressure):
+            raise DeviceError("valve left is lost")
+
+    world = World()
+    with pytest.raises(DeviceError, match="stopped safely: valve left is lost"):
+        run_air(world, Broken(), lambda o: replace(o.command, pressure_gauge=(900.0,)))
+    assert world.has_set_down()

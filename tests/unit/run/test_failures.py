@@ -1,0 +1,326 @@
+"""Whatever fails, what the hand holds is set down first: the control loop on a rig of stubs."""
+
+import math
+import pickle
+import re
+import resource
+import sys
+import threading
+from dataclasses import replace
+from enum import Enum
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from mjtactile.core.errors import ControllerError, DeviceError, Interrupted
+from mjtactile.core.signals import Stop
+from mjtactile.core.types import Command
+from mjtactile.core.types.control import MEMORY_MOST
+from mjtactile.recording.observer import Observer
+from mjtactile.rig.limits import Limits
+from mjtactile.run import loop
+from mjtactile.run.controller import Controller
+from mjtactile.run.cycle import ControlCycle
+from mjtactile.run.supervisor import Supervisor
+from tests.stub_rig import FEELS, OK, PERIOD, World
+
+
+@pytest.mark.parametrize(
+    "raised", [SystemExit(0), KeyboardInterrupt(), GeneratorExit(), ZeroDivisionError()]
+)
+def test_a_controller_that_raises_what_it_should_not(raised, tmp_path):
+    def step(observation):
+        if observation.time > 0.2:
+            raise raised
+        return observation.command
+
+    world = World()
+    _, message = world.run(
+        "", controller=Controller(tmp_path / "mine.py", step).step, error=ControllerError
+    )
+    assert f"step() raised {type(raised).__name__}" in message
+    assert world.has_set_down()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="no limit of a process's memory elsewhere")
+@pytest.mark.parametrize("greedy", ["at once", "in a list", "in the notebook"])
+def test_a_step_that_eats_the_memory_is_refused_and_the_hand_goes_down(greedy):
+    """Of 16 GB, it gets less than one: handing them out would stop the loop for seconds."""
+    eaten = []
+
+    def step(observation):
+        if observation.time > 0.2:
+            if greedy == "in a list":
+                while True:
+                    eaten.append(bytearray(b"x" * (64 << 20)))
+            many = [0.0] * (2 << 30)
+            return replace(observation.command, memory={"many": many})
+        return observation.command
+
+    def wide(observation):
+        late = observation.time > 0.2
+        memory = dict.fromkeys(range(MEMORY_MOST + 1), 0.0) if late else {}
+        return replace(observation.command, memory=memory)
+
+    world = World()
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    controller = Controller(Path(__file__), wide if greedy == "in the notebook" else step)
+    _, message = world.run("", controller=controller.step, error=ControllerError, host_timeout=5.0)
+    assert ("MemoryError" in message) == (greedy != "in the notebook"), message
+    assert world.has_set_down() and sum(map(len, eaten)) < 1 << 30
+    assert resource.getrlimit(resource.RLIMIT_DATA) == before
+
+
+def test_a_loop_without_memory_sets_down():
+    """Wherever it is noticed: what the controller has kept is let go of, and the hand retreats."""
+    kept = []
+
+    def step(observation):
+        kept.append(dict(observation.command.memory))
+        return replace(observation.command, memory={"a": 1.0})
+
+    def plain(memory):
+        if memory and len(kept) == 5:
+            raise MemoryError
+        return dict(memory), ()
+
+    world = World()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(loop, "plain", plain)
+        _, message = world.run("", controller=step, error=DeviceError)
+    assert "no memory is left" in message and world.has_set_down()
+
+
+def past_its_checks(**values):
+    """A change of a Command that its own checks do not see."""
+
+    def change(command):
+        for name, value in values.items():
+            object.__setattr__(command, name, value)
+        return command
+
+    return change
+
+
+class Unmade(Command):
+    """One that was never made."""
+
+    opening = property(lambda self: 1 / 0)  # type: ignore[assignment]
+
+
+BAD_COMMANDS = {
+    "opening that is no number": past_its_checks(opening=math.nan),
+    "opening that is text": past_its_checks(opening="wide"),
+    "force limit beyond floats": past_its_checks(force_limit=10**400),
+    "phase that is none": past_its_checks(phase="fly"),
+    "phase that is a list": past_its_checks(phase=["hold"]),
+    "memory that is a number": past_its_checks(memory=5),
+    "subclass whose values raise": lambda command: object.__new__(Unmade),
+    "no command": lambda command: SimpleNamespace(opening=0.0),
+}
+
+
+@pytest.mark.parametrize("change", BAD_COMMANDS.values(), ids=BAD_COMMANDS)
+def test_a_command_made_past_its_checks_leads_to_the_retreat(change):
+    def step(observation):
+        bad = observation.time > 0.2
+        return change(replace(observation.command)) if bad else observation.command
+
+    world = World()
+    cycles, message = world.run("", controller=step, error=ControllerError)
+    assert "test_failures.py: step: step() raised" in message
+    assert world.has_set_down() and len(cycles) == len(world.sent)
+
+
+@pytest.mark.parametrize("change", BAD_COMMANDS.values(), ids=BAD_COMMANDS)
+def test_whatever_sending_raises_leads_to_the_retreat(change):
+    """Values are checked where they are obeyed, too: not every command is a controller's."""
+    world = World()
+    cycle = ControlCycle.begin(world.rig(), FEELS, Supervisor(PERIOD), Observer())
+    cycle.look()
+    cycle.feel()
+    sent = cycle.send(change(Command(0.05, 4.0, 0.02, "hold")))
+    assert cycle.failure is not None and cycle.supervisor.state == "safe"
+    assert world.sent == [sent] and sent.lift_height < 0.02  # on its way down, in the same cycle
+
+
+def test_a_retreat_that_cannot_be_sent_is_the_end():
+    world = World()
+    world.command = lambda command: 1 / 0  # type: ignore[method-assign]
+    cycle = ControlCycle.begin(world.rig(), FEELS, Supervisor(PERIOD), Observer())
+    cycle.look()
+    cycle.feel()
+    cycle.send(Command(0.05, 4.0))
+    assert cycle.supervisor.is_over and isinstance(cycle.failure, ZeroDivisionError)
+
+
+def test_a_notebook_that_cannot_be_written_is_said_once_and_the_grasp_goes_on():
+    """What the loop hands to who records, draws or shows is plain; the controller has its own."""
+    cyclic: list = [1.0]
+    cyclic.append(cyclic)
+    strange = {
+        "colour": Enum("Colour", ["RED"]).RED,
+        "plan": lambda: None,
+        "loop": cyclic,
+        "many": [0.0] * 100_000,
+    }
+    told = Listener()
+    world = World()
+    world.lift = 0.0
+
+    def step(observation):
+        is_over = observation.command.memory.get("count", 0) >= 5
+        assert not is_over or observation.command.memory["loop"] is cyclic
+        count = observation.command.memory.get("count", 0) + 1
+        phase = "done" if is_over else "hold"
+        return replace(observation.command, phase=phase, memory={"count": count, **strange})
+
+    last = loop.run_loop(
+        world.rig(),
+        [SimpleNamespace(perceive=lambda image, now, reading=None: OK)],  # type: ignore[list-item]
+        SimpleNamespace(path=Path("mine.py"), step=step),  # type: ignore[arg-type]
+        time_limit=30.0,
+        observer=told,
+    )
+    assert last.phase == "done"
+    assert [cycle.sent.memory for cycle in told.cycles] == [{"count": k + 1} for k in range(6)]
+    assert pickle.loads(pickle.dumps(told.cycles[-1].sent)) == told.cycles[-1].sent
+    assert [len(noted) for noted in told.noted] == [4] and len(told.messages) == 1
+    assert "plan (function)" in told.messages[0]
+
+
+class Listener(Observer):
+    def __init__(self):
+        self.cycles: list = []
+        self.noted: list = []
+        self.messages: list = []
+
+    def add(self, cycle, view=None, **truth):
+        self.cycles.append(cycle)
+
+    def note(self, **facts):
+        self.noted.append(facts["memory_left_out"])
+
+    def message(self, text):
+        self.messages.append(text)
+
+
+def test_a_controller_that_does_not_return():
+    ended = threading.Event()
+
+    def step(observation):
+        try:
+            while observation.time > 0.2:
+                pass
+        finally:
+            if observation.time > 0.2:
+                ended.set()
+        return observation.command
+
+    world = World()
+    cycles, message = world.run("", controller=step, error=ControllerError, host_timeout=0.25)
+    assert "step() did not return within 0.2 s" in message
+    # where it hangs
+    assert re.search(r"test_failures.py: line \d+: step\(\) did not return", message)
+    assert ended.wait(10)  # it was asked to end, and takes no more computing time
+    assert world.has_set_down() and len(cycles) == len(world.sent)
+
+
+def test_a_controllers_module_state_and_its_thread_last_for_the_run():
+    calls = []
+    threads = set()
+
+    def step(observation):
+        calls.append(observation.time)
+        threads.add(threading.current_thread())
+        return replace(
+            observation.command, phase="done" if len(calls) == 5 else "hold", lift_height=0.0
+        )
+
+    world = World()
+    world.lift = 0.0
+    controller = SimpleNamespace(path=Path("mine.py"), step=step)
+    last = loop.run_loop(
+        world.rig(),
+        [SimpleNamespace(perceive=lambda image, now, reading=None: OK)],
+        controller,  # type: ignore[list-item, arg-type]
+        time_limit=30.0,
+    )
+    assert last.phase == "done" and len(calls) == 5 and len(threads) == 1
+
+
+@pytest.mark.parametrize("phase", ["done", "abort"])
+def test_a_controller_that_ends_with_the_hand_in_the_air(phase):
+    world = World()
+    controller = SimpleNamespace(
+        path=Path("mine.py"), step=lambda o: replace(o.command, phase=phase)
+    )
+    last = loop.run_loop(
+        world.rig(),
+        [SimpleNamespace(perceive=lambda image, now, reading=None: OK)],
+        controller,  # type: ignore[list-item, arg-type]
+        time_limit=30.0,
+    )
+    assert last.phase == phase and world.has_set_down()
+
+
+def test_who_is_told_of_a_cycle_and_fails():
+    def act():
+        raise OSError("no space left")
+
+    world = World()
+    cycles, message = world.run("", act=act, error=OSError)
+    assert message == "no space left" and world.has_set_down()
+    assert len(cycles) == len(world.sent)  # and it is told of every other one
+
+
+def test_a_chain_that_fails():
+    def perceive(image, now, reading=None):
+        if image.time > 0.2:
+            raise ValueError("singular matrix")
+        return OK
+
+    world = World()
+    cycles, message = world.run("", perceive=perceive, error=ValueError)
+    assert message == "singular matrix" and world.has_set_down()
+    assert (
+        math.isnan(cycles[-1].touch[0].force_normal)
+        and cycles[-1].touch[0].status.code == "no answer"
+    )
+
+
+def test_a_signal():
+    stop = Stop()
+    world = World()
+    cycles, _ = world.run(
+        "", act=lambda: setattr(stop, "asked", True), error=Interrupted, stop=stop
+    )
+    assert world.has_set_down() and cycles[5].state == "safe"
+
+
+def test_a_second_signal_ends_at_once():
+    stop = Stop()
+    world = World()
+
+    def act():
+        stop.asked = True
+        stop.at_once = len(world.sent) >= 8
+
+    cycles, _ = world.run("", act=act, error=Interrupted, stop=stop)
+    assert len(cycles) == 8 and world.lift > 0.015
+
+
+def test_a_controller_cannot_close_blind():
+    world = World()
+    world.run("camera", controller=lambda o: replace(o.command, opening=0.0, lift_height=1.0))
+    at = world.sent[4].opening
+    assert all(command.opening >= at for command in world.sent[5:])
+
+
+def test_a_controller_cannot_exceed_the_limits():
+    limits = Limits(opening=(0.01, 0.1), speed=0.1, force=5.0)
+    sent = limits.apply(Command(0.5, 99.0, 9.0), Command(0.099, 1.0), 0.05)
+    assert (sent.opening, sent.force_limit) == (0.1, 5.0)
+    sent = limits.apply(Command(0.0, 1.0), Command(0.05, 1.0), 0.05)
+    assert sent.opening == pytest.approx(0.05 - 0.1 * 0.05)
