@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 
@@ -337,16 +337,7 @@ def build_sim_rig(
         world.after_each_step(happens.step)
     clock = SimClock(world)
     drawn_seeds = seeds(len(world.sensors))
-    if Effect.CHAIN in on:
-        cameras = tuple(
-            SimCamera(sensor, s, on, own)
-            for sensor, s, own in zip(world.sensors, drawn_seeds, specimens, strict=True)
-        )
-    else:
-        cameras = tuple(
-            TouchDrawer(sensor, load_errors(own, drawn.values != {}), own.membrane.friction, s)
-            for sensor, own, s in zip(world.sensors, files, drawn_seeds, strict=True)
-        )
+    cameras = _cameras(world.sensors, drawn_seeds, on, files, specimens, drawn)
     for sensor, own in zip(world.sensors, specimens, strict=True):
         if own.leak or own.warming:
             sensor.puncture(own.leak)
@@ -358,15 +349,6 @@ def build_sim_rig(
     )
     for valve in valves:
         world.after_each_stretch(valve.move)
-    limits = Limits(
-        file.gripper.opening,
-        file.gripper.speed,
-        file.gripper.force_max,
-        (0.0, file.lift.travel),
-        file.lift.speed,
-        (0.0, file.air.pressure_max),
-        file.air.pressure_rate,
-    )
     sheet = world.sensors[0].mesh
     return Rig(
         name=file.name,
@@ -375,7 +357,7 @@ def build_sim_rig(
         ),
         gripper=SimGripper(world, clock, drawn.rig, seed),
         clock=clock,
-        limits=limits,
+        limits=_limits(file),
         close=clock.close,
         varied={**drawn.values, **drawn_task.values},
         flags=lambda: world.flags,
@@ -386,6 +368,39 @@ def build_sim_rig(
             "timestep_ms": 1e3 / (rate * steps),
             "effects": chosen.summary(),
         },
+    )
+
+
+def _cameras(
+    sensors: Sequence[AnySensor],
+    seeds: Sequence[int],
+    on: frozenset[str],
+    designs: Sequence[SensorDesign],
+    specimens: Sequence[SpecimenConfig],
+    drawn: Drawn,
+) -> tuple[SimCamera, ...] | tuple[TouchDrawer, ...]:
+    """What sees each sensor: a camera, or where the chain is left out what draws its touches."""
+    if Effect.CHAIN in on:
+        return tuple(
+            SimCamera(sensor, seed, on, own)
+            for sensor, seed, own in zip(sensors, seeds, specimens, strict=True)
+        )
+    return tuple(
+        TouchDrawer(sensor, load_errors(own, drawn.values != {}), own.membrane.friction, seed)
+        for sensor, own, seed in zip(sensors, designs, seeds, strict=True)
+    )
+
+
+def _limits(file: SimRigFile) -> Limits:
+    """What the rig file allows."""
+    return Limits(
+        file.gripper.opening,
+        file.gripper.speed,
+        file.gripper.force_max,
+        (0.0, file.lift.travel),
+        file.lift.speed,
+        (0.0, file.air.pressure_max),
+        file.air.pressure_rate,
     )
 
 
