@@ -71,6 +71,7 @@ BENCHMARKS = {
     "tracking": "tracking",
     "cheap": "cheap",
     "rig": "rig.run",
+    "emulated": "rig.held",
     "stability": "stability.run",
     "truth": "truth.run",
     "film": "film",
@@ -99,14 +100,24 @@ BENCHMARKS = {
 draws into `out`, and `table(result) -> str` in Markdown."""
 
 OPTIONS = {
-    "resume": ("stability", "rig", "bars", "tasks", "attacks", "explore", "trust", "first_day"),
+    "resume": (
+        "stability",
+        "rig",
+        "emulated",
+        "bars",
+        "tasks",
+        "attacks",
+        "explore",
+        "trust",
+        "first_day",
+    ),
     "parts": ("rig",),
     "soak": ("rig",),
     "cases": ("truth",),
     "data": ("bubble", "dots"),
     "against": ("speed",),
     "pairs": ("cheap", "learning", "levels"),
-    "episodes": ("tasks", "slip"),
+    "episodes": ("tasks", "slip", "emulated"),
     "sensor": ("drawn",),
 }
 """Options that only some have."""
@@ -132,8 +143,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--resume",
         action="store_true",
-        help="stability, rig, bars, tasks, attacks, explore, trust, first_day: keep what an "
-        "interrupted run finished",
+        help="stability, rig, emulated, bars, tasks, attacks, explore, trust, first_day: keep what "
+        "an interrupted run finished",
     )
     parser.add_argument(
         "--parts",
@@ -164,7 +175,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--pairs", type=int, metavar="N", help="cheap, learning: so many pairs of episodes"
     )
     parser.add_argument(
-        "--episodes", type=int, metavar="N", help="tasks, slip: so many of each (default: 200)"
+        "--episodes",
+        type=int,
+        metavar="N",
+        help="tasks, slip: so many of each (default: 200); emulated: so many grasps (default: 20)",
     )
     parser.add_argument("--sensor", metavar="NAME", help="drawn: of this sensor (default: dense)")
     parser.add_argument(

@@ -41,7 +41,14 @@ OUTCOMES = ("held", "dropped", "crushed", *STOPPED, "error")
 no failure."""
 RANDOM = "random"
 """In place of an object: another one each time."""
-JUDGED = ("margin_true", "margin_above_2_true", "bump_N_s_true", "tilt_deg_true", "let_go_s_true")
+JUDGED = (
+    "margin_true",
+    "margin_above_2_true",
+    "margin_ready_true",
+    "bump_N_s_true",
+    "tilt_deg_true",
+    "let_go_s_true",
+)
 """What a task measures by truth; null where it has none of it."""
 _KEPT = (
     "outcome",

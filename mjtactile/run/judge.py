@@ -22,7 +22,7 @@ from mjtactile.rig.finger import Rig
 from mjtactile.sim import truth
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 
-VERSION = "2"
+VERSION = "3"
 """Goes up with every change of what counts or of how it is measured."""
 _EVERY = 0.02  # s between two looks at the need
 _IN_AIR = 0.01  # m of the hand, from where on the fingers alone carry the object
@@ -41,10 +41,14 @@ class Judge:
     task: Task
     pulls: float = math.nan
     margins: list[float] = field(default_factory=list)
+    ready: list[float] = field(default_factory=list)
+    """The same over the least that holds against the push that was announced, too."""
     bump: float = math.nan
     """N s with which the object was pressed or fell onto its place, beyond its weight."""
     let_go_at: float = math.nan
-    """s after the hand was up."""
+    """s after the hand was up; one finger alone holds nothing."""
+    torn: bool = False
+    """It slid out of a grip that was not opened."""
     _next_look: float = -math.inf
     _up_since: float = math.nan
 
@@ -69,8 +73,9 @@ class Judge:
         if math.isnan(self._up_since):
             if self.is_up():
                 self._up_since = time
-        elif math.isnan(self.let_go_at) and max(forces) < _LET_GO:
+        elif math.isnan(self.let_go_at) and sorted(forces)[-2:][0] < _LET_GO:
             self.let_go_at = time - self._up_since
+            self.torn = phase in ("lift", "hold")
         if phase in ("lower", "release") and not math.isnan(self._up_since):
             pressed = max(truth.support_force(self.world, self._bodies) - self._weight(), 0.0)
             self.bump = np.nan_to_num(self.bump) + pressed * steps * self.world.timestep
@@ -78,7 +83,10 @@ class Judge:
             self._next_look = time + _EVERY
             need = self.need()
             if need > 0 and max(forces) > _LET_GO:
-                self.margins.append(float(np.mean(forces)) / need)
+                grip = float(np.mean(forces))
+                announced = self.task.orders.push / self.friction_sum()
+                self.margins.append(grip / need)
+                self.ready.append(grip / (need + announced))
 
     def is_up(self) -> bool:
         """Whether the hand is as high as what happens waits for."""
@@ -137,6 +145,8 @@ class Judge:
             margins = np.array(self.margins)
             found["margin_true"] = float(np.median(margins))
             found["margin_above_2_true"] = float(np.mean(margins > _GENEROUS))
+        if self.ready and self.task.orders.push > 0:
+            found["margin_ready_true"] = float(np.median(self.ready))
         if math.isfinite(self.task.counts.upright):
             found["tilt_deg_true"] = math.degrees(self._standing()[0])
         if math.isfinite(self.pulls):
@@ -149,6 +159,8 @@ class Judge:
             return "it was never let go of"
         if late < 0:
             return f"it was let go of {-late:.1f} s before somebody took it"
+        if self.torn:
+            return "it was torn out of the hand, which did not open"
         return f"it was let go of after {late:.1f} s of pulling" if late > within else ""
 
     def _patch(self, number: int) -> tuple[Array, float]:

@@ -1,6 +1,8 @@
 """What happens in a task happens by mechanics, and what the judge says a grip needs is Coulomb's."""
 
 import math
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -89,6 +91,36 @@ def test_who_takes_what_is_let_go_of_keeps_it_where_it_is():
     before = truth.object_position(world)
     advance(world, 0.5)
     np.testing.assert_allclose(truth.object_position(world), before, atol=1e-3)
+
+
+def test_what_one_finger_touches_is_no_longer_pulled_at_and_stays_taken():
+    """Two fingers hold it; one does not, and who has it is not pulled at again when it touches."""
+    happens = Happenings(GraspWorld("paper16", "vial", mesh=MESH), [], 0.0)
+    touched = [SimpleNamespace(is_touched=True), SimpleNamespace(is_touched=True)]
+    world = happens._world
+    same = SimpleNamespace(sensors=touched, data=world.data, model=world.model)
+    happens._world = cast(Any, same)
+    pull = event("pull", 0.0, 0.5, force=1.2)
+    np.testing.assert_allclose(happens._pull(pull, 0.5), [0.6, 0.0, 0.0])
+    touched[0].is_touched = False
+    weight = [0.0, 0.0, MASS * 9.81]  # of what stands still
+    np.testing.assert_allclose(happens._pull(pull, 0.6), weight, atol=1e-9)
+    touched[0].is_touched = True
+    np.testing.assert_allclose(happens._pull(pull, 1.0), weight, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("phase", "failure"),
+    [("release", ""), ("hold", "it was torn out of the hand, which did not open")],
+)
+def test_what_slides_out_of_a_closed_hand_was_not_handed_over(monkeypatch, phase, failure):
+    judge = Judge(GraspWorld("paper16", "vial", mesh=MESH), load_task("hand-over"), pulls=0.0)
+    monkeypatch.setattr(Judge, "is_up", lambda _: True)
+    judge.after_stretch([0.4, 0.4], "hold")
+    advance(judge.world, 0.2)
+    judge.after_stretch([0.0, 0.9], phase)  # pressed against one finger it is held by none
+    assert judge.failure() == failure
+    assert judge.measures()["let_go_s_true"] == pytest.approx(0.2, abs=0.01)  # of steps of 3 ms
 
 
 def test_the_need_is_coulombs_for_a_grip_in_the_middle():

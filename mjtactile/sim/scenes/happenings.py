@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 _UP = 0.9
 """Of the height that the robot is told to lift to: then the hand is up, and time begins."""
 _PLACES = (PREFIX, "table/")
-_TAKEN_TIME = 0.1  # s in which somebody who took the object stops it
+_TAKEN_TIME = 0.02  # s in which somebody who took the object stops it: within 8 mm at 0.4 m/s
+_HOLDS = 2  # fingers; what touches one alone is not held
 _STRONGEST_TURN = math.radians(60)
 
 
@@ -48,6 +49,8 @@ class Happenings:
         self._first_mass = float(self._mass.sum())
         self.up_since = math.nan
         """s; NaN: the hand was not up yet."""
+        self.is_taken = False
+        """Somebody pulled it out of the hand, or was given it, and has it from then on."""
 
     def step(self) -> None:
         """Set masses, gravity, forces and places for the world's next step."""
@@ -89,9 +92,11 @@ class Happenings:
         model.body_subtreemass[0] += added.sum()
 
     def _pull(self, event: Event, done: float) -> Array:
-        """N; who pulls at an object that is let go of has it, and holds it where it is."""
+        """N; who pulls at an object that is let go of has it, and holds it where it is, whatever
+        the hand touches then: nobody pulls on at what he has, nor presses it against a finger."""
         data = self._world.data
-        if self._is_held():
+        self.is_taken |= not self._is_held()
+        if not self.is_taken:
             way = np.array([event.direction[0], event.direction[1], abs(event.direction[2])])
             return way * event.values["force"] * done
         mass = float(self._world.model.body_mass[self._bodies].sum())
@@ -99,8 +104,9 @@ class Happenings:
         return -mass * (self._world.model.opt.gravity + velocity / _TAKEN_TIME)
 
     def _is_held(self) -> bool:
-        """Whether any membrane touches anything."""
-        return any(sensor.is_touched for sensor in self._world.sensors)
+        """Whether as many membranes touch anything as a grip takes."""
+        sensors = self._world.sensors
+        return sum(sensor.is_touched for sensor in sensors) >= min(_HOLDS, len(sensors))
 
 
 def _shaken(gravity: Array, event: Event, time: float, done: float) -> Array:

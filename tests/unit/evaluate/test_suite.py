@@ -11,6 +11,7 @@ from mjtactile.core import resources
 from mjtactile.core.errors import InputError
 from mjtactile.evaluate import store, suite
 from mjtactile.evaluate.statistics import paired
+from mjtactile.run.judge import VERSION
 
 MINE = "mine"
 OTHER = "other"
@@ -86,7 +87,7 @@ def test_nothing_is_compared_with_other_files_or_another_judge(new, tmp_path, mo
         suite.load_suite(path)
     new.write(path)
     monkeypatch.setattr(suite, "VERSION", "99")
-    with pytest.raises(InputError, match="was judged by version 2, this is 99"):
+    with pytest.raises(InputError, match=rf"was judged by version {VERSION}, this is 99"):
         suite.load_suite(path)
     path.write_text("{}")
     with pytest.raises(InputError, match="no suite"):
