@@ -32,7 +32,7 @@ class Number:
     """Whether the README shows it, too."""
 
 
-def _largest_force(name: str, thing: str, headline: bool = False) -> Number:
+def _largest_force(name: str, thing: str) -> Number:
     return Number(
         what=f"largest force on a finger that grasps {thing}, by touch / by the servos' current "
         "alone, N: median (worst)",
@@ -40,7 +40,6 @@ def _largest_force(name: str, thing: str, headline: bool = False) -> Number:
         row=f"gentle | {name} / touchless | {name}",
         column="largest force, N: median (worst)",
         command="evaluate",
-        headline=headline,
     )
 
 
@@ -94,7 +93,6 @@ NUMBERS = (
         row="gentle",
         column="held",
         command="evaluate",
-        headline=True,
     ),
     Number(
         what="the share held: 95 % interval",
@@ -104,7 +102,7 @@ NUMBERS = (
         command="evaluate",
     ),
     _largest_force("egg", "an egg"),
-    _largest_force("strawberry", "a strawberry", headline=True),
+    _largest_force("strawberry", "a strawberry"),
     _largest_force("vial", "a vial"),
     _largest_force("random", "random things"),
     Number(
@@ -164,6 +162,30 @@ NUMBERS = (
         column="measured",
         command="bench slip",
     ),
+    Number(
+        what="six tasks: held and whole, by touch / by the servos' current alone",
+        page="what_touch_buys",
+        row="all 6 |",
+        column="adaptive | touchless",
+        command="bench tasks",
+        headline=True,
+    ),
+    Number(
+        what="put on a place of another height than was told: set down upright, likewise",
+        page="what_touch_buys",
+        row="place |",
+        column="adaptive | touchless",
+        command="bench tasks",
+        headline=True,
+    ),
+    Number(
+        what="grip over the least that holds, in the six tasks: median, likewise",
+        page="what_touch_buys",
+        row="grip over need in all tasks, median |",
+        column="adaptive | touchless",
+        command="bench tasks",
+        headline=True,
+    ),
     *(
         Number(
             what=f"held and whole {happens}, by touch / by the servos' current alone",
@@ -177,7 +199,7 @@ NUMBERS = (
             ("pour", "while it is filled or emptied"),
             ("shake", "while it is shaken and turned"),
             ("bump", "while it is bumped"),
-            ("place", "on a place of another height"),
+            ("hand-over", "until somebody takes it"),
         )
     ),
     Number(
@@ -193,7 +215,6 @@ NUMBERS = (
         row="safe state after a fault",
         column="measured",
         command="bench rig",
-        headline=True,
     ),
 )
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from benchmarks.slip.score import OUTCOMES, SLIPS, Frame, outcome
 from benchmarks.slip.watch import Watched, references, watch
 from benchmarks.worlds.slip_cases import SlipCase, draw_case
 from mjtactile.core.design import SensorDesign, load_sensor
-from mjtactile.core.errors import SimulationError
+from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.evaluate.wilson import wilson
 from mjtactile.report.figures import new_figure
 from mjtactile.sensing.chain import Chain
@@ -30,7 +31,10 @@ from mjtactile.sensing.state import ChainState
 FIRST_SEED = 2000
 CASES = 200
 CASES_QUICK = 4
+RATES = (30.0, 60.0)  # Hz, of cameras
 SENSOR = "dense"
+PARTS = ("passive", "tested")
+"""By the signs of slip alone; and with the test, which changes the grip: a run of its own."""
 _FINGERS = ("left", "right")
 _SEEN = 2.5  # images in which the first 0.5 mm pass, for a slip that the camera can follow
 
@@ -39,24 +43,52 @@ Row = dict[str, Any]
 
 
 def run(
-    out: Path, *, quick: bool = False, episodes: int = 0, say: Say = lambda _: None
+    out: Path,
+    *,
+    quick: bool = False,
+    episodes: int = 0,
+    rate: float = 0.0,
+    parts: tuple[str, ...] = PARTS,
+    say: Say = lambda _: None,
 ) -> dict[str, Any]:
-    """Watch `episodes` cases (0: all of them), by themselves and with the test; one row for each
-    finger of each."""
+    """Watch random cases.
+
+    Args:
+        out: Gets slip.png.
+        quick: Four cases.
+        episodes: So many of them (0: all).
+        rate: Hz of the cameras (0: the sensor's own).
+        parts: Of `PARTS`; each has rows of the table.
+        say: Is told of each case.
+
+    Returns:
+        The summary of each part, with a row for each finger of each case.
+
+    Raises:
+        InputError: For a part or a rate that there is not.
+    """
+    unknown = [part for part in parts if part not in PARTS]
+    if unknown:
+        raise InputError(f"unknown part {unknown[0]!r}", field="--parts", choices=PARTS)
+    at = rate or load_sensor(SENSOR).camera.rate
+    if at not in RATES:
+        raise InputError(f"{at:g} Hz", field="--rate", choices=[f"{one:g}" for one in RATES])
     count = episodes or (CASES_QUICK if quick else CASES)
     seeds = range(FIRST_SEED, FIRST_SEED + count)
-    passive: list[Row] = []
-    active: list[Row] = []
+    rows: dict[str, list[Row]] = {part: [] for part in parts}
     with ProcessPoolExecutor(max_workers=1 if quick else os.cpu_count()) as pool:
-        for rows, test in ((passive, False), (active, True)):
-            for found in pool.map(partial(case_rows, test=test), seeds):
-                rows += found
+        for part in parts:
+            test = part == PARTS[1]
+            for found in pool.map(partial(case_rows, test=test, rate=at), seeds):
+                rows[part] += found
                 say(
                     f"{found[0]['seed']} {found[0]['case']}{', tested' * test}: "
                     + ", ".join(row["outcome"] for row in found)
                 )
-    result = summary(passive) | {"with_test": with_test(active)}
-    draw(passive, Path(out) / "slip.png")
+    result = summary(rows.get("passive", []), at) | {"rate_Hz": at}
+    if "tested" in rows:
+        result["with_test"] = with_test(rows["tested"])
+    draw(result["rows"], Path(out) / "slip.png")
     return result
 
 
@@ -87,11 +119,11 @@ def with_test(rows: Sequence[Row]) -> dict[str, Any]:
     }
 
 
-def case_rows(seed: int, test: bool = False) -> list[Row]:
+def case_rows(seed: int, test: bool = False, rate: float = RATES[0]) -> list[Row]:
     """Both fingers of one case; one row without a finger when the simulation could not do it. With
     `test` what the test says counts, and not the chain."""
     case = draw_case(seed)
-    design, chain, rest = _sensor()
+    design, chain, rest = _sensor(rate)
     try:
         return rows_of(case, watch(design, chain, rest, case, test=test), test)
     except SimulationError as error:
@@ -137,17 +169,18 @@ def rows_of(case: SlipCase, watched: Watched, test: bool = False) -> list[Row]:
 
 
 @cache
-def _sensor() -> tuple[SensorDesign, Chain, ChainState]:
+def _sensor(rate: float) -> tuple[SensorDesign, Chain, ChainState]:
     """The sensor, its chain, and its references, taken once a process."""
     design = load_sensor(SENSOR)
+    design = replace(design, camera=replace(design.camera, rate=rate))
     chain = Chain(design)
     return design, chain, references(design, chain, draw_case(0))
 
 
-def summary(rows: Sequence[Row]) -> dict[str, Any]:
-    """Counts and shares."""
+def summary(rows: Sequence[Row], rate: float = RATES[0]) -> dict[str, Any]:
+    """Counts and shares; `rate` Hz of the cameras."""
     judged = [row for row in rows if row["outcome"] in OUTCOMES]
-    slow = 0.5 * load_sensor(SENSOR).camera.rate / _SEEN  # mm/s
+    slow = 0.5 * rate / _SEEN  # mm/s
     groups = {"all slips": [row for row in judged if row["outcome"] in SLIPS]}
     groups[f"up to {slow:.0f} mm/s"] = [
         row for row in groups["all slips"] if row["speed_mm_s"] <= slow
@@ -204,7 +237,7 @@ def table(result: Mapping[str, Any]) -> str:
         return f"{100 * bounds[0]:.0f}-{100 * bounds[1]:.0f} %"
 
     every = result["groups"]["all slips"]
-    test = result["with_test"]
+    test = result.get("with_test")
     lines = [
         "| what | asked | measured | 95 % interval |",
         "|---|---|---|---|",
@@ -216,16 +249,21 @@ def table(result: Mapping[str, Any]) -> str:
         f"| {interval(result['precision_interval'])} |",
         f"| latency, median (90 %), ms | 100 | {result['latency_ms'][0]:.0f} "
         f"({result['latency_ms'][1]:.0f}) |  |",
-        "| with the test: slips said within 400 ms | 90 % | "
-        f"{share(test['in_time'], test['slips'])} | {interval(test['in_time_interval'])} |",
-        "| with the test: holds with a false alarm | 2 % | "
-        f"{share(test['false'], test['holds'])} | {interval(test['false_interval'])} |",
         f"| slid by then, median (90 %), mm | 0.5 | {result['slid_mm'][0]:.2f} "
         f"({result['slid_mm'][1]:.2f}) |  |",
+    ]
+    if test is not None:
+        lines += [
+            "| with the test: slips said within 400 ms | 90 % | "
+            f"{share(test['in_time'], test['slips'])} | {interval(test['in_time_interval'])} |",
+            "| with the test: holds with a false alarm | 2 % | "
+            f"{share(test['false'], test['holds'])} | {interval(test['false_interval'])} |",
+        ]
+    lines += [
         "",
-        f"{result['cases']} cases, two fingers each; {result['between']} fingers "
-        "neither slipped by 0.5 mm nor held with "
-        f"a margin; {result['not_simulated']} cases could not be simulated.",
+        f"Cameras of {result['rate_Hz']:g} Hz. {result['cases']} cases, two fingers each; "
+        f"{result['between']} fingers neither slipped by 0.5 mm nor held with a margin; "
+        f"{result['not_simulated']} cases could not be simulated.",
         "",
         "| slips | fingers | both | before 0.5 mm | within 100 ms | at all | with the test, within "
         "400 ms |",
@@ -235,7 +273,7 @@ def table(result: Mapping[str, Any]) -> str:
         counts = " | ".join(
             str(group[key]) for key in ("slips", "in_time", "before", "soon", "detected")
         )
-        said = test["by_case"].get(name)
+        said = None if test is None else test["by_case"].get(name)
         lines.append(f"| {name} | {counts} | {f'{said[0]} of {said[1]}' if said else ''} |")
     return "\n".join(lines) + "\n"
 

@@ -36,6 +36,7 @@ HARSH = ("weigh", "pour", "bump")
 """Tasks that are also done in worlds of `--vary harsh`, by `adaptive` and by `touchless`: a quarter
 as many episodes."""
 QUICK = 3
+_READY = "grip over what holds against the push that was announced, too, median"
 _WEIGHED_FROM = 0.02  # kg
 _WEIGHT_SD = (0.04, 1e-3)  # of the mass, and kg: what was asked
 
@@ -53,7 +54,8 @@ def run(
         episodes: Of each task for each controller.
 
     Returns:
-        The summaries by task, those of the harsh worlds, and how well `adaptive` weighs.
+        The summaries by task, of all of them together, those of the harsh worlds, and how well
+        `adaptive` weighs.
     """
     count = QUICK if quick else episodes
     suite = new_suite(NAME, TASKS, objects=OBJECTS, seed=SEED, develop=DEVELOP)
@@ -87,9 +89,20 @@ def results(out: Path, count: int) -> dict[str, Any]:
         "seed": SEED,
         "objects": list(OBJECTS),
         "tasks": {task: summarise(own) for task, own in lines.items()},
+        "together": together(lines),
         "harsh": {task: summarise(own) for task, own in harsh.items()},
         "weighed": weighed(lines["weigh"]),
     }
+
+
+def together(lines: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, Any]:
+    """The summary of all tasks' lines: an episode of one is none of another's."""
+    own = [
+        dict(line) | {"episode": line["episode"] * len(lines) + place}
+        for place, task in enumerate(lines)
+        for line in lines[task]
+    ]
+    return summarise(own)
 
 
 def run_one(episode: Episode) -> dict[str, Any]:
@@ -155,6 +168,9 @@ def table(result: Mapping[str, Any]) -> str:
     for task, summary in result["tasks"].items():
         cells = [_share(summary["controllers"].get(name)) for name in names]
         lines.append(f"| {task} | {' | '.join(cells)} | {_difference(summary)} |")
+    every = result["together"]
+    cells = [_share(every["controllers"].get(name)) for name in names]
+    lines.append(f"| all {len(result['tasks'])} | {' | '.join(cells)} | {_difference(every)} |")
     for task, summary in result["harsh"].items():
         cells = [_share(summary["controllers"].get(name)) for name in names]
         lines.append(f"| {task}, harsh worlds | {' | '.join(cells)} | {_difference(summary)} |")
@@ -172,8 +188,12 @@ def table(result: Mapping[str, Any]) -> str:
         ("place", "bump_N_s", "p95", "bump when placing, N s: 95 %", "{:.4f}"),
         ("hand-over", "let_go_s", "median", "let go after, s: median", "{:.2f}"),
         ("hand-over", "let_go_s", "p95", "let go after, s: 95 %", "{:.2f}"),
+        ("bump", "margin_ready", "median", f"bump: {_READY}", "{:.1f}"),
+        ("hand-over", "margin_ready", "median", f"hand-over: {_READY}", "{:.1f}"),
+        ("", "margin", "median", "grip over need in all tasks, median", "{:.1f}"),
+        ("", "margin", "p95", "grip over need in all tasks, 95 %", "{:.1f}"),
     ):
-        own = result["tasks"][task]["controllers"]
+        own = (result["tasks"][task] if task else every)["controllers"]
         cells = [_value(own.get(name), key, form, which) for name in names]
         lines.append(f"| {label} | {' | '.join(cells)} |")
     found = result["weighed"]

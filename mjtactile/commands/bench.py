@@ -111,7 +111,8 @@ OPTIONS = {
         "trust",
         "first_day",
     ),
-    "parts": ("rig",),
+    "parts": ("rig", "slip"),
+    "rate": ("slip",),
     "soak": ("rig",),
     "cases": ("truth",),
     "data": ("bubble", "dots"),
@@ -149,7 +150,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--parts",
         metavar="A,B,…",
-        help="rig: only these of loop, bus, fuzz, killed, stopped, stuck, outcomes, faults, soak",
+        help="rig: only these of loop, bus, fuzz, killed, stopped, stuck, outcomes, faults, soak; "
+        "slip: of passive, tested",
     )
     parser.add_argument(
         "--data",
@@ -179,6 +181,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         metavar="N",
         help="tasks, slip: so many of each (default: 200); emulated: so many grasps (default: 20)",
+    )
+    parser.add_argument(
+        "--rate", type=float, metavar="HZ", help="slip: of the cameras, 30 or 60 (default: 30)"
     )
     parser.add_argument("--sensor", metavar="NAME", help="drawn: of this sensor (default: dense)")
     parser.add_argument(

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.slip import tested
 from benchmarks.tasks.picture import draw
-from benchmarks.tasks.run import TASKS, table, weighed
+from benchmarks.tasks.run import TASKS, table, together, weighed
 from mjtactile.core.types import Slip, Touch, Traction
 from mjtactile.evaluate.statistics import summarise
 
@@ -36,6 +36,7 @@ def test_the_table_says_what_the_lines_say(tmp_path):
     result = {
         "episodes": 8,
         "tasks": dict.fromkeys(TASKS, summarise(own)),
+        "together": together(dict.fromkeys(TASKS, own)),
         "harsh": {"weigh": summarise(own[:8])},
         "weighed": {"things": 0},
     }
@@ -43,6 +44,8 @@ def test_the_table_says_what_the_lines_say(tmp_path):
     # Wilson's interval of 8 of 8 is 67.6 to 100 %
     assert "| pour | 8 of 8 (68-100 %) |  |  | 4 of 8 (22-78 %) |  | +50 (" in text
     assert "| weigh, harsh worlds | 8 of 8 (68-100 %) |  |  |  |  |  |" in text
+    assert "| all 6 | 48 of 48 (93-100 %) |  |  | 24 of 48 (36-64 %) |  | +50 (" in text
+    assert "| grip over need in all tasks, median | 1.5 |  |  | 1.5 |  |" in text
     assert "| pour | 0 / 0 |  |  | 4 / 0 |  |" in text
     draw(result, tmp_path / "picture.png")
     assert (tmp_path / "picture.png").stat().st_size > 10_000
