@@ -169,7 +169,17 @@ _SLID = "bench slip: tuned on its cases with seeds below 2000, which its table l
 class SlipSettings:
     """Whether the object slips (sensing/touch/slip.py)."""
 
-    evidence: float = number(7.0, "sd of a wandering patch that are slip", _SLID)
+    evidence: float = number(5.0, "sd of a wandering patch that are slip", _SLID)
+    evidence_uneven: float = number(
+        12.0, "that are, while the shear is so uneven that the middle seems to stick", _SLID
+    )
+    even: float = number(
+        0.3, "spread over mean of shear over pressure in a contact that slides", _SLID
+    )
+    nearly_even: float = number(
+        0.5, "of one in which the share of the friction limit may be believed", _SLID
+    )
+    sticks: float = number(0.6, "of one whose middle seems to stick", _SLID)
     limit: float = number(
         0.95, "share of the friction limit, as far as it is known, that is slip", TRIED
     )

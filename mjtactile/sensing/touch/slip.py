@@ -10,10 +10,16 @@ with the change of shear over normal force and the contact's length squared. Aga
 left, a ramp that began a few images ago is tested by its matched filter (Eq. F14). A patch that
 wanders without shear rolls.
 
+What the shear looks like from within tells more, and on flat faces, over which nothing goes
+anywhere, it tells all: where everything slides each bit of the contact is dragged by friction
+alone, so that shear over pressure is the same all over it (Coulomb), whatever friction is; while
+the middle sticks it lags behind there (Cattaneo, Mindlin). Shear that is even is slip; uneven
+shear is none, so that more of the other signs is asked for.
+
 The share of friction that is used up, and with it the sticking share (1 - Q / mu N)^(2/3) of the
 area (Cattaneo 1938, Mindlin 1949), needs the coefficient: the sensor file's, until a slip or a hold
-beyond it has shown another. That nearly all of it is reached is slip, too: at once where the file
-is right, and once too often where the object is rougher than that.
+beyond it has shown another. That nearly all of it is reached is slip, too, where the shear is
+nearly even.
 """
 
 from __future__ import annotations
@@ -29,6 +35,10 @@ from mjtactile.sensing.force.gain import Shape
 from mjtactile.sensing.force.inverse import InverseMembrane
 from mjtactile.sensing.settings import DEFAULTS, SlipSettings
 
+_PRESSED = (
+    0.1  # of the peak: less is the contact's edge, where little pressure divides little shear
+)
+_NODES = 6  # that press alike, or as good as that
 _POINT = 1e-4  # m: a patch is not smaller; one of a single node has no extent of its own
 
 
@@ -82,8 +92,12 @@ def judge(
     reaches_limit = (
         load > limit > min(float(np.linalg.norm(sample.ratio)) for sample in now.samples)
     )
+    uneven, is_known = unevenness(estimator, shape, shear)
+    asked = s.evidence if uneven < s.sticks else s.evidence_uneven
     slips = load > s.least_load and (
-        reaches_limit or (way > s.least_way and evidence(now, normal, s) > s.evidence)
+        (is_known and uneven < s.even)
+        or (reaches_limit and uneven < s.nearly_even)
+        or (way > s.least_way and evidence(now, normal, s) > asked)
     )
     if slips and now.distance == 0:
         slid = max(now.distance, way)
@@ -94,6 +108,30 @@ def judge(
     state: SlipState = "slipping" if slips else "incipient" if used > s.incipient else "sticking"
     stick = 0.0 if slips else max(0.0, 1 - used) ** (2 / 3)
     return Slip(state, velocity, slid, stick), replace(now, distance=slid, friction=friction)
+
+
+def unevenness(estimator: InverseMembrane, shape: Shape, shear: Array) -> tuple[float, bool]:
+    """How uneven the shear is over the contact.
+
+    Args:
+        estimator: Whose nodes they are.
+        shape: With the tractions.
+        shear: (3,) N, along which.
+
+    Returns:
+        Spread over mean of shear over pressure, where it presses with a tenth of the peak at least,
+        weighted by the press: 0 where everything slides; and whether enough nodes press to tell: on
+        one alone nothing is uneven.
+    """
+    press = np.maximum(-shape.traction[2], 0.0)
+    inside = press > _PRESSED * press.max()
+    weight = (press * estimator.node_area)[inside]
+    weight = weight / weight.sum()
+    way = shear[:2] / max(float(np.linalg.norm(shear[:2])), 1e-12)
+    ratio = (way @ shape.traction[:2, inside]) / press[inside]
+    mean = float(weight @ ratio)
+    spread = float(np.sqrt(weight @ (ratio - mean) ** 2))
+    return spread / max(abs(mean), 1e-9), float(weight @ weight) * _NODES < 1
 
 
 def evidence(history: SlipHistory, normal: float, s: SlipSettings = DEFAULTS.slip) -> float:
