@@ -226,9 +226,10 @@ def pair_text(pair: Mapping[str, Any]) -> str:
         settled = "settled"
     else:
         settled = f"{more} more episodes like these would settle it"
+    difference = 100 * pair["difference"]
+    often = "less often" if difference < 0 else "more often"
     return (
-        f"{pair['second']} holds {100 * pair['difference']:+.1f} % of {pair['episodes']} "
-        "episodes more often than "
-        f"{pair['first']} (95 %: {100 * low:+.1f} to {100 * high:+.1f} %; "
+        f"{pair['second']} holds {abs(difference):.1f} % of {pair['episodes']} episodes {often} "
+        f"than {pair['first']} (more by {100 * low:+.1f} to {100 * high:+.1f} % with 95 %; "
         f"{pair['alike']} ended alike): {settled}."
     )

@@ -174,7 +174,7 @@ class SlipSettings:
         12.0, "that are, while the shear is so uneven that the middle seems to stick", _SLID
     )
     even: float = number(
-        0.3, "spread over mean of shear over pressure in a contact that slides", _SLID
+        0.35, "spread over mean of shear over pressure in a contact that slides", _SLID
     )
     nearly_even: float = number(
         0.5, "of one in which the share of the friction limit may be believed", _SLID
