@@ -119,9 +119,9 @@ def table(result: Mapping[str, Any]) -> str:
     """By object, what was asked for beside it."""
     rows = result["grasps"]
     lines = [
-        f"| `{CONTROLLER}` on the emulated gripper | asked | held | 95 % interval | faults of the "
-        "rig | grip, N: median |",
-        "|---" * 6 + "|",
+        f"| `{CONTROLLER}` on the emulated gripper | asked | held, with its 95 % interval | faults "
+        "of the rig | grip, N: median |",
+        "|---" * 5 + "|",
     ]
     for name in OBJECTS:
         lines.append(_row(name, [row for row in rows if row["object"] == name], ""))
@@ -137,5 +137,5 @@ def _row(name: str, rows: Sequence[Mapping[str, Any]], asked: str) -> str:
     low, high = wilson(held, len(rows))
     grips = [row["hold_N"] for row in rows if row["hold_N"] is not None]
     grip = f"{statistics.median(grips):.2f}" if grips else ""
-    share = f"{100 * low:.0f}-{100 * high:.0f} %"
-    return f"| {name} | {asked} | {held} of {len(rows)} | {share} | {faults} | {grip} |"
+    share = f"{held} of {len(rows)} ({100 * low:.0f}-{100 * high:.0f} %)"
+    return f"| {name} | {asked} | {share} | {faults} | {grip} |"
