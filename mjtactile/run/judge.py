@@ -70,19 +70,21 @@ class Judge:
         """Look at the truth after so many physics steps; `forces` N press on the fingers."""
         height = self._height()
         time = self.world.time
+        second = sorted(forces)[-2:][0]  # what presses on one finger alone is not held
         if math.isnan(self._up_since):
             if self.is_up():
                 self._up_since = time
-        elif math.isnan(self.let_go_at) and sorted(forces)[-2:][0] < _LET_GO:
+        elif math.isnan(self.let_go_at) and second < _LET_GO:
             self.let_go_at = time - self._up_since
             self.torn = phase in ("lift", "hold")
         if phase in ("lower", "release") and not math.isnan(self._up_since):
             pressed = max(truth.support_force(self.world, self._bodies) - self._weight(), 0.0)
             self.bump = np.nan_to_num(self.bump) + pressed * steps * self.world.timestep
+        is_pulled = time - self._up_since >= self.pulls  # then who pulls carries it, too
         if phase in ("lift", "hold") and height > _IN_AIR and time >= self._next_look:
             self._next_look = time + _EVERY
             need = self.need()
-            if need > 0 and max(forces) > _LET_GO:
+            if need > 0 and second > _LET_GO and not is_pulled:
                 grip = float(np.mean(forces))
                 announced = self.task.orders.push / self.friction_sum()
                 self.margins.append(grip / need)
