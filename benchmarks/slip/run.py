@@ -88,7 +88,7 @@ def run(
     result = summary(rows.get("passive", []), at) | {"rate_Hz": at}
     if "tested" in rows:
         result["with_test"] = with_test(rows["tested"])
-    draw(result["rows"], Path(out) / "slip.png")
+    draw(rows.get("passive", []), Path(out) / "slip.png")
     return result
 
 
