@@ -1,5 +1,5 @@
-"""The camera's part of `bench accuracy`: resolution, rate, markers, and what the renderer draws,
-against simulated truth.
+"""The camera's part of `bench accuracy`: the shipped sensors, resolution, rate, markers, and what
+the renderer draws, against simulated truth.
 
 The world is pressed once per set of markers; every camera then looks at the same states.
 """
@@ -33,6 +33,7 @@ MARKERS = {
     "9x9": (9, 9, 1.0e-3),
     "11x11": (11, 11, 0.8e-3),
 }
+SENSORS = ("paper16", "dense", "fine")
 DRAWN = {
     "as designed": Effects(),
     "no noise": Effects(noise_dn=0.0),
@@ -66,7 +67,9 @@ def run(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
 
     scales = (0.6, 1.0) if quick else RESOLUTIONS
     markers = {k: v for k, v in MARKERS.items() if not quick or k == "9x9"}
+    sensors = SENSORS[1:] if quick else SENSORS
     return {
+        "sensors": [row(name, (one := load_sensor(name)), _states(one)) for name in sensors],
         "resolution": [
             row(
                 f"{round(640 * s)}x{round(480 * s)}",
@@ -187,7 +190,7 @@ def _rates(design: SensorDesign) -> list[dict[str, Any]]:
 def table(result: dict[str, Any]) -> str:
     """Markdown."""
     lines = []
-    for sweep in ("resolution", "markers", "renderer"):
+    for sweep in ("sensors", "resolution", "markers", "renderer"):
         lines += [
             f"### Camera: {sweep}",
             "",

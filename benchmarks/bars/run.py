@@ -1,7 +1,7 @@
 """`mjtactile bench bars`: 10^4 images of random scenes: felt wrenches against true ones, in their
 own standard deviations.
 
-Presses, drags, taps, holds, near the frame, shaken, of two layouts at two resolutions and three
+Presses, drags, taps, holds, near the frame, shaken, of three layouts at two resolutions and three
 meshes. Seeds below FIRST_SEED were used in tuning and are not among them. Each scene's rows are
 kept in a file of its own; `--resume` goes on from there.
 """
@@ -26,7 +26,7 @@ from mjtactile.recording.files import write_json
 
 __all__ = ["run", "table"]
 FIRST_SEED = 1000
-SCENES = 200
+SCENES = 260
 SCENES_QUICK = 4
 
 Say = Callable[[str], None]

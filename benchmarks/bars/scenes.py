@@ -17,6 +17,9 @@ KINDS = ("press", "edge", "press", "tap", "hold", "press", "edge", "rhythm", "pr
 sensors, a press that goes up and down several times a second, a press of a sensor that hangs
 somehow and is shaken."""
 SENSORS = ("dense", "paper16", "dense at half resolution", "paper16 at half resolution")
+FINE = ("fine", "fine at half resolution")
+FINE_FROM = 1200
+"""Of seeds from here on, in turn: the scenes before stay those of tables before `fine` came."""
 MESHES = ((13, 11), (13, 11), (17, 13), (21, 17))
 SIZES = {"sphere": (3e-3, 16e-3), "cylinder": (2.5e-3, 8e-3), "box": (5e-3, 14e-3)}
 MODELS = ("wedge", "corner", "spheres")
@@ -83,7 +86,8 @@ def draw_scene(seed: int) -> Scene:
     """Kinds and sensors alternate; all else is drawn from the seed."""
     rng = np.random.default_rng([seed, 23])
     kind = KINDS[seed % len(KINDS)]
-    sensor = SENSORS[seed // len(KINDS) % len(SENSORS)]
+    sensors = FINE if seed >= FINE_FROM else SENSORS
+    sensor = sensors[seed // len(KINDS) % len(sensors)]
     indenter = _indenter(rng)
     half = np.array([20e-3, 15e-3]) - _MARGIN - _reach(indenter)
     at = rng.uniform(-0.6, 0.6, 2) * half

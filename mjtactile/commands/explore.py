@@ -42,8 +42,9 @@ examples:
       (`probe`, `grasp` or `explore --out`, `record`) count as grips of the same object, turned
       by --turn-deg; of recorded presses (`record --steps`) each is a place that was touched
 
-Places are mm in the holder's frame. The surface is a body of thirteen numbers (a superquadric
-that tapers) and a Gaussian process of what it leaves over; needs manifold3d:
+Places are mm in the holder's frame. The surface is a body (an ellipsoid, a cylinder, a cone's
+stump, a box, or a freer one: the evidence says which) and a Gaussian process of what it leaves
+over; needs manifold3d:
 pip install 'mjtactile[explore]'. What ends with _true only a simulation knows.
 exit codes: 0 explored, 1 nothing was found, 2 bad input, 3 interrupted (what was touched is
 kept) or the simulation failed.
@@ -273,8 +274,14 @@ def _print(summary: dict[str, Any], out: Path | None) -> None:
     print(f"{summary.get('object', 'fused')}: {summary['patches']} patches, {summary['outcome']}")
     if not summary["patches"]:
         return
-    size = " x ".join(f"{value:.1f}" for value in summary["size_mm"])
+    sizes = zip(summary["size_mm"], summary["size_sd_mm"], strict=True)
+    size = " x ".join(
+        f"{value:.1f}" + (f" (+- {sd:.1f})" if sd > 0.1 else "") for value, sd in sizes
+    )
     print(f"  size         {size} mm, {summary['volume_mL']:.1f} mL")
+    body = summary["body"]
+    likely = summary["body_probabilities"][body]
+    print(f"  body         {body}, with a probability of {likely:.2f}")
     print(
         f"  known to     {summary['surface_sd_mm']:.2f} mm, where it is least known "
         f"{summary['surface_sd_worst_mm']:.2f} mm"

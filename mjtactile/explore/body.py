@@ -29,7 +29,7 @@ NAMES = (
 """Of its numbers: place in mm, turn as a rotation vector, logarithms of half sizes in mm, exponents
 (1: round, 0: sharp) along and across its axis z, share by which it is wider at its upper end."""
 COUNT = len(NAMES)
-LOW = np.array([-200.0] * 3 + [-7.0] * 3 + [0.7] * 3 + [0.1] * 2 + [-0.8] * 2)
+LOW = np.array([-200.0] * 3 + [-7.0] * 3 + [0.7] * 3 + [0.05] * 2 + [-0.8] * 2)
 HIGH = np.array([200.0] * 3 + [7.0] * 3 + [4.2] * 3 + [1.5] * 2 + [0.8] * 2)
 STEP = np.array([1e-3] * 3 + [1e-4] * 3 + [1e-4] * 3 + [1e-4] * 4)
 """Over which derivatives are taken."""
@@ -40,41 +40,44 @@ def distance(theta: Array, p: Array) -> Array:
     """How far points are outside of the body, to first order.
 
     Args:
-        theta: (13,) The body's numbers.
+        theta: (13,) The body's numbers, or (K, 13) those of some bodies.
         p: (N, 3) mm.
 
     Returns:
-        (N,) mm, negative inside; exact beside a flat face (Eq. E2).
+        (N,) or (K, N) mm, negative inside; exact beside a flat face (Eq. E2).
     """
-    level, slope = _level(theta, p)
-    return (level - 1) / np.maximum(np.linalg.norm(slope, axis=1), _TINY)
+    level, slope = _level(np.atleast_2d(theta), p)
+    out = (level - 1) / np.maximum(np.linalg.norm(slope, axis=-1), _TINY)
+    return out[0] if theta.ndim == 1 else out
 
 
 def _level(theta: Array, p: Array) -> tuple[Array, Array]:
-    """By what the body must grow to reach each point (Eq. E1), and that number's gradient, 1/mm, in
-    the body's axes."""
-    q = (p - theta[:3]) @ Rotation.from_rotvec(theta[3:6]).as_matrix()
-    a, b, c = np.exp(theta[6:9])
-    along, across = 2 / theta[9], 2 / theta[10]
-    w = q[:, 2] / c
+    """By what each body (K, 13) must grow to reach each point (Eq. E1), (K, N), and that number's
+    gradient, (K, N, 3) 1/mm, in the body's axes."""
+    R = Rotation.from_rotvec(theta[:, 3:6]).as_matrix()
+    q = (p[None] - theta[:, None, :3]) @ R
+    a, b, c = np.moveaxis(np.exp(theta[:, 6:9]), 1, 0)[..., None]
+    along, across = np.moveaxis(2 / theta[:, 9:11], 1, 0)[..., None]
+    tapers = np.moveaxis(theta[:, 11:13], 1, 0)[..., None]
+    w = q[..., 2] / c
     # what lies beyond its ends tapers no further
     inside = np.abs(w) < 1
     held = np.clip(w, -1, 1)
-    x_by, y_by = (1 + taper * held for taper in theta[11:13])
-    u = q[:, 0] / (a * x_by)
-    v = q[:, 1] / (b * y_by)
+    x_by, y_by = 1 + tapers * held
+    u = q[..., 0] / (a * x_by)
+    v = q[..., 1] / (b * y_by)
     ring, ring_u, ring_v = _norm(u, v, across)
     level, by_ring, by_w = _norm(ring, w, along)
     slope_w = by_w - by_ring * inside * (
-        ring_u * u * theta[11] / x_by + ring_v * v * theta[12] / y_by
+        ring_u * u * tapers[0] / x_by + ring_v * v * tapers[1] / y_by
     )
-    slope = np.column_stack(
-        [by_ring * ring_u / (a * x_by), by_ring * ring_v / (b * y_by), slope_w / c]
+    slope = np.stack(
+        [by_ring * ring_u / (a * x_by), by_ring * ring_v / (b * y_by), slope_w / c], axis=-1
     )
     return level, slope
 
 
-def _norm(x: Array, y: Array, power: float) -> tuple[Array, Array, Array]:
+def _norm(x: Array, y: Array, power: Array) -> tuple[Array, Array, Array]:
     """(|x|^p + |y|^p)^(1/p), and its derivatives."""
     most = np.maximum(np.maximum(np.abs(x), np.abs(y)), _TINY)
     sides = np.abs(x) / most, np.abs(y) / most
@@ -89,10 +92,6 @@ def _norm(x: Array, y: Array, power: float) -> tuple[Array, Array, Array]:
 
 def by_numbers(theta: Array, p: Array) -> Array:
     """Derivatives (N, 13) of `distance` by the body's numbers."""
-    columns = []
-    for number, step in enumerate(STEP):
-        more, less = theta.copy(), theta.copy()
-        more[number] += step
-        less[number] -= step
-        columns.append((distance(more, p) - distance(less, p)) / (2 * step))
-    return np.column_stack(columns)
+    steps = np.diag(STEP)
+    moved = distance(np.concatenate([theta + steps, theta - steps]), p)
+    return ((moved[:COUNT] - moved[COUNT:]) / (2 * STEP[:, None])).T

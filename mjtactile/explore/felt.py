@@ -36,12 +36,16 @@ class Pressed:
         R_SH: (3, 3) From the holder's axes to the sensor's.
         p_SH: (n, 3) m, the holder's origin in S at each image.
         shape: What body the newest shows.
+        group: Of the presses that share a shift of the object: as `Patch` has it.
+        loose: m, sd of that shift.
     """
 
     touches: tuple[Touch, ...]
     R_SH: Array
     p_SH: Array
     shape: FeltShape
+    group: int = 0
+    loose: float = 0.0
 
 
 def patch_of(pressed: Pressed, design: SensorDesign) -> Patch | None:
@@ -76,6 +80,8 @@ def patch_of(pressed: Pressed, design: SensorDesign) -> Patch | None:
         compliance,
         compliance_sd,
         spread,
+        pressed.group,
+        pressed.loose,
     )
 
 

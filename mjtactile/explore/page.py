@@ -15,7 +15,8 @@ import numpy as np
 from mjtactile.core.types import Array
 from mjtactile.explore.files import SOFT, colours
 from mjtactile.explore.plan import Mesh
-from mjtactile.explore.run import Explored, principal_sizes
+from mjtactile.explore.run import Explored
+from mjtactile.explore.size import principal_sizes
 from mjtactile.explore.solid import mesh_of
 from mjtactile.explore.stiffness import Stiffness
 from mjtactile.recording.files import to_json
@@ -37,6 +38,7 @@ box-sizing:border-box;cursor:grab}.hint{color:#666;font-size:13px}"""
 _FACTS = (
     ("outcome", "ended", ""),
     ("touches", "touches", ""),
+    ("body", "body", ""),
     ("surface_sd_mm", "surface known to", "mm"),
     ("surface_error_mm_true", "its error, true", "mm"),
     ("size_error_true", "error of its size, true", ""),
@@ -93,7 +95,8 @@ def _body(data: Mapping[str, Any], summary: Mapping[str, Any]) -> Iterator[str]:
         for key, label, unit in _FACTS
         if _is_known(summary.get(key))
     ]
-    size = " x ".join(f"{value:.1f}" for value in summary["size_mm"])
+    told = zip(summary["size_mm"], summary["size_sd_mm"], strict=True)
+    size = " x ".join(f"{value:.1f} \u00b1 {sd:.1f}" for value, sd in told)
     yield table([], [*rows, ["size", f"{size} mm"]])
     yield (
         '<p><select id="mode"><option value="stiffness">stiffness</option><option value="doubt">'

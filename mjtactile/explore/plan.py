@@ -50,8 +50,8 @@ class Mesh:
         return float(np.sqrt(np.average(self.sd**2, weights=self.areas())))
 
 
-def _around(mesh: Mesh) -> Array:
-    """What a touch at each vertex is worth, m: how little is known about it as far as a touch
+def _around(mesh: Mesh, told: Array) -> Array:
+    """What a touch at each vertex is worth, m: the mean of what is told (V,) as far as a touch
     reaches; less where the surface is bent, since an edge or a corner tells little but itself."""
     tree = cKDTree(mesh.vertices)
     near = tree.query_ball_point(mesh.vertices, _REACH)
@@ -60,12 +60,16 @@ def _around(mesh: Mesh) -> Array:
     for vertex, others in enumerate(near):
         weights = areas[others] / max(areas[others].sum(), 1e-12)
         flat = np.linalg.norm(weights @ mesh.normals[others])
-        worth[vertex] = flat**_BENT * (weights @ mesh.sd[others])
+        worth[vertex] = flat**_BENT * (weights @ told[others])
     return worth
 
 
 def next_aim(
-    mesh: Mesh, patches: Sequence[Patch], tried: Sequence[Aim], reaches: Callable[[Aim], bool]
+    mesh: Mesh,
+    patches: Sequence[Patch],
+    tried: Sequence[Aim],
+    reaches: Callable[[Aim], bool],
+    news: Array | None = None,
 ) -> Aim | None:
     """Choose where to touch.
 
@@ -74,12 +78,13 @@ def next_aim(
         patches: What was felt.
         tried: What was aimed at, also in vain.
         reaches: Whether a rig gets there.
+        news: (V,) m, what a touch at each vertex would tell beside what is there: of the sizes.
 
     Returns:
         The place; None where none is left.
     """
     past = [patch.middle for patch in patches] + [aim.p_H for aim in tried]
-    worth = _around(mesh)
+    worth = _around(mesh, mesh.sd if news is None else mesh.sd + news)
     if past:
         way = np.linalg.norm(mesh.vertices[:, None] - np.stack(past)[None], axis=2).min(axis=1)
         worth = worth * np.minimum(way / _NEAR, 1.0)

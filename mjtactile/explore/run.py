@@ -12,13 +12,14 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError, SimulationError
-from mjtactile.core.types import Array
 from mjtactile.explore.felt import Pressed, patch_of
+from mjtactile.explore.fuse import fuse, shares
 from mjtactile.explore.patch import Patch
 from mjtactile.explore.plan import Aim, Mesh, next_aim
+from mjtactile.explore.size import Sizes, news_of_size, rivals, sizes
 from mjtactile.explore.solid import mesh_of
 from mjtactile.explore.stiffness import Stiffness
-from mjtactile.explore.surface import Surface, fuse
+from mjtactile.explore.surface import Surface
 from mjtactile.recording.files import to_json
 
 _PLAN_EDGE = 1.5e-3  # m, of triangles while it goes on
@@ -59,11 +60,13 @@ class Wanted:
 @dataclass(frozen=True, eq=False)
 class Explored:
     """What was found. `outcome`: "accurate", "touches" (as many as were asked), "nothing left",
-    "nothing there" or "interrupted"."""
+    "nothing there" or "interrupted". `families` has the probability of each kind of body."""
 
     patches: tuple[Patch, ...]
     surface: Surface
+    families: Mapping[str, float]
     mesh: Mesh
+    sizes: Sizes
     stiffness: Stiffness
     outcome: str
     tried: int
@@ -72,14 +75,17 @@ class Explored:
 
     def summary(self) -> dict[str, Any]:
         """The JSON of `mjtactile explore`; unknown is NaN here and null there."""
-        sizes, _ = principal_sizes(self.mesh)
         return {
             "outcome": self.outcome,
             "touches": self.tried,
             "patches": len(self.patches),
             "surface_sd_mm": 1e3 * self.mesh.error(),
             "surface_sd_worst_mm": 1e3 * float(self.mesh.sd.max()),
-            "size_mm": [1e3 * float(size) for size in sizes],
+            "body": self.surface.family.name,
+            "body_probabilities": dict(self.families),
+            "size_mm": 1e3 * self.sizes.mean,
+            "size_sd_mm": 1e3 * self.sizes.sd,
+            "size_interval_mm": 1e3 * self.sizes.interval,
             "area_mm2": 1e6 * float(self.mesh.areas().sum()),
             "volume_mL": 1e6 * volume(self.mesh),
             **self.stiffness.summary(),
@@ -104,15 +110,6 @@ def volume(mesh: Mesh) -> float:
     """m^3 inside of a closed mesh."""
     a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
     return float(np.einsum("ni,ni->", a, np.cross(b, c)) / 6)
-
-
-def principal_sizes(mesh: Mesh) -> tuple[Array, Array]:
-    """Extents (3,) m of a surface along its own principal axes, the largest first, and these axes
-    as columns (3, 3)."""
-    weights = mesh.areas()
-    off = mesh.vertices - np.average(mesh.vertices, axis=0, weights=weights)
-    axes = np.linalg.eigh((off * weights[:, None]).T @ off)[1][:, ::-1]
-    return np.ptp(off @ axes, axis=0), axes
 
 
 def explore(
@@ -140,13 +137,13 @@ def explore(
         What was found, also when it was stopped.
     """
     patches = list(known)
-    surface = fuse(patches)
+    believed: Sequence[Surface] = fuse(patches)
     tried: list[Aim] = []
     failures: list[str] = []
     vain = 0
     outcome = "touches"
     while begun + len(tried) < wanted.touches:
-        mesh = mesh_of(surface, _PLAN_EDGE)
+        mesh = mesh_of(believed[0], _PLAN_EDGE)
         if patches and mesh.error() <= wanted.accuracy:
             outcome = "accurate"
         elif vain >= _IN_VAIN and not patches:
@@ -155,7 +152,7 @@ def explore(
             outcome = "interrupted"
         if outcome != "touches":
             break
-        aim = next_aim(mesh, patches, tried, bench.reaches)
+        aim = next_aim(mesh, patches, tried, bench.reaches, news_of_size(mesh, believed[0]))
         if aim is None:
             outcome = "nothing left"
             break
@@ -170,11 +167,18 @@ def explore(
             keep(patch)
         patches += new
         vain = 0 if new else vain + 1
-        surface = fuse(patches, surface)
-        say(_line(begun + len(tried), new, mesh if not new else mesh_of(surface, _PLAN_EDGE)))
+        believed = _with(new, patches, believed)
+        say(_line(begun + len(tried), new, believed[0]))
     if not patches:
         outcome = outcome if outcome == "interrupted" else "nothing there"
-    return explored(patches, outcome, begun + len(tried), bench.flags, failures, surface)
+    return explored(patches, outcome, begun + len(tried), bench.flags, failures)
+
+
+def _with(
+    new: Sequence[Patch], patches: Sequence[Patch], before: Sequence[Surface]
+) -> Sequence[Surface]:
+    """What is believed now."""
+    return fuse(patches, before) if new else before
 
 
 def explored(
@@ -183,21 +187,33 @@ def explored(
     tried: int,
     flags: Mapping[str, str],
     failures: Sequence[str] = (),
-    surface: Surface | None = None,
 ) -> Explored:
     """Patches as a result."""
-    surface = fuse(patches) if surface is None else surface
-    mesh = mesh_of(surface, _EDGE)
-    stiffness = Stiffness.of(patches, mesh)
+    believed = fuse(patches)
+    counting = rivals(believed)
+    meshes = [mesh_of(one, _PLAN_EDGE if number else _EDGE) for number, one in enumerate(counting)]
+    mesh = meshes[0]
     return Explored(
-        tuple(patches), surface, mesh, stiffness, outcome, tried, dict(flags), tuple(failures)
+        tuple(patches),
+        believed[0],
+        {
+            one.family.name: float(share)
+            for one, share in zip(believed, shares(believed), strict=True)
+        },
+        mesh,
+        sizes(meshes, counting, patches),
+        Stiffness.of(patches, mesh),
+        outcome,
+        tried,
+        dict(flags),
+        tuple(failures),
     )
 
 
-def _line(number: int, new: Sequence[Patch], mesh: Mesh) -> str:
+def _line(number: int, new: Sequence[Patch], surface: Surface) -> str:
     felt = ", ".join(f"{patch.kind} at {patch.force:.2f} N" for patch in new) or "nothing felt"
-    doubt = f"surface known to {1e3 * mesh.error():.2f} mm"
-    return f"touch {number}: {felt}; {doubt}"
+    doubt = f"surface known to {1e3 * mesh_of(surface, _PLAN_EDGE).error():.2f} mm"
+    return f"touch {number}: {felt}; {surface.family.name}, {doubt}"
 
 
 class Store:

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Array
+from mjtactile.explore.fuse import fuse
 from mjtactile.explore.grip import HEIGHTS, Log, Squeeze, patches_of_grip, require_two
 from mjtactile.explore.patch import Patch
 from mjtactile.explore.plan import Mesh
@@ -20,7 +21,6 @@ from mjtactile.explore.run import Explored, Wanted, explore, explored
 from mjtactile.explore.score import score
 from mjtactile.explore.solid import mesh_of
 from mjtactile.explore.stage import Stage
-from mjtactile.explore.surface import fuse
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.variation import Drawn, ObjectChange
 from mjtactile.run.session import Session
@@ -111,11 +111,11 @@ def explore_in_gripper(
     patches = list(known)
     number = max((patch.group for patch in patches), default=0)
     tried: list[tuple[float, float]] = []
-    surface = fuse(patches)
+    believed = fuse(patches)
     flags: dict[str, str] = {}
     outcome = "touches"
     while number < wanted.touches:
-        mesh = mesh_of(surface, _PLAN_EDGE)
+        mesh = mesh_of(believed[0], _PLAN_EDGE)
         if patches and mesh.error() <= wanted.accuracy:
             outcome = "accurate"
             break
@@ -129,14 +129,14 @@ def explore_in_gripper(
         for patch in new:
             keep(patch)
         patches += new
-        surface = fuse(patches, surface)
-        doubt = 1e3 * mesh_of(surface, _PLAN_EDGE).error()
+        believed = fuse(patches, believed)
+        doubt = 1e3 * mesh_of(believed[0], _PLAN_EDGE).error()
         kinds = ", ".join(patch.kind for patch in new) or "nothing felt"
         say(
             f"grip {number}: turned {math.degrees(turn):.0f} deg, {1e3 * height:.0f} mm up: "
             f"{kinds}; surface known to {doubt:.2f} mm"
         )
-    found = explored(patches, outcome if patches else "nothing there", number, flags, (), surface)
+    found = explored(patches, outcome if patches else "nothing there", number, flags)
     if not patches:
         return found, {}
     return found, score(found, TrueSurface.of(model), np.zeros(3), np.eye(3))

@@ -1,4 +1,8 @@
-"""A simulated stage: an object in a holder, turned and lowered onto one sensor that looks up."""
+"""A simulated stage: an object in a holder, turned and lowered onto one sensor that looks up.
+
+What the holder covers is touched after the object was put in the other way up: it sits a little
+elsewhere then, which nobody knows.
+"""
 
 from __future__ import annotations
 
@@ -51,6 +55,8 @@ class Stage:
     ):
         self.design = design
         self.world = MountedWorld(design, Mounted(model, p_HO, R_HO), mesh=mesh, **world)
+        # how the object sits when it was put in the other way up, which nobody knows
+        self._seat = _SEAT_SD * np.random.default_rng([seed, 32]).normal(size=3)
         self._view = View(self.world, design, seed=seed)
         take_references(self.world, [self._view], design.chamber.supply_gauge)
 
@@ -60,8 +66,9 @@ class Stage:
         return dict(self.world.flags)
 
     def reaches(self, aim: Aim) -> bool:
-        """Whether the holder lets the sensor there: not from below, where it holds."""
-        return aim.n_H[2] > -math.cos(_HOLDER)
+        """Whether the sensor gets there: what the holder covers is touched after it was put in the
+        other way up."""
+        return True
 
     def touch(self, aim: Aim, force: float) -> tuple[Pressed, ...]:
         """Touch at one place.
@@ -74,6 +81,8 @@ class Stage:
             The press; nothing where nothing was felt.
         """
         R_SH = aim.R_SH()
+        is_over = aim.n_H[2] < -math.cos(_HOLDER)
+        seat = R_SH @ self._seat if is_over else np.zeros(3)
         p_H = self._over_the_middle(R_SH, aim.p_H)
         self.world.turn(R_SH, p_H)
         touches: list[Touch] = []
@@ -86,14 +95,15 @@ class Stage:
             felt = touch.force_normal
             if math.isfinite(felt) and felt > _SEEN:
                 touches.append(touch)
-                places.append(self.world.p_SH)
+                places.append(self.world.p_SH - seat)
             if not math.isfinite(felt) or felt >= force:
                 break
         self.world.lift_off()
         if not touches:
             return ()
         shape: FeltShape = self._view.perception.shape(touches)
-        return (Pressed(tuple(touches), R_SH, np.array(places), shape),)
+        group, loose = (_OVER, _SEAT_SD) if is_over else (0, 0.0)
+        return (Pressed(tuple(touches), R_SH, np.array(places), shape, group, loose),)
 
     def _over_the_middle(self, R_SH: Array, p_H: Array) -> Array:
         """Feel lightly where the object is first met, and have that over the sensor's middle."""
@@ -122,3 +132,5 @@ class Stage:
 _LOOKS = 2
 _ASIDE = 5e-3  # m from the sensor's middle, from where on another look is worth it
 _HOLDER = math.radians(35)
+_OVER = -1  # the group of patches that were touched the other way up
+_SEAT_SD = 1e-4  # m, by which the object then sits elsewhere

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.bars.run import run, scene_rows
-from benchmarks.bars.scenes import KINDS, SENSORS, draw_scene
+from benchmarks.bars.scenes import FINE, FINE_FROM, KINDS, SENSORS, draw_scene
 from benchmarks.bars.tables import summary, table
 from benchmarks.bars.watch import watch
 from mjtactile.sim.scenes.indentation import Indenter
@@ -100,7 +100,9 @@ def test_scenes_take_turns_and_are_what_they_say():
     assert {scene.kind for scene in drawn} == set(KINDS) and {
         scene.sensor for scene in drawn
     } == set(SENSORS)
-    for one in drawn:
+    fine = [draw_scene(FINE_FROM + seed) for seed in range(20)]
+    assert {scene.sensor for scene in fine} == set(FINE)
+    for one in [*drawn, *fine]:
         frame = one.design.frame
         assert abs(one.at[0]) < frame.length / 2 and abs(one.at[1]) < frame.width / 2
         assert (one.shake[0] > 0) == (one.kind == "shaken")

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from mjtactile.core.types import Command, GripperState, Observation, Touch
+from mjtactile.explore.fuse import fuse
 from mjtactile.explore.grip import _FACING, HEIGHTS, Moment, Squeeze, grips_of
 from mjtactile.explore.patch import Patch, between
-from mjtactile.explore.run import principal_sizes
 from mjtactile.explore.simulated import TURNS, next_grip
+from mjtactile.explore.size import principal_sizes
 from mjtactile.explore.solid import mesh_of
-from mjtactile.explore.surface import fuse
 
 RADIUS = 0.012
 
@@ -98,12 +98,12 @@ def test_a_grip_that_pushed_the_object_aside_spoils_no_size():
             for sign in (1, -1)
         ]
 
-    meshes = {loose: mesh_of(fuse(patches(loose)), 1.5e-3) for loose in (0.0, 1e-3)}
+    meshes = {loose: mesh_of(fuse(patches(loose))[0], 1.5e-3) for loose in (0.0, 1e-3)}
     sizes, _ = principal_sizes(meshes[1e-3])
     # each pair says 24 mm exactly; two of the shifts are across their own grip, by 1 mm
     assert 1e3 * sizes == pytest.approx([24, 24, 24], abs=0.3)
-    # who knows of the shifts does not take the ball's place for sure
-    assert meshes[1e-3].error() > 1.5 * meshes[0.0].error()
+    # who knows of the shifts does not take the ball's place for sure; who does not doubts patches
+    assert meshes[1e-3].error() > 1.2 * meshes[0.0].error()
     alike = patches(1e-3)
     assert between(alike[0], alike[1]) == pytest.approx(np.full((12, 12), -1e-6))
     assert not between(alike[0], alike[2]).any()
@@ -111,7 +111,7 @@ def test_a_grip_that_pushed_the_object_aside_spoils_no_size():
 
 def test_the_next_grip_is_where_least_is_known():
     # both ends of x are known well, those of y not at all: turned by 90 deg
-    mesh = mesh_of(fuse([ball_patch([1, 0, 0], 0), ball_patch([-1, 0, 0], 0)]), 2e-3)
+    mesh = mesh_of(fuse([ball_patch([1, 0, 0], 0), ball_patch([-1, 0, 0], 0)])[0], 2e-3)
     turn, height = next_grip(mesh, [(TURNS[0], HEIGHTS[0])], begun=True)
     assert turn != TURNS[0] and height in HEIGHTS
     assert next_grip(mesh, [], begun=False) == (TURNS[0], HEIGHTS[0])

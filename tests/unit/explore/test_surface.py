@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from mjtactile.explore import body
+from mjtactile.explore.fuse import fuse, shares
 from mjtactile.explore.patch import Patch
 from mjtactile.explore.plan import next_aim
 from mjtactile.explore.run import volume
+from mjtactile.explore.size import news_of_size, principal_sizes, sizes
 from mjtactile.explore.solid import mesh_of
-from mjtactile.explore.surface import fuse, unknown
+from mjtactile.explore.surface import unknown
 
 HALF = np.array([0.012, 0.010, 0.016])  # m, of an ellipsoid
 TURN = Rotation.from_rotvec([0.4, -0.3, 0.8]).as_matrix()
@@ -44,13 +48,12 @@ def test_the_slope_within_a_distance_is_that_of_its_level():
     # is nothing special
     at = np.random.default_rng(3).normal(0, 12, (40, 3))
     numbers = theta([12.0, 9.0, 15.0], [0.5, 0.8], (0.2, -0.1))
-    _, slope = body._level(numbers, at)
+    slope = body._level(numbers[None], at)[1][0]
     step = 1e-5
     for axis in range(3):
         off = step * np.eye(3)[axis]
-        differences = (body._level(numbers, at + off)[0] - body._level(numbers, at - off)[0]) / (
-            2 * step
-        )
+        more, less = (body._level(numbers[None], at + way)[0][0] for way in (off, -off))
+        differences = (more - less) / (2 * step)
         # 1e-5 mm steps leave 1e-9; where a point is at a kink (its end's plane) they differ
         assert np.median(np.abs(differences - slope[:, axis])) < 1e-8
         assert np.quantile(np.abs(differences - slope[:, axis]), 0.9) < 1e-6
@@ -72,10 +75,69 @@ WAYS = np.array(
 
 
 @pytest.fixture(scope="module")
-def explored():
+def believed():
     rng = np.random.default_rng(1)
     patches = [ellipsoid_patch(way, rng) for way in WAYS]
     return patches, fuse(patches)
+
+
+@pytest.fixture(scope="module")
+def explored(believed):
+    patches, surfaces = believed
+    return patches, surfaces[0]
+
+
+def test_an_ellipsoid_is_one_and_its_size_is_told_with_its_doubt(believed):
+    patches, surfaces = believed
+    assert surfaces[0].family.name == "ellipsoid"
+    # few numbers: what explains it as well with more of them is less likely
+    assert shares(surfaces)[0] > 0.9
+    said = sizes([mesh_of(surfaces[0], 1.5e-3)], surfaces[:1], patches)
+    # six patches of 20 um; triangles of 1.5 mm on 10 mm of radius leave out 0.3 % of it
+    true = 2 * np.sort(HALF)[::-1]
+    assert said.mean == pytest.approx(true, rel=0.015)
+    assert (np.abs(said.mean - true) < 3 * said.sd + 1e-4).all()
+    assert (said.sd < 0.03 * true).all()
+
+
+def box_patch(way, noise=2e-5, half=HALF):
+    """Seventeen points, 3 mm about the middle of a box's face."""
+    rng = np.random.default_rng(7)
+    axis = int(np.argmax(np.abs(way)))
+    points = np.asarray(way) * half + rng.uniform(-3e-3, 3e-3, (17, 3))
+    points[:, axis] = way[axis] * half[axis] + noise * rng.normal()
+    return Patch(points @ TURN.T + PLACE, np.zeros((0, 3)), TURN @ way, "face", 0.3)
+
+
+def test_a_box_of_five_touched_faces_is_a_box_whose_sixth_is_unknown():
+    ways = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]])
+    surfaces = fuse([box_patch(way) for way in ways])
+    assert surfaces[0].family.name == "box"
+    mesh = mesh_of(surfaces[0], 1.5e-3)
+    _, axes = principal_sizes(mesh)
+    said = sizes([mesh], surfaces[:1], [])
+    along = np.abs(TURN.T @ axes)
+    for number in range(3):
+        if along[2, number] > 0.9:  # touched at one end: a third of it, as any size beforehand
+            assert said.sd[number] > 2e-3
+        else:  # both ends: two heights of 50 um, tapers and edges that patches 6 mm wide do not see
+            assert said.sd[number] < 6e-4
+            true = 2 * HALF[int(np.argmax(along[:, number]))]
+            assert said.mean[number] == pytest.approx(true, abs=3e-4)
+    news = news_of_size(mesh, surfaces[0])
+    # a touch of the sixth face tells nearly all of that, one of the face across what it knows: 50 um
+    facing = mesh.normals @ TURN[:, 2]
+    assert np.median(news[facing < -0.9]) > 2e-3
+    assert np.median(news[facing > 0.9]) < 0.2 * np.median(news[facing < -0.9])
+
+
+def test_what_was_touched_is_within_the_interval(believed):
+    """A foot that no body of few numbers has: the object is as long as what was touched of it."""
+    patches, surfaces = believed
+    foot = replace(patches[0], points=patches[0].points + 4e-3 * TURN[:, 2])
+    said = sizes([mesh_of(surfaces[0], 1.5e-3)], surfaces[:1], [*patches, foot])
+    assert said.interval[0, 1] > said.mean[0] + 3e-3
+    assert said.interval[1, 1] == pytest.approx(said.mean[1] + said.sd[1])
 
 
 def distances(surface, ways):
@@ -98,7 +160,7 @@ def test_six_patches_tell_an_ellipsoid(explored):
 
 def test_doubt_shrinks_where_it_was_touched_and_stays_where_not(explored):
     patches, surface = explored
-    one = fuse(patches[:1])
+    one = fuse(patches[:1])[0]
     touched, untouched = patches[0].middle[None], (2 * PLACE - patches[0].middle)[None]
     assert one.distance_sd(touched)[0] < 1e-4  # m: the patch's own
     assert one.distance_sd(untouched)[0] > 2e-3  # nobody was there
@@ -108,7 +170,7 @@ def test_doubt_shrinks_where_it_was_touched_and_stays_where_not(explored):
 
 def test_the_next_touch_is_on_the_far_side(explored):
     patches, _ = explored
-    mesh = mesh_of(fuse(patches[:1]), 2e-3)
+    mesh = mesh_of(fuse(patches[:1])[0], 2e-3)
     aim = next_aim(mesh, patches[:1], [], lambda aim: True)
     assert aim is not None
     assert aim.n_H @ patches[0].normal < 0
@@ -142,7 +204,7 @@ def test_a_stray_point_moves_nothing(explored):
         *patches[2:],
     ]
     ways = np.random.default_rng(5).normal(size=(100, 3))
-    off, _ = distances(fuse(bent), ways)
+    off, _ = distances(fuse(bent)[0], ways)
     clean, _ = distances(surface, ways)
     # 0.7 mm in one of 102 points: without it, the others say the same to some hundredths of a mm
     assert np.sqrt(np.mean((off - clean) ** 2)) < 6e-5

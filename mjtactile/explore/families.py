@@ -1,0 +1,98 @@
+"""What an explored body may be: round, a cylinder, a box, of few numbers each, or anything.
+
+All are the superquadric of `mjtactile.explore.body`; a family says beforehand which of its thirteen
+numbers are free, and how much of a field on top it needs. The evidence decides (docs/equations.md,
+Eq. E5): what few numbers explain as well is believed, since it told more beforehand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjtactile.core.types import Array
+
+HALF = 15.0
+"""mm: half size of what a hand explores, before it is touched."""
+_PLACE_SD = 15.0  # mm
+_SIZE_SD = 0.6  # of the logarithm of all sizes together
+_ASPECT_SD = 0.4  # and of each alone
+_TURN_SD = 2.0  # rad
+_TIED = 0.01  # sd of what a family fixes: exponents, tapers, sizes that are alike
+_ALIKE = 3e-3  # sd of the logarithm of sizes that a family has alike
+_SMALL_FIELDS = ((0.0, 10.0), (0.05, 8.0), (0.15, 8.0))
+"""mm: sd and length of what a body of few numbers leaves over, of which the likeliest is taken."""
+_FIELDS = (*_SMALL_FIELDS, (0.5, 8.0), (1.2, 8.0), (0.5, 14.0), (1.5, 14.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """Bodies that are alike.
+
+    Attributes:
+        name: Of the family.
+        mean: (13,) of its numbers before anything was touched.
+        cov: (13, 13).
+        root: (13, 13) by which a difference from the mean becomes one of unit covariance.
+        starts: Exponents to start from.
+        fields: mm, sd and length of the fields on top that are tried.
+    """
+
+    name: str
+    mean: Array
+    cov: Array
+    root: Array
+    starts: tuple[tuple[float, float], ...]
+    fields: tuple[tuple[float, float], ...]
+
+
+def _family(
+    name: str,
+    along: tuple[float, float],
+    across: tuple[float, float],
+    *,
+    taper: float = _TIED,
+    tapers_alike: bool = True,
+    round_across: bool = False,
+    starts: tuple[tuple[float, float], ...] = (),
+    fields: tuple[tuple[float, float], ...] = _SMALL_FIELDS,
+) -> Family:
+    """Exponents along and across as mean and sd, the taper's sd; whether the sizes across are
+    alike."""
+    mean = np.array([0.0] * 6 + [np.log(HALF)] * 3 + [along[0], across[0]] + [0.0] * 2)
+    cov = np.diag(
+        [_PLACE_SD**2] * 3
+        + [_TURN_SD**2] * 3
+        + [0.0] * 3
+        + [along[1] ** 2, across[1] ** 2]
+        + [taper**2] * 2
+    )
+    cov[6:9, 6:9] = _SIZE_SD**2 + _ASPECT_SD**2 * np.eye(3)
+    if round_across:
+        cov[6:8, 6:8] = _SIZE_SD**2 + _ASPECT_SD**2 + _ALIKE**2 * np.eye(2)
+    if tapers_alike:
+        cov[11:, 11:] = taper**2 + _TIED**2 * np.eye(2)
+    root = np.linalg.inv(np.linalg.cholesky(cov))
+    return Family(name, mean, cov, root, starts or ((along[0], across[0]),), fields)
+
+
+_SHARP = (0.1, 0.06)
+_ROUND = (1.0, _TIED)
+FREE = _family(
+    "free",
+    (0.8, 0.5),
+    (0.8, 0.5),
+    taper=0.15,
+    tapers_alike=False,
+    starts=((1.0, 1.0), (0.25, 1.0), (0.25, 0.25)),
+    fields=_FIELDS,
+)
+FAMILIES = (
+    _family("ellipsoid", _ROUND, _ROUND),
+    _family("cylinder", _SHARP, _ROUND, round_across=True),
+    _family("cone", _SHARP, _ROUND, taper=0.15, round_across=True),
+    _family("box", _SHARP, _SHARP),
+    FREE,
+)
+"""In the order of how few numbers they have."""

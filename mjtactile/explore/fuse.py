@@ -1,0 +1,291 @@
+"""One surface out of patches: each family of bodies fitted, with a field of what it leaves over,
+and weighed by its evidence (docs/equations.md, Eq. E3 to E5)."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.linalg import block_diag, cho_factor, cho_solve, solve_triangular
+from scipy.optimize import OptimizeResult, least_squares
+from scipy.spatial.transform import Rotation
+
+from mjtactile.core.types import Array
+from mjtactile.explore import body
+from mjtactile.explore.families import FAMILIES, HALF, Family
+from mjtactile.explore.patch import Patch, between
+from mjtactile.explore.surface import Surface, kernel, unknown
+
+_MM = 1e3
+_FIRST_FIELD = (0.15, 8.0)  # mm
+_FREE_SD = 0.5  # mm: how sharply what was free is outside; neighbours tell the same
+_FREE_MOST = 1.0  # mm: no further does one such point pull
+_FREE_OUT = 0.3  # mm: what was free is so far outside, give or take the same
+_FREE_APART = 2.5  # mm between such points
+_WIDE = 3.0  # sd beyond which a point pulls less and less
+_ALLOWED = 0.1  # mm that a patch of the right kind may be off a body
+_DOUBT = 4.0  # sd, from which on a whole patch may be elsewhere: an edge taken for a face
+_DOUBT_SD = (1.0, 0.2)  # mm and rad by which it then may
+_DOUBT_ODDS = np.log(0.1)
+_STRAY = 4.5  # sd, from which on a point does not belong
+_STRAY_SD = 1.0  # mm by which it then may be off
+_STRAY_ODDS = np.log(0.05)
+_STRAYS = 0.25  # of all points, at most
+_ROUNDS = 40
+_FIRST_ROUNDS = 12
+_STARTS = 2  # that are followed to the end
+_PLACES = 3  # from which it is tried again where a body is known
+_SCALE = np.array([1.0] * 3 + [0.1] * 3 + [0.05] * 3 + [0.1] * 2 + [0.05] * 2)
+
+
+def fuse(patches: Sequence[Patch], before: Sequence[Surface] = ()) -> list[Surface]:
+    """The surfaces that patches may lie on.
+
+    Args:
+        patches: Of one object.
+        before: What was believed without the newest of them: where to start from.
+
+    Returns:
+        The likeliest surface of each family, the likeliest family first.
+    """
+    if not patches:
+        return [unknown()]
+    data = _Data.of(patches)
+    places = _starts(patches)
+    known = {one.family.name: one.theta for one in before if len(one.points)}
+    found = [_of_family(data, family, places, known.get(family.name)) for family in FAMILIES]
+    return sorted(found, key=lambda one: -one.log_evidence)
+
+
+def shares(surfaces: Sequence[Surface]) -> Array:
+    """Probability of each, (N,), all families alike beforehand."""
+    told = np.array([one.log_evidence for one in surfaces])
+    weight = np.exp(told - told.max())
+    return weight / weight.sum()
+
+
+def _of_family(
+    data: _Data, family: Family, places: Sequence[Array], known: Array | None
+) -> Surface:
+    """The likeliest body of a family, and field."""
+    starts = []
+    if known is not None:
+        starts, places = [known], places[:_PLACES]
+    for place, exponents in itertools.product(places, family.starts):
+        starts.append(np.concatenate([place, exponents, [0.0, 0.0]]))
+    tried = sorted((_robust(data, family, one, _FIRST_ROUNDS) for one in starts), key=_cost)
+    theta = min((_robust(data, family, one.x, _ROUNDS) for one in tried[:_STARTS]), key=_cost).x
+    data = data.with_doubt(theta).with_free(theta)
+    theta = _solve(data, family, _FIRST_FIELD, theta).x
+    fields = [_with_field(data, family, theta, field) for field in family.fields]
+    likeliest = max(fields, key=lambda one: one.log_evidence)
+    theta = _solve(data, family, likeliest.field, theta).x
+    return _with_field(data, family, theta, likeliest.field)
+
+
+def _cost(found: OptimizeResult) -> float:
+    return float(found.cost)
+
+
+@dataclass(frozen=True, eq=False)
+class _Data:
+    """Points in mm, how far each is outside, mm, with its covariance mm^2; what is free; the points
+    of each patch; and the logarithm of the odds of all that was doubted."""
+
+    points: Array
+    outside: Array
+    noise: Array
+    free: Array
+    parts: tuple[slice, ...]
+    odds: float = 0.0
+
+    @classmethod
+    def of(cls, patches: Sequence[Patch]) -> _Data:
+        points = _MM * np.concatenate([patch.points for patch in patches])
+        noise: Array = np.asarray(block_diag(*(_MM**2 * patch.covariance() for patch in patches)))
+        if any(patch.group for patch in patches):
+            noise += _MM**2 * np.block(
+                [[between(one, other) for other in patches] for one in patches]
+            )
+        free = _thinned(_MM * np.concatenate([patch.free for patch in patches]))
+        ends = np.cumsum([len(patch.points) for patch in patches])
+        parts = tuple(slice(end - len(p.points), end) for end, p in zip(ends, patches, strict=True))
+        return cls(points, np.zeros(len(points)), noise, free, parts)
+
+    def left(self, theta: Array) -> Array:
+        """What a body leaves unexplained at the points, mm."""
+        return self.outside - body.distance(theta, self.points)
+
+    def with_doubt(self, theta: Array) -> _Data:
+        """With less belief in patches, and then in points, that a body says are elsewhere: where an
+        edge was taken for a face, a patch to be wider than it is. What is doubted costs odds."""
+        left = self.left(theta)
+        noise = self.noise.copy()
+        odds = self.odds
+        for part in self.parts:
+            own = np.sqrt(noise[part, part].diagonal().min() + _ALLOWED**2)
+            if np.median(np.abs(left[part])) < _DOUBT * own:
+                continue
+            odds += _DOUBT_ODDS
+            off = self.points[part] - self.points[part].mean(axis=0)
+            height, tilt = _DOUBT_SD
+            noise[part, part] += height**2 + tilt**2 * off @ off.T
+        field = kernel(self.points, self.points, *_FIRST_FIELD)
+        for _ in range(int(_STRAYS * len(left))):
+            inverse = np.linalg.inv(field + noise)
+            off = np.abs(inverse @ left) / np.sqrt(np.diag(inverse))
+            worst = int(off.argmax())
+            if off[worst] < _STRAY:
+                break
+            noise[worst, worst] += _STRAY_SD**2
+            odds += _STRAY_ODDS
+        return replace(self, noise=noise, odds=odds)
+
+    def with_free(self, theta: Array) -> _Data:
+        """With some of what was free, where the body would be there: as points a little outside."""
+        inside = body.distance(theta, self.free)
+        chosen: list[Array] = []
+        for index in np.argsort(inside)[: np.count_nonzero(inside < 0)]:
+            place = self.free[index]
+            if all(np.linalg.norm(place - other) > _FREE_APART for other in chosen):
+                chosen.append(place)
+        if not chosen:
+            return self
+        count = len(chosen)
+        noise = np.asarray(block_diag(self.noise, _FREE_OUT**2 * np.eye(count)))
+        outside = np.append(self.outside, np.full(count, _FREE_OUT))
+        return replace(
+            self, points=np.concatenate([self.points, chosen]), outside=outside, noise=noise
+        )
+
+
+def _thinned(places: Array) -> Array:
+    """One of those in each cell as wide as they need to be apart."""
+    cells = np.floor(places / _FREE_APART).astype(int)
+    return places[np.unique(cells, axis=0, return_index=True)[1]]
+
+
+Told = Callable[[Array], Array]
+"""Of the body's numbers: what is left, (N,), or its derivatives (N, 13)."""
+
+
+def _least_squares(left: Told, slopes: Any, start: Array, rounds: int) -> OptimizeResult:
+    start = np.clip(start, body.LOW + 1e-6, body.HIGH - 1e-6)
+    return least_squares(
+        left, start, slopes, bounds=(body.LOW, body.HIGH), x_scale=_SCALE, max_nfev=rounds
+    )
+
+
+def _free_and_prior(data: _Data, family: Family, theta: Array) -> list[Array]:
+    free = np.clip(body.distance(theta, data.free), -_FREE_MOST, 0.0) / _FREE_SD
+    return [free, family.root @ (theta - family.mean)]
+
+
+def _slopes(data: _Data, family: Family, theta: Array) -> tuple[Array, list[Array]]:
+    """By the body's numbers: of its distances at the points, and of what is free and the prior."""
+    inside = body.distance(theta, data.free)
+    pulls = np.flatnonzero((inside < 0) & (inside > -_FREE_MOST))
+    rows = body.by_numbers(theta, np.concatenate([data.points, data.free[pulls]]))
+    count = len(data.points)
+    free = np.zeros((len(data.free), body.COUNT))
+    free[pulls] = rows[count:] / _FREE_SD
+    return rows[:count], [free, family.root]
+
+
+def _robust(data: _Data, family: Family, start: Array, rounds: int) -> OptimizeResult:
+    """A body near to most points, each by itself; those far off pull less (Cauchy's loss)."""
+    sd = np.sqrt(np.diag(data.noise) + _ALLOWED**2)
+    for part in data.parts:
+        sd[part] *= np.sqrt(max(part.stop - part.start, 4) / 4)
+
+    def soft(off: Array) -> Array:
+        return np.sign(off) * _WIDE * np.sqrt(np.log1p((off / _WIDE) ** 2))
+
+    def left(theta: Array) -> Array:
+        touched = soft(data.left(theta) / sd)
+        return np.concatenate([touched, *_free_and_prior(data, family, theta)])
+
+    def slopes(theta: Array) -> Array:
+        off = data.left(theta) / sd
+        near = np.abs(off) < 1e-6
+        ratio = np.divide(off, soft(off), out=np.ones_like(off), where=~near)
+        by_off = ratio / (1 + (off / _WIDE) ** 2)
+        touched, others = _slopes(data, family, theta)
+        return np.concatenate([-(by_off / sd)[:, None] * touched, *others])
+
+    return _least_squares(left, slopes, start, rounds)
+
+
+def _solve(data: _Data, family: Family, field: tuple[float, float], start: Array) -> OptimizeResult:
+    """The body that is likeliest, from a start."""
+    root = np.linalg.cholesky(kernel(data.points, data.points, *field) + data.noise)
+
+    def left(theta: Array) -> Array:
+        touched = solve_triangular(root, data.left(theta), lower=True)
+        return np.concatenate([touched, *_free_and_prior(data, family, theta)])
+
+    def slopes(theta: Array) -> Array:
+        touched, others = _slopes(data, family, theta)
+        return np.concatenate([-solve_triangular(root, touched, lower=True), *others])
+
+    return _least_squares(left, slopes, start, _ROUNDS)
+
+
+def _with_field(data: _Data, family: Family, theta: Array, field: tuple[float, float]) -> Surface:
+    """The field and the body's numbers about `theta`, from what was touched (Eq. E3), and how
+    likely all of it is (Eq. E5)."""
+    rows = body.by_numbers(theta, data.points)
+    own = kernel(data.points, data.points, *field) + data.noise
+    cov = rows @ family.cov @ rows.T + own
+    factor = cho_factor(cov, lower=True)
+    expected = data.left(theta) - rows @ (family.mean - theta)
+    evidence = -0.5 * float(expected @ cho_solve(factor, expected)) - float(
+        np.log(np.diag(factor[0])).sum()
+    )
+    free = _free_and_prior(data, family, theta)[0]
+    evidence += data.odds - 0.5 * float(free @ free)
+    # at the likeliest body its own share of what is left over is nothing
+    weights = cho_solve(cho_factor(own, lower=True), data.left(theta))
+    return Surface(family, theta, field, data.points, weights, factor, evidence)
+
+
+def _starts(patches: Sequence[Patch]) -> list[Array]:
+    """Places, turns and sizes (9,) to start from: about the place where the patches' normals meet,
+    of a ball's size, in likely turns."""
+    middles = _MM * np.stack([patch.middle for patch in patches])
+    normals = np.stack([patch.normal for patch in patches])
+    centre, radius = _meeting(middles, normals)
+    sizes = np.full(3, np.log(radius))
+    starts = []
+    for R in _turns(middles, normals):
+        starts.append(np.concatenate([centre, Rotation.from_matrix(R).as_rotvec(), sizes]))
+    return starts
+
+
+def _meeting(middles: Array, normals: Array) -> tuple[Array, float]:
+    """Centre and radius, mm, of the ball that the patches are on, as far as they say, else of 15
+    mm."""
+    rows = np.concatenate([np.tile(np.eye(3), (len(middles), 1)), np.zeros((1, 3))])
+    rows = np.column_stack([rows, np.append(normals.ravel(), 0.0)])
+    rows[-1, 3] = 0.5
+    goal = np.append(middles.ravel(), 0.5 * HALF)
+    found = np.linalg.lstsq(rows, goal, rcond=None)[0]
+    return found[:3], float(np.clip(found[3], 5.0, 40.0))
+
+
+def _turns(middles: Array, normals: Array) -> list[Array]:
+    """Rotations (3, 3) whose axes may be the body's: those of its normals, in three orders."""
+    bases = [np.linalg.eigh(normals.T @ normals + 1e-6 * np.diag([3.0, 2.0, 1.0]))[1]]
+    for i, j in itertools.combinations(range(len(normals)), 2):
+        if abs(normals[i] @ normals[j]) < 0.2 and len(bases) < 3:
+            third = np.cross(normals[i], normals[j])
+            third /= np.linalg.norm(third)
+            bases.append(np.column_stack([normals[i], np.cross(third, normals[i]), third]))
+    turns = []
+    for basis in bases:
+        right = basis * np.sign(np.linalg.det(basis))
+        turns += [np.roll(right, shift, axis=1) for shift in range(3)]
+    return turns

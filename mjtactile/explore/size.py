@@ -1,0 +1,105 @@
+"""How large an explored object is, how sure that is, and where a touch would tell more of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjtactile.core.types import Array
+from mjtactile.explore.fuse import shares
+from mjtactile.explore.patch import Patch
+from mjtactile.explore.plan import Mesh
+from mjtactile.explore.surface import Surface
+
+_END = 5e-4  # m from the outermost point: what counts as an end
+_FACING = 0.8  # cosine of an end's normal with the axis
+_SAMPLES = 24  # places of an end
+_SEEN_SD = 5e-5  # m, of what a touch says
+_RIVAL = 0.02  # share from which on another family counts
+
+
+@dataclass(frozen=True, eq=False)
+class Sizes:
+    """Extents along the surface's principal axes, the largest first: `mean` (3,) m, `sd` (3,) m
+    over what is not known of it and which family it is, and `interval` (3, 2) m, 68 %, which has
+    at least the extent of what was touched."""
+
+    mean: Array
+    sd: Array
+    interval: Array
+
+
+def principal_sizes(mesh: Mesh) -> tuple[Array, Array]:
+    """Extents (3,) m of a surface along its own principal axes, the largest first, and these axes
+    as columns (3, 3)."""
+    weights = mesh.areas()
+    off = mesh.vertices - np.average(mesh.vertices, axis=0, weights=weights)
+    axes = np.linalg.eigh((off * weights[:, None]).T @ off)[1][:, ::-1]
+    return np.ptp(off @ axes, axis=0), axes
+
+
+def sizes(meshes: Sequence[Mesh], surfaces: Sequence[Surface], patches: Sequence[Patch]) -> Sizes:
+    """How large it is.
+
+    Args:
+        meshes: Of the likeliest surface, and of those of its rivals that count.
+        surfaces: The surfaces, the likeliest first.
+        patches: What was touched.
+
+    Returns:
+        The sizes.
+    """
+    mean, axes = principal_sizes(meshes[0])
+    share = shares(surfaces)[: len(meshes)]
+    share = share / share.sum()
+    variance = np.zeros(3)
+    for weight, mesh, surface in zip(share, meshes, surfaces, strict=False):
+        other = np.ptp(mesh.vertices @ axes, axis=0)
+        own = [_variance(surface, _ends(mesh, axis)) for axis in axes.T]
+        variance += weight * (np.array(own) + (other - mean) ** 2)
+    sd = np.sqrt(variance)
+    high = mean + sd
+    if patches:
+        points = np.concatenate([patch.points for patch in patches])
+        high = np.maximum(high, np.ptp(points @ axes, axis=0))
+    return Sizes(mean, sd, np.column_stack([mean - sd, high]))
+
+
+def rivals(surfaces: Sequence[Surface]) -> list[Surface]:
+    """Those that may be meant, the likeliest first."""
+    return [one for one, share in zip(surfaces, shares(surfaces), strict=True) if share > _RIVAL]
+
+
+def news_of_size(mesh: Mesh, surface: Surface) -> Array:
+    """By how much a touch at each vertex would make the three sizes better known, (V,) m: root of
+    what it takes off their variances."""
+    _, axes = principal_sizes(mesh)
+    doubt = mesh.sd**2 + _SEEN_SD**2
+    told = np.zeros(len(mesh.vertices))
+    for axis in axes.T:
+        ends = _ends(mesh, axis)
+        across = sum(surface.distance_cov(mesh.vertices, end).mean(axis=1) for end in ends)
+        told += across**2 / doubt
+    return np.sqrt(told)
+
+
+def _ends(mesh: Mesh, axis: Array) -> list[Array]:
+    """Places (N, 3) m at either end of a surface along an axis: of a flat end its face, of a round
+    one its tip."""
+    found = []
+    for way in (axis, -axis):
+        along = mesh.vertices @ way
+        outer = along > along.max() - _END
+        face = np.flatnonzero(outer & (mesh.normals @ way > _FACING))
+        chosen = face if len(face) else np.array([int(along.argmax())])
+        found.append(mesh.vertices[chosen[:: -(-len(chosen) // _SAMPLES)]])
+    return found
+
+
+def _variance(surface: Surface, ends: Sequence[Array]) -> float:
+    """m^2, of the distance between two ends."""
+    places = np.concatenate(list(ends))
+    weight = np.concatenate([np.full(len(end), 1 / len(end)) for end in ends])
+    return max(float(weight @ surface.distance_cov(places, places) @ weight), 0.0)
