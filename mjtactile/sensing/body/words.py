@@ -57,8 +57,11 @@ def words(
 def said_cov(found: Fit, scale: float, s: BodySettings) -> Array:
     """Covariance of a body's numbers, with what the film has wrong."""
     shares = {"k": s.curvature_share, "radius": s.size_share, "half": s.size_share}
-    share = np.array([shares.get(name.split("_")[0], 0.0) for name in found.family.names])
-    return found.cov_with(s.said_noise * scale) + np.diag((share * found.theta) ** 2)
+    kinds = [name.split("_")[0] for name in found.family.names]
+    share = np.array([shares.get(kind, 0.0) for kind in kinds])
+    cov = found.cov_with(s.said_noise * scale) + np.diag((share * found.theta) ** 2)
+    told = np.array([s.curvature_said if kind == "k" else 1.0 for kind in kinds])
+    return cov * np.outer(told, told)
 
 
 @dataclass(frozen=True)

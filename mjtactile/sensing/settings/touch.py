@@ -79,6 +79,11 @@ class BodySettings:
     curvature_share: float = number(
         0.025, "of a curvature, that the film has wrong, as sd", _PRESSED_SHAPES
     )
+    curvature_said: float = number(
+        0.8,
+        "times its sd: of a press that is followed, what images have wrong is less alike in them",
+        _PRESSED_SHAPES,
+    )
     size_share: float = number(0.07, "the same of a face's radius or half side", _PRESSED_SHAPES)
     area_light: float = number(
         0.985,
