@@ -142,18 +142,19 @@ int64_t rubber_remembers(int64_t m, const int64_t *triangles, int64_t n, const d
             C[0] += stretch2 * g[0][k] * g[0][k], C[1] += stretch2 * g[1][k] * g[1][k], C[2] += stretch2 * g[0][k] * g[1][k];
         }
         double q = thickness_over_area(log(fmax(C[0] * C[1] - C[2] * C[2], FLATTEST)), poisson);
-        double W = shear * energy(C, q, poisson), by = shear;
-        most[t] = fmax(most[t], W);
-        by *= 1 - softening * erf((most[t] - W) / softening_energy);
+        double by = shear;
+        if (softening > 0) { /* else nobody asks for the energy, a third of the time */
+            double W = shear * energy(C, q, poisson);
+            most[t] = fmax(most[t], W), by *= 1 - softening * erf((most[t] - W) / softening_energy);
+        }
         double S[3] = {by * (1 - q * C[1]), by * (1 - q * C[0]), by * q * C[2]};
         scale[t] = quick * by / shear;
-        for (int64_t i = 0; i < terms; i++)
-            for (int k = 0; k < 3; k++) {
-                double *r = before + 3 * (i + 1) + k;
-                *r = kept[i] * *r + (1 - kept[i]) * shares[i] * (before[k] + S[k]) / 2;
-                faded[k] += *r;
-            }
+        double mean[3] = {(before[0] + S[0]) / 2, (before[1] + S[1]) / 2, (before[2] + S[2]) / 2};
         memcpy(before, S, sizeof S);
+        for (int64_t i = 0; i < terms; i++) {
+            double *r = before + 3 * (i + 1), gained = (1 - kept[i]) * shares[i];
+            for (int k = 0; k < 3; k++) r[k] = kept[i] * r[k] + gained * mean[k], faded[k] += r[k];
+        }
         for (int k = 0; k < 3; k++) {
             double one = faded[0] * g[0][k] + faded[2] * g[1][k], two = faded[2] * g[0][k] + faded[1] * g[1][k];
             double u = section[t] * (in[0] * one + in[2] * two), w = section[t] * (in[1] * one + in[3] * two);
