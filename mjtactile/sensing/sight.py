@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -48,6 +49,7 @@ class MarkerSight:
         self._smallest_px = max(
             1.5, 0.33 * camera.fx * design.markers.radius / design.camera.distance
         )
+        self._largest_px = _largest_px(design, camera)
 
     def see(self, state: ChainState, image: Image) -> tuple[Markers, ChainState]:
         """The markers of one image in S, and the state that expects them there; see
@@ -83,6 +85,7 @@ class MarkerSight:
             state.tracks,
             self._circles,
             min_radius_px=self._smallest_px,
+            max_radius_px=self._largest_px,
             settings=self.settings,
         )
 
@@ -121,7 +124,12 @@ class MarkerSight:
             return
         settings = self.settings
         ellipses, _ = tracking.follow(
-            image, None, self._circles, min_radius_px=self._smallest_px, settings=settings
+            image,
+            None,
+            self._circles,
+            min_radius_px=self._smallest_px,
+            max_radius_px=self._largest_px,
+            settings=settings,
         )
         if is_overexposed(grey_image(image), ellipses, "dark", settings.locate):
             raise DeviceError(
@@ -137,6 +145,15 @@ class MarkerSight:
                 f"sensor {self.design.name}: {what}: only {known} of {self.design.markers.count} "
                 "markers found; check lighting, focus and the sensor file"
             )
+
+
+def _largest_px(design: SensorDesign, camera: Camera) -> float:
+    """Radius, px, of no marker: twice that of one at the pane. Only a frame that is no rectangle
+    has an edge that looks like a circle, and encloses all markers."""
+    if design.frame.outline is None:
+        return math.inf
+    nearest = max(design.camera.distance - design.chamber.depth, 1e-3)
+    return 2 * camera.fx * design.markers.radius / nearest
 
 
 def moved(expected: Array, markers: Markers) -> Array:

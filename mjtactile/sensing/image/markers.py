@@ -3,6 +3,7 @@ judgement of each."""
 
 from __future__ import annotations
 
+import math
 from typing import Any, Literal
 
 import numpy as np
@@ -49,15 +50,19 @@ def search(
     polarity: Polarity = "dark",
     *,
     min_radius_px: float = 1.5,
+    max_radius_px: float = math.inf,
     settings: Settings = DEFAULTS,
 ) -> tuple[EdgeFit, NDArray[np.str_]]:
-    """`detect` in a grey image (H, W): the fits, and the status of each."""
+    """`detect` in a grey image (H, W): the fits, and the status of each; what is larger than
+    `max_radius_px` is left out, as is a round frame's own edge."""
     eight = eight_bit(grey)
     s = settings.markers
     found = candidates.find(
         eight if polarity == "dark" else 255 - eight, min_radius_px, settings.candidates
     )
     found = found.take(implausible(found, min_radius_px, s) == "")
+    if max_radius_px < math.inf:
+        found = found.take(np.sqrt(found.shape[:, 0] * found.shape[:, 2]) < max_radius_px)
     fit = fit_candidates(grey, found, settings)
     status, keep = judge(fit, found, polarity, grey.shape, min_radius_px, s)
     return (fit, status) if keep.all() else (fit.take(keep), status[keep])

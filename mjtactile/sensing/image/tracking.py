@@ -10,6 +10,7 @@ something looked odd.
 
 from __future__ import annotations
 
+import math
 import statistics
 from dataclasses import dataclass
 
@@ -43,6 +44,7 @@ def follow(
     count: int,
     *,
     min_radius_px: float,
+    max_radius_px: float = math.inf,
     settings: Settings = DEFAULTS,
 ) -> tuple[Ellipses, Tracks | None]:
     """Dark markers in `image`, of which there are `count`, as `markers.detect` finds them, and what
@@ -55,7 +57,9 @@ def follow(
         velocity = (fit.center - before.fit.center) / step if step > 0 else before.velocity
         status = np.full(len(fit.center), "ok", dtype="<U24")
         return as_ellipses(fit, status), Tracks(image.time, fit, velocity, count, before.left - 1)
-    fit, status = markers.search(grey, min_radius_px=min_radius_px, settings=settings)
+    fit, status = markers.search(
+        grey, min_radius_px=min_radius_px, max_radius_px=max_radius_px, settings=settings
+    )
     good = fit.take(status == "ok")
     if not len(good.center):
         return as_ellipses(fit, status), None
