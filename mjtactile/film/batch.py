@@ -9,7 +9,7 @@ from functools import cache
 
 import numpy as np
 
-from mjtactile.film.state import FilmBatch, FilmState
+from mjtactile.film.state import FOUND, FilmBatch, FilmState
 
 _SHARES = 4  # of a batch that a thread takes, one after the other
 
@@ -37,17 +37,24 @@ def share_out(count: int, threads: int, solve: Callable[[int, slice], None]) -> 
             other.result()
 
 
+def new_batch(count: int, grid: tuple[int, int]) -> FilmBatch:
+    """Memory for `count` states, with nothing in it yet."""
+    x, trend = (np.empty((count, parts, *grid)) for parts in (3, 4))
+    return FilmBatch(x, np.empty((count, *grid)), np.empty((count, FOUND)), trend)
+
+
 def begin(made: FilmBatch, batch: FilmBatch | None, rest: FilmState, part: slice) -> None:
     """Write where environments `part` of `made` begin: at `batch`, or, where that is none, at rest.
 
     In the thread that goes on with them: memory that is new costs as much as a fifth of a solution.
     """
     assert made.trend is not None
-    made.trend[part] = 0.0 if batch is None or batch.trend is None else batch.trend[part]
     if batch is None:
-        made.x[part], made.force[part] = rest.x, rest.force
+        made.x[part], made.force[part], made.trend[part] = rest.x, rest.force, 0.0
         return
-    made.x[part], made.force[part] = batch.x[part], batch.force[part]
+    if made is not batch:
+        made.x[part], made.force[part] = batch.x[part], batch.force[part]
+        made.trend[part] = 0.0 if batch.trend is None else batch.trend[part]
     lost = np.flatnonzero(~batch.converged[part]) + part.start
     made.x[lost], made.force[lost], made.trend[lost] = rest.x, rest.force, 0.0
 

@@ -12,7 +12,7 @@ from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.film import bodies
-from mjtactile.film.batch import begin, share_out
+from mjtactile.film.batch import begin, new_batch, share_out
 from mjtactile.film.bodies import Obstacle
 from mjtactile.film.derivatives import FilmDerivatives, Shape, changed_bodies, gathered
 from mjtactile.film.inflating import inflate
@@ -169,6 +169,7 @@ class Film:
         *,
         threads: int = 1,
         again: bool = True,
+        into: FilmBatch | None = None,
     ) -> FilmBatch:
         """Where the films of several environments rest.
 
@@ -178,24 +179,27 @@ class Film:
             threads: among which environments are shared out; results are the same bits with any.
             again: whether what finds no rest from where it starts is tried from rest, which costs
                 many times as much.
+            into: a batch of as many that is not wanted any more, which may be `batch`, to be
+                written over: new memory costs up to a fifth of a solution, and in threads more.
 
         Returns:
             The states, one after the other. What cannot be has a status, and raises nothing.
 
         Raises:
             InputError: no environment, or another number of bodies in one, or of environments in
-                `batch`.
+                `batch` or `into`.
         """
         counts = {len(one) for one in obstacles}
         if len(counts) != 1:
             raise InputError("every environment wants as many bodies", field="obstacles")
         count = len(obstacles)
         rows, pool = bodies.pooled([body for one in obstacles for body in one], self.grid)
-        if batch is not None and len(batch.x) != count:
-            raise InputError(f"has {len(batch.x)} environments, not {count}", field="batch")
-        x, trend = (np.empty((count, parts, *self.grid)) for parts in (3, 4))
-        force, found = np.empty((count, *self.grid)), np.empty((count, FOUND))
-        made = FilmBatch(x, force, found, trend)
+        for field, given in (("batch", batch), ("into", into)):
+            if given is not None and given.x.shape != (count, 3, *self.grid):
+                raise InputError(
+                    f"is of {given.x.shape}, not {(count, 3, *self.grid)}", field=field
+                )
+        made = new_batch(count, self.grid) if into is None or into.trend is None else into
         settings = np.tile([self._gas, self.sealed, TOLERANCE, _MOST_STEPS, again, 0.0], (count, 1))
         threads = max(1, min(threads, count))
         self._rooms += [np.empty_like(self._room) for _ in range(len(self._rooms), threads)]
@@ -203,7 +207,8 @@ class Film:
         def solve(number: int, part: slice) -> None:
             begin(made, batch, self.rest, part)
             ends = (part.start, part.stop)
-            fields = (x, force, trend, found)
+            assert made.trend is not None
+            fields = (made.x, made.force, made.trend, made.found)
             self._run(settings, rows, pool, fields, room=self._rooms[number], part=ends)
 
         share_out(count, threads, solve)

@@ -73,7 +73,7 @@ def other_designs():
 
 @pytest.mark.parametrize("case", other_designs())
 def test_other_sheets_and_pressures_are_the_full_membrane_s(case):
-    film = benchmarks.film._film(case, (41, 31), {})
+    film = benchmarks.film._film(case, (41, 31))
     state = film.solve(benchmarks.film._body(film, case))
     # nodes are 1 mm apart, and the independent sheet's 0.5 mm
     assert state.force_normal == pytest.approx(case["force_N"], rel=0.015)
@@ -169,6 +169,12 @@ def test_a_batch_is_each_of_its_films_with_any_number_of_threads(coarse):
     on = [coarse.solve_batch(obstacles, one, threads=threads) for threads in (2, 5)]
     np.testing.assert_array_equal(on[0].force, on[1].force)
     np.testing.assert_array_equal(on[0].trend, on[1].trend)
+    again = coarse.solve_batch(obstacles, one, into=three)  # in memory of another, and in its own
+    assert again is three
+    np.testing.assert_array_equal(again.x, on[0].x)
+    np.testing.assert_array_equal(coarse.solve_batch(obstacles, one, into=one).trend, on[0].trend)
+    with pytest.raises(InputError, match="into"):
+        coarse.solve_batch(obstacles[:3], into=one)
 
 
 def test_a_film_that_went_to_another_process_is_the_same(coarse):
