@@ -64,7 +64,7 @@ def run(
         _row(FILM, held["force_noise_N"], force, _rms(apart), held["film_ms"]),
         _row(DRAWN, 0.0, felt, math.nan, held["film_ms"] + held["drawing_ms"]),
     ]
-    count = pairs or (PAIRS_QUICK if quick else PAIRS)
+    count = (PAIRS_QUICK if quick else PAIRS) if pairs is None else pairs
     ended = [_outcomes(FIRST_SEED + k, k, count, say) for k in range(count)]
     for row in rows:
         row["outcomes"] = count
@@ -167,6 +167,11 @@ def table(result: dict[str, Any]) -> str:
             f"| {names[row['effects']]} | `{row['effects']}` | {row['timestep_ms']:.2f} "
             f"| {1e3 * row['force_error_N']:.1f} | {'' if surface is None else f'{surface:.0f}'} "
             f"| {1e3 * row['force_noise_N']:.1f} | {row['ms_per_s']:.0f} "
-            f"| {row['same_outcomes']} of {row['outcomes']} |"
+            f"| {_share(row)} |"
         )
     return "\n".join(lines) + "\n"
+
+
+def _share(row: dict[str, Any]) -> str:
+    """Of episodes that end alike; "" where none was tried."""
+    return f"{row['same_outcomes']} of {row['outcomes']}" if row["outcomes"] else ""

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
@@ -50,6 +49,8 @@ class Forward:
         x, y = np.meshgrid(self.film.x, self.film.y, indexing="ij")
         self.nodes: tuple[Array, Array] = (x, y)
         material = design.markers.p_SM
+        from scipy.interpolate import make_interp_spline  # a fifth of a command's imports
+
         self._across, self._along = (
             make_interp_spline(nodes, np.eye(len(nodes)))(np.clip(at, nodes[0], nodes[-1]))
             for nodes, at in zip((self.film.x, self.film.y), material[:, :2].T, strict=True)
