@@ -91,7 +91,16 @@ def _explored(case: Case, touches: int) -> dict[str, Any]:
     said = found.summary()
     kept = {
         name: said[name]
-        for name in ("touches", "patches", "surface_sd_mm", "size_mm", "failures", "stiffness_N_m")
+        for name in (
+            "touches",
+            "patches",
+            "body",
+            "surface_sd_mm",
+            "size_mm",
+            "size_sd_mm",
+            "failures",
+            "stiffness_N_m",
+        )
     }
     forces = [patch.force for patch in found.patches]
     return {
@@ -116,10 +125,11 @@ def table(result: Mapping[str, Any]) -> str:
     """Markdown."""
     rows = result["rows"]
     lines = [
-        "| object | pose | touches | surface error, rms (95 %), mm | size, worst of three, % | "
-        "believed error, mm | within 2 sd, % | most force felt, N | processor, s |",
-        "|---" * 9 + "|",
-        "| asked | | 12 | 0.7 (aim 0.3) | 3 (aim 1) | | 95 | | |",
+        "| object | pose | touches | body | surface error, rms (95 %), mm | size, worst of three, "
+        "% | sizes within their 68 % | believed error, mm | within 2 sd, % | most force felt, N | "
+        "processor, s |",
+        "|---" * 11 + "|",
+        "| asked | | 12 | | 0.7 (aim 0.3) | 3 (aim 1) | 2 of 3 | | 95 | | |",
     ]
     lines += [_line(row) for row in rows]
     good = [row for row in rows if "failed" not in row]
@@ -132,16 +142,25 @@ def table(result: Mapping[str, Any]) -> str:
                 float(np.median([row[name] for row in chosen]))
                 for name in ("surface_error_mm_true", "size_error_true")
             )
-            lines.append(f"| **{label}** | | | {error:.2f} | {100 * size:.1f} | | | | |")
+            lines.append(_median(label, chosen, error, size))
     return "\n".join(lines) + "\n"
+
+
+def _median(label: str, rows: list[Mapping[str, Any]], error: float, size: float) -> str:
+    within = sum(round(3 * row["sizes_within_true"]) for row in rows)
+    return (
+        f"| **{label}** | | | | {error:.2f} | {100 * size:.1f} | {within} of {3 * len(rows)} | | "
+        "| | |"
+    )
 
 
 def _line(row: Mapping[str, Any]) -> str:
     if "failed" in row:
-        return f"| {row['object']} | {row['seed']} | failed: {row['failed']} | | | | | | |"
+        return f"| {row['object']} | {row['seed']} | failed: {row['failed']} | | | | | | | | |"
     return (
-        f"| {row['object']} | {row['seed']} | {row['touches']} | "
+        f"| {row['object']} | {row['seed']} | {row['touches']} | {row['body']} | "
         f"{row['surface_error_mm_true']:.2f} ({row['surface_error_95_mm_true']:.2f}) | "
-        f"{100 * row['size_error_true']:.1f} | {row['surface_sd_mm']:.2f} | "
+        f"{100 * row['size_error_true']:.1f} | {3 * row['sizes_within_true']:.0f} of 3 | "
+        f"{row['surface_sd_mm']:.2f} | "
         f"{100 * row['within_2_sd_true']:.0f} | {row['force_most_N']:.2f} | {row['seconds']:.0f} |"
     )

@@ -20,7 +20,7 @@ from mjtactile.explore.patch import Patch, between
 from mjtactile.explore.surface import Surface, kernel, unknown
 
 _MM = 1e3
-_FIRST_FIELD = (0.15, 8.0)  # mm
+_FIRST_FIELD = (0.05, 8.0)  # mm: with more, bumps take up what is of doubtful patches
 _FREE_SD = 0.5  # mm: how sharply what was free is outside; neighbours tell the same
 _FREE_MOST = 1.0  # mm: no further does one such point pull
 _FREE_OUT = 0.3  # mm: what was free is so far outside, give or take the same

@@ -10,8 +10,10 @@ from scipy.spatial import cKDTree
 from mjtactile.core.types import Array
 from mjtactile.explore.plan import Mesh
 from mjtactile.explore.run import Explored
+from mjtactile.explore.size import principal_sizes
 from mjtactile.sim.true_surface import TrueSurface
 
+_FACETS = 5e-5  # m, that a triangle's edge takes off a size
 _APART = (
     2e-3  # m: a true point that is farther than this from all vertices is not beside the surface
 )
@@ -29,7 +31,8 @@ def score(found: Explored, true: TrueSurface, p_HO: Array, R_HO: Array) -> dict[
     Returns:
         `surface_error_mm_true` (root mean square of distances from either surface to the other),
         `surface_error_worst_mm_true` (95 % are below), `size_error_true` (of three extents along
-        the object's axes, the worst share), `within_2_sd_true` (share of the believed surface).
+        the object's axes, the worst share), `within_2_sd_true` (share of the believed surface),
+        `sizes_within_true` (share of the three believed sizes whose interval has the true one).
     """
     mesh = found.mesh
     vertices = (mesh.vertices - p_HO) @ R_HO
@@ -47,7 +50,17 @@ def score(found: Explored, true: TrueSurface, p_HO: Array, R_HO: Array) -> dict[
         "within_2_sd_true": float(
             np.average(np.abs(outside) < 2 * np.maximum(mesh.sd, 3e-5), weights=weights)
         ),
+        "sizes_within_true": _sizes_within(found, true.points @ R_HO.T),
     }
+
+
+def _sizes_within(found: Explored, points: Array) -> float:
+    """Share of the sizes along the believed axes that are within their intervals; one that is known
+    to less than the triangles' own 0.05 mm is given these."""
+    _, axes = principal_sizes(found.mesh)
+    true = np.ptp(points @ axes, axis=0)
+    low, high = found.sizes.interval.T
+    return float(np.mean((true >= low - _FACETS) & (true <= high + _FACETS)))
 
 
 def _missed(mesh: Mesh, points: Array) -> Array:
