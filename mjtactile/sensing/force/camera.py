@@ -103,9 +103,13 @@ class CameraFinder:
         Returns:
             The camera; None where too few fiducials are seen.
         """
-        ids, here, there = np.intersect1d(
-            now.ids, rest.ids, assume_unique=True, return_indices=True
-        )
+        if np.array_equal(now.ids, rest.ids):  # nearly always, and it costs a tenth
+            ids = now.ids
+            here = there = np.arange(len(ids))
+        else:
+            ids, here, there = np.intersect1d(
+                now.ids, rest.ids, assume_unique=True, return_indices=True
+            )
         if len(ids) < self._own.fewest:
             return None
         shown = np.column_stack([now.center_px, now.radius_px])[here]

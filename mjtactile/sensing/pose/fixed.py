@@ -47,7 +47,9 @@ class FiducialFinder:
             Which circles are no fiducials, and the fiducials that were seen well.
         """
         places = self.places_px
-        if before is not None and len(before):
+        if before is not None and len(before) == self.count:
+            places = before.center_px
+        elif before is not None and len(before):
             # those that were not seen moved as the others did
             moved = np.median(before.center_px - places[before.ids], axis=0)
             places = places + moved
