@@ -3,6 +3,7 @@ against closed forms and an independent disc."""
 
 from dataclasses import replace
 
+import cv2
 import mujoco
 import numpy as np
 import pytest
@@ -19,10 +20,10 @@ from mjtactile.experiments.press import PressPlan, press
 from mjtactile.sensing.chain import Chain
 from mjtactile.sensing.force.inverse import InverseMembrane
 from mjtactile.sensing.force.sheet import Gas, Sheet
+from mjtactile.sensing.image import markers
 from mjtactile.sensing.law import SheetLaw
 from mjtactile.sensing.shape.surface import SurfaceFitter
 from mjtactile.sim.attach import attach_membrane, recommend_options
-from mjtactile.sim.picture.renderer import Renderer
 from mjtactile.sim.scenes.indentation import Indenter
 
 ROUND = load_sensor("round30")
@@ -316,12 +317,16 @@ def test_a_press_on_an_ellipse_is_felt_through_its_images():
     assert shape["kind"] == "unknown" and "'ellipse'" in shape["status"]
 
 
-@pytest.mark.parametrize("design", [ROUND, ELLIPSE], ids=["round30", "ellipse"])
-def test_the_edge_of_the_frame_is_no_marker(design):
-    """It looks like one that all others touch: in an image of two hundred none was left."""
-    outward = np.tile([0.0, 0.0, 1.0], (design.markers.count, 1))
-    image = Renderer(design, seed=0).render(design.markers.p_SM, outward, 0.0)
-    chain = Chain(design)
-    markers, state = chain.sight.see(chain.begin(), image)
-    assert len(markers) == design.markers.count
-    assert len(state.tracks.fit.center) == design.markers.count
+def test_the_edge_of_a_round_frame_is_no_marker():
+    """Its ring is a circle that all markers are in; taken for one of them, it touches them all."""
+    picture = np.full((480, 640), 180, np.uint8)
+    cv2.circle(picture, (320, 240), 200, 60, 24)
+    for x, y in ((260, 200), (320, 200), (260, 260), (320, 260), (320, 320)):
+        cv2.circle(picture, (x, y), 12, 40, -1)
+    picture = cv2.GaussianBlur(picture, (0, 0), 1.0)
+    _, status = markers.search(picture)
+    assert (status == "touches another").all() and len(status) == 6
+    assert Chain(ROUND).sight._largest_px == pytest.approx(2 * 600 * 0.9 / 25)  # at the pane
+    assert Chain(load_sensor("dense")).sight._largest_px == np.inf
+    fit, status = markers.search(picture, max_radius_px=43.2)
+    assert (status == "ok").all() and len(fit.center) == 5
