@@ -261,7 +261,6 @@ def pruned() -> list[Case]:
         "0.1 g, 4 ms",
         "1000 g, 4 ms",
         "10 g, 2 m/s, 1 ms",
-        "0.5 mm, 1 ms",
         "sphere, 10 g",
     }
     cases = [replace(c, mesh=(11, 9)) for c in matrix() if c.label in names]
