@@ -371,10 +371,11 @@ def table(result: Mapping[str, Any]) -> str:
         name = row["step"]
         came = f"failed: {row['failed']}" if "failed" in row else _came(name, row)
         lines.append(f"| {name} | {came} |")
-    minutes = sum(row["seconds"] for row in result["steps"] if "fit" not in row["step"]) / 60
+    live = [row for row in result["steps"] if row["step"] not in ("record and fit", "shadow")]
+    minutes = sum(row["seconds"] for row in live) / 60
     note = (
-        f"Felt less true force is asked to be within {result['asked_N']:g} N. All but the fit's "
-        f"own calculation took {minutes:.0f} minutes of the emulated rig's time, with the waiting "
+        f"Felt less true force is asked to be within {result['asked_N']:g} N. All but fit "
+        f"and shadow took {minutes:.0f} minutes of the emulated rig's time, with the waiting "
         "of some commands shortened."
     )
     return "\n".join(lines) + f"\n\n{note}\n"
