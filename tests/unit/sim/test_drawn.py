@@ -44,6 +44,35 @@ def test_errors_have_the_mean_spread_and_memory_that_the_model_says():
         assert (z[lag:] * z[:-lag]).mean() == pytest.approx(said, abs=4 / np.sqrt(6 * alone))
 
 
+def test_the_kernel_draws_as_the_formula_does():
+    """w + G w + b(n) + e of the same random numbers, written out here; the covariance is what the
+    chain says at that load. To the last digits of double precision."""
+    errors = dataclasses.replace(load_errors(DENSE), outliers=np.full(7, 0.5))
+    true = np.array([0.1, -0.2, -0.4, 1e-3, 2e-3, 1e-4])
+    spread = np.linalg.cholesky(errors.correlation)
+    here = errors.at(0.4)
+    erring = Erring(errors)
+    erring.begin(np.random.default_rng(1))
+    drawn = np.random.default_rng(1)
+    slow = spread @ drawn.standard_normal(6)
+    factor = np.exp(errors.between * (drawn.standard_normal() - errors.between))
+    rng, again = np.random.default_rng(2), np.random.default_rng(2)
+    kept = np.exp(-PERIOD / errors.slow_time)
+    untouched = np.minimum(here.sd, errors.sd[0]) ** 2
+    sd = np.sqrt(untouched + factor**2 * (here.sd**2 - untouched))
+    for _ in range(5):
+        felt, cov, _ = erring.felt(true, PERIOD, rng)
+        fresh, fast = again.standard_normal((2, 6)) @ spread.T
+        slow = kept * slow + np.sqrt(1 - kept**2) * fresh
+        size = errors.outlier_size if again.random() < 0.5 else 1.0
+        error = np.sqrt(errors.slow) * slow + np.sqrt(1 - errors.slow) * fast
+        wanted = true + errors.gain @ true + here.mean + size * sd * error
+        np.testing.assert_allclose(felt, wanted, rtol=1e-11, atol=1e-14)
+        np.testing.assert_allclose(
+            cov, np.outer(here.said, here.said) * errors.said_correlation, rtol=1e-11
+        )
+
+
 def test_between_loads_errors_are_linear_and_beyond_the_last_as_there():
     errors = load_errors(DENSE)
     low, high = errors.loads[2:4]
