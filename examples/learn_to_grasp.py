@@ -3,8 +3,7 @@
     python examples/learn_to_grasp.py policy.npz 600     # seconds
     MJTACTILE_POLICY=policy.npz mjtactile evaluate --controller policy --objects random
 
-Touch is drawn meanwhile (`-sheet,-chain`), and each environment has a random thing of its own; the
-second line judges with everything simulated. What it sees and does is `controllers/policy.py`'s.
+Touch is drawn meanwhile (`-sheet,-chain`); the second line judges with everything simulated.
 """
 
 import sys
