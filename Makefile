@@ -38,7 +38,8 @@ docs: $(VENV)/.docs-ready  ## the documentation as a site, build/site/index.html
 # The tests are in two tiers. The first says within five minutes whether what users do works; the second has what takes long
 # to say, marked `slow`: a test that takes more than about 3 s, of a processor or of waiting, where a quicker one would notice
 # if the thing did not work at all. `clock` are those of emulated devices, which mostly wait: more of them at a time than there
-# are processors, and beside them only what gives way to them at once. A browser without a graphics card wants two processors for itself.
+# are processors, and nothing that computes beside them, not even at the lowest priority: valves then answer late. A browser without
+# a graphics card wants two processors for itself.
 # Each worker reads all files that it is given: those that have the mark are enough.
 FIRST = -m 'not slow and not clock and not browser'
 FIRST_CLOCK = -m 'clock and not slow and not browser' $(call marked,clock)
@@ -46,21 +47,16 @@ SECOND = -m 'slow and not clock and not browser' $(call marked,slow)
 SECOND_CLOCK = -m 'slow and clock and not browser' $(call marked,clock)
 marked = $(shell grep -rl --include='test_*.py' 'pytest\.mark\.$(1)' tests | sort)
 
-# $(1) in the time that $(2) leaves: what $(2) waits for is never late because of it. Both are run to their ends.
-define beside
-mkdir -p build; failed=0; nice -n 19 $(1) > build/beside.txt 2>&1 & beside=$$!; trap 'kill $$beside 2>/dev/null' EXIT; \
-	$(2) || failed=1; wait $$beside || failed=1; cat build/beside.txt; exit $$failed
-endef
-
-test: $(VENV)/.test-ready  ## lint, types, import contracts, and the tests of what users do (below 5 minutes)
+test: lint types contracts  ## lint, types, import contracts, and the tests of what users do (below 5 minutes)
 	$(BIN)/pytest -n 2 $(FIRST)
-	@$(call beside,$(MAKE) --no-print-directory lint types contracts,$(BIN)/pytest -n 6 --dist loadgroup $(FIRST_CLOCK))
+	$(BIN)/pytest -n 6 --dist loadgroup $(FIRST_CLOCK)
 	$(BIN)/pytest -n 0 tests/browser
 
 test-all: test slow  ## all that CI runs: `make test`, then the other tests (below 10 minutes)
 
 slow: $(VENV)/.test-ready  ## the tests that `make test` leaves out: long ones, and whole rigs of emulated hardware
-	@$(call beside,$(BIN)/pytest -n 2 --dist loadgroup $(SECOND),$(BIN)/pytest -n 6 --dist loadgroup $(SECOND_CLOCK))
+	$(BIN)/pytest -n 2 --dist loadgroup $(SECOND)
+	$(BIN)/pytest -n 6 --dist loadgroup $(SECOND_CLOCK)
 
 lint: $(VENV)/.test-ready  ## style and likely bugs (ruff)
 	$(BIN)/ruff check .
