@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -229,5 +230,5 @@ def _draw_body(axes: Any, shape: dict[str, Any], design: SensorDesign) -> None:
         aspect="equal",
         xlabel="x, mm",
         ylabel="y, mm",
-        title=_shape_line(shape).split(",")[0],
+        title=textwrap.fill(_shape_line(shape).split(",")[0], 36),
     )
