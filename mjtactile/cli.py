@@ -16,7 +16,7 @@ import traceback
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from mjtactile.commands import COMMANDS
+from mjtactile.commands import COMMANDS, arguments
 from mjtactile.core import signals, system
 from mjtactile.core.errors import MjtactileError
 
@@ -37,6 +37,14 @@ exit codes:
   2  bad usage or bad input: the message names the file, the field and the valid choices
   3  a device or the simulation failed, or the run was interrupted; what was recorded is kept
 """
+_SHARED = (
+    arguments.flag(
+        "--json",
+        "print one JSON object to stdout, all else to stderr; "
+        'after an error it has the keys "error" and "exit_code"',
+    ),
+    arguments.flag("--debug", "show the traceback of an error"),
+)
 EXIT_INPUT = 2
 EXIT_FAULT = 3
 
@@ -94,14 +102,7 @@ def build_parser(*wanted: str) -> argparse.ArgumentParser:
             epilog=command.EPILOG,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        command.add_arguments(sub)
-        sub.add_argument(
-            "--json",
-            action="store_true",
-            help="print one JSON object to stdout, all else to stderr; "
-            'after an error it has the keys "error" and "exit_code"',
-        )
-        sub.add_argument("--debug", action="store_true", help="show the traceback of an error")
+        arguments.add(sub, (*command.ARGUMENTS, *_SHARED))
         sub.set_defaults(run=command.run, simulates=getattr(command, "SIMULATES", True))
     return parser
 

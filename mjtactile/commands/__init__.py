@@ -1,4 +1,4 @@
-"""The commands of the command line: one module each with DESCRIPTION, EPILOG, `add_arguments` and
+"""The commands of the command line: one module each with DESCRIPTION, EPILOG, ARGUMENTS and
 `run`, imported when asked for.
 
 One that needs no simulator says `SIMULATES = False`.

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile import InputError
+from mjtactile.commands import arguments as arg
 from mjtactile.commands.checkout import of_checkout
 from mjtactile.commands.output import insert_table, output_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
@@ -123,75 +124,51 @@ OPTIONS = {
 }
 """Options that only some have."""
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "name",
-        choices=list(BENCHMARKS),
-        metavar="NAME",
-        help=f"what to measure: {', '.join(BENCHMARKS)}",
-    )
-    parser.add_argument(
-        "--quick", action="store_true", help="a small part of it, to see that it works"
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("bench-results"),
-        metavar="DIR",
-        help="folder for the results (default: bench-results)",
-    )
-    parser.add_argument(
+ARGUMENTS = (
+    arg.positional(
+        "name", "NAME", f"what to measure: {', '.join(BENCHMARKS)}", choices=list(BENCHMARKS)
+    ),
+    arg.flag("--quick", "a small part of it, to see that it works"),
+    arg.option("--out", "DIR", "folder for the results", Path("bench-results"), type=Path),
+    arg.flag(
         "--resume",
-        action="store_true",
-        help="stability, rig, emulated, bars, tasks, attacks, explore, trust, first_day: keep what "
-        "an interrupted run finished",
-    )
-    parser.add_argument(
+        "stability, rig, emulated, bars, tasks, attacks, explore, trust, first_day: keep "
+        "what an interrupted run finished",
+    ),
+    arg.option(
         "--parts",
-        metavar="A,B,…",
-        help="rig: only these of loop, bus, fuzz, killed, stopped, stuck, outcomes, faults, soak; "
+        "A,B,…",
+        "rig: only these of loop, bus, fuzz, killed, stopped, stuck, outcomes, faults, soak; "
         "slip: of passive, tested",
-    )
-    parser.add_argument(
-        "--data",
-        type=Path,
-        metavar="DIR",
-        help="bubble, dots: the recordings, which are not in here",
-    )
-    parser.add_argument("--cases", type=Path, metavar="DIR", help="truth: the cases of this folder")
-    parser.add_argument(
-        "--against",
-        type=Path,
-        metavar="DIR",
-        help="speed: also compare with another checkout, in turns",
-    )
-    parser.add_argument(
+    ),
+    arg.option("--data", "DIR", "bubble, dots: the recordings, which are not in here", type=Path),
+    arg.option("--cases", "DIR", "truth: the cases of this folder", type=Path),
+    arg.option(
+        "--against", "DIR", "speed: also compare with another checkout, in turns", type=Path
+    ),
+    arg.option(
         "--soak",
-        type=float,
-        metavar="HOURS",
-        help="rig: also so much of the long run: a grip every 20 s, a fault every 5 min, all of "
+        "HOURS",
+        "rig: also so much of the long run: a grip every 20 s, a fault every 5 min, all of "
         "it recorded (--parts soak: only that, two hours)",
-    )
-    parser.add_argument(
-        "--pairs", type=int, metavar="N", help="cheap, learning: so many pairs of episodes"
-    )
-    parser.add_argument(
+        type=float,
+    ),
+    arg.option("--pairs", "N", "cheap, learning: so many pairs of episodes", type=int),
+    arg.option(
         "--episodes",
+        "N",
+        "tasks, slip: so many of each (default: 200); emulated: so many grasps (default: 20)",
         type=int,
-        metavar="N",
-        help="tasks, slip: so many of each (default: 200); emulated: so many grasps (default: 20)",
-    )
-    parser.add_argument(
-        "--rate", type=float, metavar="HZ", help="slip: of the cameras, 30 or 60 (default: 30)"
-    )
-    parser.add_argument("--sensor", metavar="NAME", help="drawn: of this sensor (default: dense)")
-    parser.add_argument(
+    ),
+    arg.option("--rate", "HZ", "slip: of the cameras, 30 or 60 (default: 30)", type=float),
+    arg.option("--sensor", "NAME", "drawn: of this sensor (default: dense)"),
+    arg.option(
         "--readme",
+        "FILE.md",
+        "also put the table into this file, between <!-- bench:NAME --> and <!-- /bench -->",
         type=Path,
-        metavar="FILE.md",
-        help="also put the table into this file, between <!-- bench:NAME --> and <!-- /bench -->",
-    )
+    ),
+)
 
 
 def run(options: argparse.Namespace) -> int:

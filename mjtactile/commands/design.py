@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile import InputError, SensorDesign, load_sensor
+from mjtactile.commands import arguments as arg
 from mjtactile.commands import plots, ranges
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
@@ -49,60 +50,53 @@ _WISHES = {
     "radius_mm": (0.5, 50),
 }
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--sensor",
-        default="dense",
-        metavar="NAME|FILE.toml",
-        help="the sensor, or what designs begin from (default: dense)",
-    )
-    parser.add_argument(
+ARGUMENTS = (
+    arg.sensor("the sensor, or what designs begin from"),
+    arg.option(
         "--force-N",
+        "F",
+        "what presses where force, place, edge and radius are asked for",
+        0.5,
         type=ranges.finite,
-        default=0.5,
-        metavar="F",
-        help="what presses where force, place, edge and radius are asked for (default: 0.5)",
-    )
-    wish = parser.add_argument_group("what is wanted (each may be left out)")
-    for name, letter, text in (
-        ("feel_mN", "F", "smallest touch that pixels' noise must allow"),
-        ("range_N", "F", "largest force"),
-        ("edge_mm", "S", "sd of an edge's place"),
-        ("radius_mm", "R", "smallest ball whose radius is told to a quarter"),
-    ):
-        option = f"--{name.replace('_', '-')}"
-        wish.add_argument(option, type=ranges.finite, metavar=letter, help=text)
-    wish.add_argument(
-        "--frame-mm", type=ranges.pair, metavar="X,Y", help="opening (default: the sensor's)"
-    )
-    wish.add_argument(
-        "--camera-px",
-        type=ranges.pair,
-        metavar="W,H",
-        help="picture (default: the sensor's); the view stays the same",
-    )
-    parser.add_argument(
-        "--count", type=int, default=48, metavar="N", help="designs to draw (default: 48)"
-    )
-    parser.add_argument(
+    ),
+    arg.Group(
+        "what is wanted (each may be left out)",
+        (
+            arg.option(
+                "--feel-mN", "F", "smallest touch that pixels' noise must allow", type=ranges.finite
+            ),
+            arg.option("--range-N", "F", "largest force", type=ranges.finite),
+            arg.option("--edge-mm", "S", "sd of an edge's place", type=ranges.finite),
+            arg.option(
+                "--radius-mm",
+                "R",
+                "smallest ball whose radius is told to a quarter",
+                type=ranges.finite,
+            ),
+            arg.option("--frame-mm", "X,Y", "opening (default: the sensor's)", type=ranges.pair),
+            arg.option(
+                "--camera-px",
+                "W,H",
+                "picture (default: the sensor's); the view stays the same",
+                type=ranges.pair,
+            ),
+        ),
+    ),
+    arg.option("--count", "N", "designs to draw", 48, type=int),
+    arg.option(
         "--check",
-        type=int,
-        default=0,
-        metavar="N",
-        help="press N of the best, or the file, in full simulation and compare (default: 0; some "
+        "N",
+        "press N of the best, or the file, in full simulation and compare (default: 0; some "
         "minutes each)",
-    )
-    parser.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="of the draws (default: 0)"
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        help="design.json, and face.png and design.html of a file, or front.png and best_1.toml, "
-        "… of a wish",
-    )
+        0,
+        type=int,
+    ),
+    arg.option("--seed", "N", "of the draws", 0, type=int),
+    arg.out(
+        "design.json, and face.png and design.html of a file, or front.png and best_1.toml, "
+        "… of a wish"
+    ),
+)
 
 
 def run(options: argparse.Namespace) -> int:

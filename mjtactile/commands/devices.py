@@ -6,6 +6,7 @@ import argparse
 from dataclasses import asdict
 from typing import Any
 
+from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import print_json, stdout_to_stderr
 from mjtactile.doctor import plugged_in
 
@@ -23,15 +24,10 @@ examples:
 SIMULATES = False
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--no-ask", action="store_true", help="open no serial port")
-    parser.add_argument(
-        "--port",
-        action="append",
-        default=[],
-        metavar="PATH",
-        help="also ask this port; again for each one",
-    )
+ARGUMENTS = (
+    arg.flag("--no-ask", "open no serial port"),
+    arg.repeated("--port", "PATH", "also ask this port; again for each one"),
+)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from mjtactile import InputError
+from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import print_json
 from mjtactile.core import resources
 
@@ -20,9 +21,7 @@ examples:
   mjtactile docs tutorials/sensor
 """
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("page", nargs="?", metavar="PAGE", help="print this page")
+ARGUMENTS = (arg.positional("page", "PAGE", "print this page", nargs="?"),)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -7,6 +7,7 @@ import argparse
 import sys
 from typing import Any
 
+from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import print_json, stdout_to_stderr
 from mjtactile.doctor import examine_rig
 
@@ -29,20 +30,13 @@ exit codes: 0 all well, 1 something is wrong, 2 bad rig file.
 SIMULATES = False
 _MARKS = {"ok": "ok  ", "warn": "warn", "bad": "BAD "}
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--rig",
-        metavar="NAME|FILE.toml",
-        help="rig file to check (default: only look what is plugged in)",
-    )
-    parser.add_argument(
-        "--sensor",
-        default="dense",
-        metavar="NAME|FILE.toml",
-        help="the sensor, where the rig file does not say it (default: dense)",
-    )
-    parser.add_argument("--fix", action="store_true", help="mend what software can")
+ARGUMENTS = (
+    arg.option(
+        "--rig", "NAME|FILE.toml", "rig file to check (default: only look what is plugged in)"
+    ),
+    arg.sensor("the sensor, where the rig file does not say it"),
+    arg.flag("--fix", "mend what software can"),
+)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 
 from mjtactile import load_sensor
+from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import print_json
 from mjtactile.core import resources
 
@@ -32,47 +33,37 @@ _STATES = {
     (False, False): "none",
 }
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--sensor",
-        default="dense",
-        metavar="NAME|FILE.toml",
-        help=f"{', '.join(resources.names('models/sensors', '.toml'))}, or your "
-        "own (default: dense)",
-    )
-    parser.add_argument(
-        "--object",
-        default="egg",
-        metavar="NAME|FILE.xml",
-        help=f"{', '.join(resources.names('models/objects', '.xml'))}, or your own (default: egg)",
-    )
-    add_shared_arguments(parser)
-
-
-def add_shared_arguments(parser: argparse.ArgumentParser) -> None:
-    """--accuracy and --effects, the same for every command that simulates."""
-    parser.add_argument(
+SHARED = (
+    arg.option(
         "--accuracy",
-        default="",
-        metavar="0.02N|realtime",
-        help="simulate as coarsely as this force error or real time allows "
-        "(default: a mesh of 13 x 11)",
-    )
-    parser.add_argument(
+        "0.02N|realtime",
+        "simulate as coarsely as this force error or real time allows (default: a mesh of 13 x 11)",
+        "",
+    ),
+    arg.option(
         "--effects",
-        default="auto",
-        metavar="auto|+NAME,-NAME",
-        help="what to simulate: derived from the scene (default), or effects forced on and off",
-    )
-
-
-def add_estimate_argument(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--error-estimate",
-        action="store_true",
-        help="simulate again on a coarser mesh, and report the force error that follows (N)",
-    )
+        "auto|+NAME,-NAME",
+        "what to simulate: derived from the scene (default), or effects forced on and off",
+        "auto",
+    ),
+)
+"""--accuracy and --effects, the same for every command that simulates."""
+ESTIMATE = arg.flag(
+    "--error-estimate",
+    "simulate again on a coarser mesh, and report the force error that follows (N)",
+)
+ARGUMENTS = (
+    arg.sensor(
+        f"{', '.join(resources.names('models/sensors', '.toml'))}, or your own (default: dense)"
+    ),
+    arg.option(
+        "--object",
+        "NAME|FILE.xml",
+        f"{', '.join(resources.names('models/objects', '.xml'))}, or your own (default: egg)",
+        "egg",
+    ),
+    *SHARED,
+)
 
 
 def run(options: argparse.Namespace) -> int:

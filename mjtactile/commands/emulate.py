@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from mjtactile import InputError
+from mjtactile.commands import arguments as arg
 from mjtactile.commands import slow
 from mjtactile.commands.output import require_new
 from mjtactile.core import resources
@@ -28,45 +29,29 @@ faults can also be switched while it runs: type `servo_overload 1` and Enter;
 _HEAD = "# Written by `mjtactile emulate`, whose next run may replace it: ports are new then\n"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--scene",
-        "--object",
-        dest="object",
-        default="egg",
-        metavar="NAME|FILE.xml",
-        help=f"what stands on the table: {', '.join(resources.names('models/objects', '.xml'))}, "
+ARGUMENTS = (
+    arg.option(
+        "--scene --object",
+        "NAME|FILE.xml",
+        f"what stands on the table: {', '.join(resources.names('models/objects', '.xml'))}, "
         "or your own MJCF file (default: egg)",
-    )
-    parser.add_argument(
-        "--sensor",
-        default="dense",
-        metavar="NAME|FILE.toml",
-        help="sensor on each finger (default: dense)",
-    )
-    parser.add_argument(
+        "egg",
+        dest="object",
+    ),
+    arg.sensor("sensor on each finger"),
+    arg.option(
         "--rig",
-        default="emulated",
-        metavar="NAME|FILE.toml",
-        help="rig file whose servos, valves and cameras to emulate (default: emulated)",
-    )
-    parser.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="placement and noise (default: 0)"
-    )
-    slow.add_argument(parser)
-    parser.add_argument(
-        "--faults",
-        action="append",
-        default=[],
-        metavar="KIND=VALUE",
-        help="a fault from the start; repeatable",
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="FILE.toml",
-        help="write the rig file here too; nothing but an earlier run's is overwritten",
-    )
+        "NAME|FILE.toml",
+        "rig file whose servos, valves and cameras to emulate",
+        "emulated",
+    ),
+    arg.option("--seed", "N", "placement and noise", 0, type=int),
+    slow.ARGUMENT,
+    arg.repeated("--faults", "KIND=VALUE", "a fault from the start; repeatable"),
+    arg.out(
+        "write the rig file here too; nothing but an earlier run's is overwritten", "FILE.toml"
+    ),
+)
 
 
 def run(options: argparse.Namespace) -> int:

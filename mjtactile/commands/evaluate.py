@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile import InputError, Scenario
+from mjtactile.commands import arguments as arg
 from mjtactile.commands import scenario
 from mjtactile.commands.output import insert_table, new_run_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
@@ -44,96 +45,6 @@ _OBJECTS = "egg,strawberry,vial"
 _DEFAULT = Scenario(vary="default")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--controller",
-        action="append",
-        metavar="NAME",
-        help="shipped name or FILE.py; again for each one to compare (default: gentle)",
-    )
-    parser.add_argument(
-        "--objects",
-        metavar="A,B,…",
-        help="shipped names, FILE.xml, 'my/*.xml', random (another thing each time), grasped in "
-        "turn (default: egg,strawberry,vial)",
-    )
-    parser.add_argument(
-        "--episodes", type=_count, default=30, metavar="N", help="for each controller (default: 30)"
-    )
-    scenario.add_arguments(parser, _DEFAULT, leave_out=("object", "controller"))
-    parser.add_argument(
-        "--workers",
-        type=_count,
-        metavar="N",
-        help="processes that grasp at the same time (default: one a processor)",
-    )
-    parser.add_argument(
-        "--backend",
-        default="processes",
-        metavar="B",
-        help="who runs the episodes: processes (here; the default) or dask (a cluster)",
-    )
-    parser.add_argument(
-        "--scheduler",
-        default="",
-        metavar="ADDRESS",
-        help="of the dask cluster, such as tcp://host:8786",
-    )
-    parser.add_argument(
-        "--shard", type=_shard, default=(1, 1), metavar="K/N", help="only the K-th of N parts"
-    )
-    parser.add_argument("--resume", action="store_true", help="go on with what is in the folder")
-    parser.add_argument(
-        "--merge", nargs="+", type=Path, metavar="DIR", help="join parts of one evaluation instead"
-    )
-    parser.add_argument(
-        "--partial",
-        action="store_true",
-        help="with --merge: join what is there, though episodes are missing; --resume in the new "
-        "folder runs them",
-    )
-    parser.add_argument(
-        "--record",
-        action="store_true",
-        help="keep each episode's recording in DIR/recordings, for `export` (100 MB an episode; 1 "
-        "without images)",
-    )
-    parser.add_argument(
-        "--against",
-        metavar="SUITE",
-        help="run a suite of tasks with fixed seeds (v1, or FILE.json) and compare with the "
-        "results that it comes with; with --resume, what is in the folder",
-    )
-    parser.add_argument(
-        "--screen",
-        type=_any_count,
-        metavar="N",
-        help="run all episodes with --effects=-sheet,-chain, then its failures and N of what it "
-        "held again in full; one report of both (screen.md, screen.json)",
-    )
-    parser.add_argument(
-        "--worst",
-        type=_any_count,
-        default=10,
-        metavar="N",
-        help="episodes that the report shows with pictures: they are run again at the end "
-        "(default: 10)",
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        help="folder for the results (default: runs/<time>-evaluate)",
-    )
-    parser.add_argument(
-        "--readme",
-        type=Path,
-        metavar="FILE.md",
-        help="also put the table into this file, between <!-- bench:evaluate --> and <!-- /bench "
-        "-->",
-    )
-
-
 def _count(text: str) -> int:
     if not text.isdigit() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
@@ -149,6 +60,77 @@ def _shard(text: str) -> tuple[int, int]:
     if not (part.isdigit() and parts.isdigit() and 1 <= int(part) <= int(parts)):
         raise argparse.ArgumentTypeError(f"{text!r} is not K/N with K from 1 to N, such as 2/8")
     return int(part), int(parts)
+
+
+ARGUMENTS = (
+    arg.option(
+        "--controller",
+        "NAME",
+        "shipped name or FILE.py; again for each one to compare (default: gentle)",
+        action="append",
+    ),
+    arg.option(
+        "--objects",
+        "A,B,…",
+        "shipped names, FILE.xml, 'my/*.xml', random (another thing each time), grasped in "
+        "turn (default: egg,strawberry,vial)",
+    ),
+    arg.option("--episodes", "N", "for each controller", 30, type=_count),
+    *scenario.arguments(_DEFAULT, leave_out=("object", "controller")),
+    arg.option(
+        "--workers",
+        "N",
+        "processes that grasp at the same time (default: one a processor)",
+        type=_count,
+    ),
+    arg.option(
+        "--backend",
+        "B",
+        "who runs the episodes: processes (here; the default) or dask (a cluster)",
+        "processes",
+    ),
+    arg.option("--scheduler", "ADDRESS", "of the dask cluster, such as tcp://host:8786", ""),
+    arg.option("--shard", "K/N", "only the K-th of N parts", "1/1", type=_shard),
+    arg.flag("--resume", "go on with what is in the folder"),
+    arg.option("--merge", "DIR", "join parts of one evaluation instead", nargs="+", type=Path),
+    arg.flag(
+        "--partial",
+        "with --merge: join what is there, though episodes are missing; --resume in the new "
+        "folder runs them",
+    ),
+    arg.flag(
+        "--record",
+        "keep each episode's recording in DIR/recordings, for `export` (100 MB an episode; 1 "
+        "without images)",
+    ),
+    arg.option(
+        "--against",
+        "SUITE",
+        "run a suite of tasks with fixed seeds (v1, or FILE.json) and compare with the "
+        "results that it comes with; with --resume, what is in the folder",
+    ),
+    arg.option(
+        "--screen",
+        "N",
+        "run all episodes with --effects=-sheet,-chain, then its failures and N of what it "
+        "held again in full; one report of both (screen.md, screen.json)",
+        type=_any_count,
+    ),
+    arg.option(
+        "--worst",
+        "N",
+        "episodes that the report shows with pictures: they are run again at the end",
+        10,
+        type=_any_count,
+    ),
+    arg.out("folder for the results (default: runs/<time>-evaluate)"),
+    arg.option(
+        "--readme",
+        "FILE.md",
+        "also put the table into this file, between <!-- bench:evaluate --> and <!-- /bench -->",
+        type=Path,
+    ),
+)
 
 
 def _objects(text: str) -> list[str]:

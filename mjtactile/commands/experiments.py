@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from mjtactile import InputError
+from mjtactile.commands import arguments as arg
 from mjtactile.commands.checkout import of_checkout
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
@@ -29,35 +30,22 @@ examples:
 NAMES = ("fig5a", "fig5b", "fig5c", "fig6", "fig7", "air")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--only",
-        type=_names,
-        default=list(NAMES),
-        metavar="NAME,…",
-        help=f"which (default: {','.join(NAMES)})",
-    )
-    parser.add_argument("--quick", action="store_true", help="fewer points, to see that it works")
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        help="write experiments.json, experiments.md and a figure each there",
-    )
-    parser.add_argument(
-        "--page",
-        type=Path,
-        metavar="FILE.md",
-        help="also write a page about them, with its figures in images/",
-    )
-
-
 def _names(text: str) -> list[str]:
     names = text.split(",")
     wrong = [name for name in names if name not in NAMES]
     if wrong:
         raise argparse.ArgumentTypeError(f"{wrong[0]!r} is not one of {', '.join(NAMES)}")
     return names
+
+
+ARGUMENTS = (
+    arg.option("--only", "NAME,…", f"which (default: {','.join(NAMES)})", list(NAMES), type=_names),
+    arg.flag("--quick", "fewer points, to see that it works"),
+    arg.out("write experiments.json, experiments.md and a figure each there"),
+    arg.option(
+        "--page", "FILE.md", "also write a page about them, with its figures in images/", type=Path
+    ),
+)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mjtactile import InputError, Recorder, Scenario, load_recording
+from mjtactile.commands import arguments as arg
 from mjtactile.commands import plots, ranges, scenario, slow
 from mjtactile.commands.output import output_folder, print_flags, print_json, stdout_to_stderr
 from mjtactile.core import signals
@@ -54,62 +55,53 @@ _TOUCHED = "touched.jsonl"
 _DEFAULT = Scenario(object="egg")
 _NOT_ASKED = ("controller", "effects", "vary", "task", "shapes")
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    scenario.add_arguments(parser, _DEFAULT, leave_out=_NOT_ASKED)
-    slow.add_argument(parser)
-    parser.add_argument(
+ARGUMENTS = (
+    *scenario.arguments(_DEFAULT, leave_out=_NOT_ASKED),
+    slow.ARGUMENT,
+    arg.choice(
         "--on",
-        choices=["stage", "gripper"],
-        help="what holds it: a simulated stage that turns it over one sensor (default), or the "
+        ["stage", "gripper"],
+        "what holds it: a simulated stage that turns it over one sensor (default), or the "
         "fingers of --rig, two, which grip it where it stands, at other heights and, in a "
         "simulation, turns (default where a --rig is named)",
-    )
-    parser.add_argument(
-        "--touches", type=int, default=12, metavar="N", help="touch at most so often (default: 12)"
-    )
-    parser.add_argument(
+    ),
+    arg.option("--touches", "N", "touch at most so often", 12, type=int),
+    arg.option(
         "--accuracy-mm",
-        type=ranges.finite,
-        default=0.0,
-        metavar="MM",
-        help="stop as soon as the surface is believed to be known to so much, root mean square "
+        "MM",
+        "stop as soon as the surface is believed to be known to so much, root mean square "
         "(default: touch as often as --touches says)",
-    )
-    parser.add_argument(
+        0.0,
+        type=ranges.finite,
+    ),
+    arg.option(
         "--force-N",
+        "N",
+        "press up to this felt force, at most; half of what breaks it is refused",
+        0.3,
         dest="force",
         type=ranges.finite,
-        default=0.3,
-        metavar="N",
-        help="press up to this felt force, at most; half of what breaks it is refused (default: "
-        "0.3)",
-    )
-    parser.add_argument(
+    ),
+    arg.repeated(
         "--from",
+        "RUN",
+        "fuse what an earlier exploration touched, or a recorded grip, in place of touching; "
+        "may be repeated",
         dest="sources",
         type=Path,
-        action="append",
-        default=[],
-        metavar="RUN",
-        help="fuse what an earlier exploration touched, or a recorded grip, in place of touching; "
-        "may be repeated",
-    )
-    parser.add_argument(
+    ),
+    arg.repeated(
         "--turn-deg",
+        "DEG",
+        "how far somebody has turned the object about the vertical, counter-clockwise from "
+        "above, since the first grips: of a real or an emulated rig, or of each --from in "
+        "turn (default: 0)",
         dest="turns",
         type=ranges.finite,
-        action="append",
-        default=[],
-        metavar="DEG",
-        help="how far somebody has turned the object about the vertical, counter-clockwise from "
-        "above, since the first grips: of a real or an emulated rig, or of each --from in turn "
-        "(default: 0)",
-    )
-    parser.add_argument("--resume", action="store_true", help="go on with the exploration in --out")
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="write the surface, its page and its JSON there"
-    )
+    ),
+    arg.flag("--resume", "go on with the exploration in --out"),
+    arg.out("write the surface, its page and its JSON there"),
+)
 
 
 def run(options: argparse.Namespace) -> int:

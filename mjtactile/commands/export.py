@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile import InputError
+from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import output_folder, print_json, stdout_to_stderr
 from mjtactile.run.progress import Progress
 
@@ -40,38 +41,23 @@ FORMATS = {
 """Format to the extra that brings what it needs, and the modules of that."""
 _WRITTEN = ("meta", "data", "episode_000000", "episode_000000.mcap", "episode_000000.rrd")
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "source",
-        type=Path,
-        metavar="RUN",
-        help="a recording, a run, or a folder of these, each an episode",
-    )
-    parser.add_argument("--format", required=True, choices=FORMATS, help="what to write")
-    parser.add_argument(
-        "--out",
-        type=Path,
-        required=True,
-        metavar="DIR",
-        help="folder for the data set; nothing is overwritten",
-    )
-    parser.add_argument(
+ARGUMENTS = (
+    arg.positional(
+        "source", "RUN", "a recording, a run, or a folder of these, each an episode", type=Path
+    ),
+    arg.choice("--format", FORMATS, "what to write", required=True),
+    arg.out("folder for the data set; nothing is overwritten", required=True),
+    arg.choice(
         "--images",
-        choices=("video", "png", "none"),
-        default="video",
-        help="lerobot: every pixel in H.264 (default), PNG in the parquet files, or no images",
-    )
-    parser.add_argument(
-        "--crf",
-        type=int,
-        default=0,
-        metavar="N",
-        help="lerobot: H.264's loss: 0 none (default), 18-30 small files",
-    )
-    parser.add_argument(
-        "--task", metavar="TEXT", help='lerobot: what was to be done (default: "grasp the OBJECT")'
-    )
+        ("video", "png", "none"),
+        "lerobot: every pixel in H.264 (default), PNG in the parquet files, or no images",
+        "video",
+    ),
+    arg.option(
+        "--crf", "N", "lerobot: H.264's loss: 0 none (default), 18-30 small files", 0, type=int
+    ),
+    arg.option("--task", "TEXT", 'lerobot: what was to be done (default: "grasp the OBJECT")'),
+)
 
 
 def run(options: argparse.Namespace) -> int:

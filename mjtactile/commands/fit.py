@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 
 from mjtactile import InputError
+from mjtactile.commands import arguments as arg
 from mjtactile.commands import plots
 from mjtactile.commands.output import print_json, require_new, stdout_to_stderr
 from mjtactile.recording.files import write_json
@@ -40,61 +41,47 @@ was done (docs/fit.md); neither forces felt nor any truth. exit codes: 0 fitted,
 input, 3 the simulation failed.
 """
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
+ARGUMENTS = (
+    arg.option(
         "--recording",
+        "DIR",
+        "of `mjtactile record`; give it again for each",
         type=Path,
         action="append",
         required=True,
-        metavar="DIR",
-        help="of `mjtactile record`; give it again for each",
-    )
-    parser.add_argument(
+    ),
+    arg.repeated(
         "--held-out",
+        "DIR",
+        "a recording that is not fitted to but predicted, for a check; may be given again",
         type=Path,
-        action="append",
-        default=[],
-        metavar="DIR",
-        help="a recording that is not fitted to but predicted, for a check; may be given again",
-    )
-    parser.add_argument(
+    ),
+    arg.option(
         "--relaxation",
-        type=Path,
-        metavar="DIR",
-        help="a recording with a pressure sensor in which the membrane stands free for 10 s or "
+        "DIR",
+        "a recording with a pressure sensor in which the membrane stands free for 10 s or "
         "more, after inflating or a press: how its stress fades is found from it, too",
-    )
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="FILE.toml", help="the sensor file to write"
-    )
-    parser.add_argument(
-        "--sensor",
         type=Path,
-        metavar="NAME|FILE.toml",
-        help="the sensor file to begin from (default: that of the recordings)",
-    )
-    parser.add_argument(
-        "--finger",
-        default="left",
-        metavar="NAME",
-        help="which finger of the recordings (default: left)",
-    )
-    parser.add_argument(
+    ),
+    arg.out("the sensor file to write", "FILE.toml", required=True),
+    arg.sensor(
+        "the sensor file to begin from (default: that of the recordings)", default=None, type=Path
+    ),
+    arg.option("--finger", "NAME", "which finger of the recordings", "left"),
+    arg.repeated(
         "--known",
-        action="append",
-        default=[],
-        metavar="FIELD=VALUE",
-        help="measured by hand, such as membrane.thickness_mm=0.31; may be given again",
-    )
-    parser.add_argument(
+        "FIELD=VALUE",
+        "measured by hand, such as membrane.thickness_mm=0.31; may be given again",
+    ),
+    arg.option(
         "--touch-mm",
+        "D",
+        "how well the mark of first touch is known, sd",
+        0.05,
         dest="touch",
         type=float,
-        default=0.05,
-        metavar="D",
-        help="how well the mark of first touch is known, sd (default: 0.05)",
-    )
+    ),
+)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -20,7 +20,8 @@ from mjtactile import (
     Scenario,
     load_recording,
 )
-from mjtactile.commands import ranges, scenario, slow
+from mjtactile.commands import arguments as arg
+from mjtactile.commands import effects, ranges, scenario, slow
 from mjtactile.commands.output import (
     new_run_folder,
     output_folder,
@@ -80,48 +81,41 @@ _MEASURED = (
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    scenario.add_arguments(parser)
-    slow.add_argument(parser)
-    parser.add_argument(
-        "--error-estimate",
-        action="store_true",
-        help="simulate again on a coarser mesh, and report the force error that follows (N)",
-    )
-    parser.add_argument(
-        "--workers",
-        type=_count,
-        metavar="N",
-        help="what looks at the camera images beside the control loop: processes beside a "
-        "simulated world, threads on a real rig; at most one a camera, the same result with any "
-        "number (default: one a camera as far as there are processors for them)",
-    )
-    ranges.add_frames_argument(parser)
-    parser.add_argument(
-        "--video",
-        type=Path,
-        metavar="FILE",
-        help="film it, too: .mp4, .gif or .webp (pip install 'mjtactile[video]')",
-    )
-    parser.add_argument(
-        "--live",
-        metavar="VIEWER",
-        help="show it while it happens: rerun (the viewer that is open, or a new one), "
-        "rerun+http://HOST:9876/proxy, foxglove (it connects to ws://localhost:8765), "
-        "foxglove:PORT, or into rerun:FILE.rrd, foxglove:FILE.mcap (pip install 'mjtactile[live]')",
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        help="folder for the results (default: runs/<time>-<object>)",
-    )
-
-
 def _count(text: str) -> int:
     if text not in tuple("012345678"):
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 to 8")
     return int(text)
+
+
+ARGUMENTS = (
+    *scenario.arguments(),
+    slow.ARGUMENT,
+    effects.ESTIMATE,
+    arg.option(
+        "--workers",
+        "N",
+        "what looks at the camera images beside the control loop: processes beside a "
+        "simulated world, threads on a real rig; at most one a camera, the same result with "
+        "any number (default: one a camera as far as there are processors for them)",
+        type=_count,
+    ),
+    ranges.FRAMES,
+    arg.option(
+        "--video",
+        "FILE",
+        "film it, too: .mp4, .gif or .webp (pip install 'mjtactile[video]')",
+        type=Path,
+    ),
+    arg.option(
+        "--live",
+        "VIEWER",
+        "show it while it happens: rerun (the viewer that is open, or a new one), "
+        "rerun+http://HOST:9876/proxy, foxglove (it connects to ws://localhost:8765), "
+        "foxglove:PORT, or into rerun:FILE.rrd, foxglove:FILE.mcap (pip install "
+        "'mjtactile[live]')",
+    ),
+    arg.out("folder for the results (default: runs/<time>-<object>)"),
+)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile import InputError, load_sensor
+from mjtactile.commands import arguments as arg
 from mjtactile.commands import plots, ranges
 from mjtactile.commands.output import optional_folder, print_flags, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
@@ -26,22 +27,18 @@ chamber and bulge), "area_mm2", "max_stretch" (against the free sheet), "theory_
 reason}}
 """
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--sensor", default="dense", metavar="NAME|FILE.toml", help="the sensor (default: dense)"
-    )
-    parser.add_argument(
+ARGUMENTS = (
+    arg.sensor(),
+    arg.option(
         "--pressure-kPa",
+        "P[:P2:STEP]",
+        "gauge pressure in kPa, or a range, both ends included",
         dest="pressures",
         type=ranges.numbers,
         required=True,
-        metavar="P[:P2:STEP]",
-        help="gauge pressure in kPa, or a range, both ends included",
-    )
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="write inflate.json and inflate.png there"
-    )
+    ),
+    arg.out("write inflate.json and inflate.png there"),
+)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import cv2
 
 from mjtactile import Camera, InputError, find_circles, marker_records
+from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
 from mjtactile.report.pictures import Frame, overlay, read_frames
@@ -56,70 +57,6 @@ exit codes: 0 done (also when no marker was found), 2 bad input.
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "source", type=Path, metavar="SOURCE", help="an image, a folder of images or a video"
-    )
-    parser.add_argument(
-        "--camera",
-        type=Path,
-        required=True,
-        metavar="CAMERA.yaml",
-        help="calibration of the camera, ROS camera_info YAML (plumb_bob)",
-    )
-    parser.add_argument(
-        "--glass-mm",
-        metavar="T:N:D",
-        help="a pane in front of the camera, normal to its axis: thickness in mm, refractive "
-        "index, distance of its near face from the camera's centre in mm, such as 5:1.5:120 "
-        "(default: what the camera file says under glass)",
-    )
-    parser.add_argument(
-        "--radius-mm",
-        type=_positive,
-        required=True,
-        metavar="R",
-        help="radius of the markers in mm",
-    )
-    colour = parser.add_mutually_exclusive_group()
-    colour.add_argument(
-        "--dark",
-        dest="polarity",
-        action="store_const",
-        const="dark",
-        default="dark",
-        help="dark markers on a bright ground (default)",
-    )
-    colour.add_argument(
-        "--bright",
-        dest="polarity",
-        action="store_const",
-        const="bright",
-        help="bright markers on a dark ground",
-    )
-    parser.add_argument(
-        "--neighbours",
-        choices=["auto", "always", "never"],
-        default="auto",
-        help="let many circles on one smooth surface help each other: small ones (auto, the "
-        "default), of any size, or never",
-    )
-    parser.add_argument(
-        "--gamma",
-        type=_gamma,
-        default=1.0,
-        metavar="G|auto",
-        help="the camera's gamma, whose grey levels are light to the power of 1/G (default: 1; "
-        "sRGB: 2.2), or auto: what the circles of each image plainly say",
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        help="write an overlay of each image and locate.json there",
-    )
-
-
 def _gamma(text: str) -> float | Literal["auto"]:
     return "auto" if text == "auto" else _positive(text)
 
@@ -132,6 +69,61 @@ def _positive(text: str) -> float:
     if not math.isfinite(value) or value <= 0:
         raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0")
     return value
+
+
+ARGUMENTS = (
+    arg.positional("source", "SOURCE", "an image, a folder of images or a video", type=Path),
+    arg.option(
+        "--camera",
+        "CAMERA.yaml",
+        "calibration of the camera, ROS camera_info YAML (plumb_bob)",
+        type=Path,
+        required=True,
+    ),
+    arg.option(
+        "--glass-mm",
+        "T:N:D",
+        "a pane in front of the camera, normal to its axis: thickness in mm, refractive "
+        "index, distance of its near face from the camera's centre in mm, such as 5:1.5:120 "
+        "(default: what the camera file says under glass)",
+    ),
+    arg.option("--radius-mm", "R", "radius of the markers in mm", type=_positive, required=True),
+    arg.OneOf(
+        (
+            arg.flag(
+                "--dark",
+                "dark markers on a bright ground (default)",
+                dest="polarity",
+                action="store_const",
+                const="dark",
+                default="dark",
+            ),
+            arg.flag(
+                "--bright",
+                "bright markers on a dark ground",
+                dest="polarity",
+                action="store_const",
+                const="bright",
+            ),
+        )
+    ),
+    arg.choice(
+        "--neighbours",
+        ["auto", "always", "never"],
+        "let many circles on one smooth surface help each other: small ones (auto, the "
+        "default), of any size, or never",
+        "auto",
+    ),
+    arg.option(
+        "--gamma",
+        "G|auto",
+        "the camera's gamma, whose grey levels are light to the power of 1/G (default: 1; "
+        "sRGB: 2.2), or auto: what the circles of each image plainly say",
+        1.0,
+        type=_gamma,
+    ),
+    arg.out("write an overlay of each image and locate.json there"),
+)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from mjtactile import InputError, load_sensor
+from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import output_folder, print_json, stdout_to_stderr
 from mjtactile.core import resources
 from mjtactile.recording.files import write_json
@@ -46,69 +46,39 @@ _RANGES = {
     "press_mm": (0, 100),
 }
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "sensor", metavar="NAME|FILE.toml", help="the sensor: a shipped name or a file"
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        required=True,
-        metavar="DIR",
-        help="folder for everything; nothing is overwritten",
-    )
-    parser.add_argument(
+ARGUMENTS = (
+    arg.positional("sensor", "NAME|FILE.toml", "the sensor: a shipped name or a file"),
+    arg.out("folder for everything; nothing is overwritten", required=True),
+    arg.choice(
         "--markers",
-        choices=("ink", "discs"),
-        default="ink",
-        help="elastic ink, stretched with the rubber (default), or discs that keep their size",
-    )
-    parser.add_argument(
+        ("ink", "discs"),
+        "elastic ink, stretched with the rubber (default), or discs that keep their size",
+        "ink",
+    ),
+    arg.option(
         "--press-mm",
+        "D",
+        "deepest press that the camera must see (default: 4, or a quarter of chamber or "
+        "frame where that is less)",
         type=float,
-        metavar="D",
-        help="deepest press that the camera must see (default: 4, or a quarter of chamber or frame "
-        "where that is less)",
-    )
-    parser.add_argument(
+    ),
+    arg.option(
         "--speed-mm-s",
+        "V",
+        "speed of a marker that smears by 0.05 px (default: 25, as controllers/gentle.py closes)",
+        25.0,
         type=float,
-        default=25.0,
-        metavar="V",
-        help="speed of a marker that smears by 0.05 px (default: 25, as controllers/gentle.py "
-        "closes)",
-    )
-    parser.add_argument(
-        "--pixel-um", type=float, default=3.0, metavar="P", help="of the camera (default: 3)"
-    )
-    parser.add_argument(
-        "--f-number",
-        type=float,
-        metavar="N",
-        help="of the lens (default: the widest that is sharp enough)",
-    )
-    parser.add_argument(
-        "--camera-holes-mm",
-        type=float,
-        default=28.0,
-        metavar="A",
-        help="between the camera board's M2 holes (default: 28)",
-    )
-    parser.add_argument(
-        "--lens-mm",
-        type=float,
-        default=14.0,
-        metavar="D",
-        help="diameter of the lens's barrel or holder (default: 14)",
-    )
-    parser.add_argument(
-        "--pupil-mm",
-        type=float,
-        default=12.0,
-        metavar="B",
-        help="camera board's front to the lens's entrance pupil (default: 12)",
-    )
+    ),
+    arg.option("--pixel-um", "P", "of the camera", 3.0, type=float),
+    arg.option(
+        "--f-number", "N", "of the lens (default: the widest that is sharp enough)", type=float
+    ),
+    arg.option("--camera-holes-mm", "A", "between the camera board's M2 holes", 28.0, type=float),
+    arg.option("--lens-mm", "D", "diameter of the lens's barrel or holder", 14.0, type=float),
+    arg.option(
+        "--pupil-mm", "B", "camera board's front to the lens's entrance pupil", 12.0, type=float
+    ),
+)
 
 
 def run(options: argparse.Namespace) -> int:

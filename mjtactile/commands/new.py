@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mjtactile import InputError
+from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import print_json, require_new
 from mjtactile.core import resources
 
@@ -82,18 +83,17 @@ KINDS = {
 _MODEL = r'(?m)^(model = )"([^"]+\.xml)"'
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("kind", choices=list(KINDS), metavar="KIND", help=", ".join(KINDS))
-    parser.add_argument(
-        "name", type=Path, metavar="NAME", help="its name, or the path of the file to write"
-    )
-    parser.add_argument(
+ARGUMENTS = (
+    arg.positional("kind", "KIND", ", ".join(KINDS), choices=list(KINDS)),
+    arg.positional("name", "NAME", "its name, or the path of the file to write", type=Path),
+    arg.option(
         "--like",
-        metavar="SHIPPED",
-        help="what to copy (default: "
+        "SHIPPED",
+        "what to copy (default: "
         + ", ".join(f"{kind.like} for a {name}" for name, kind in KINDS.items())
         + ")",
-    )
+    ),
+)
 
 
 def run(options: argparse.Namespace) -> int:

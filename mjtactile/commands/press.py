@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile import InputError, SensorDesign, load_sensor
+from mjtactile.commands import arguments as arg
 from mjtactile.commands import effects, plots, ranges
 from mjtactile.commands.output import optional_folder, print_flags, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
@@ -35,61 +36,37 @@ simulated bodies overlap: its error), "pressure_kPa", "volume_mL", "converged", 
 "flags": {kind of doubt: reason}}
 """
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--sensor", default="dense", metavar="NAME|FILE.toml", help="the sensor (default: dense)"
-    )
-    parser.add_argument(
+ARGUMENTS = (
+    arg.sensor(),
+    arg.option(
         "--indenter",
-        required=True,
-        metavar="SHAPE",
-        help="sphere:R_mm, cylinder:R_mm (end face down), box:EDGE_mm, FILE.stl or FILE.obj in "
+        "SHAPE",
+        "sphere:R_mm, cylinder:R_mm (end face down), box:EDGE_mm, FILE.stl or FILE.obj in "
         "mm, or FILE.xml: all geoms of an MJCF file, which come down along -z",
-    )
-    parser.add_argument(
-        "--at",
-        type=ranges.pair,
-        default=(0.0, 0.0),
-        metavar="X_mm,Y_mm",
-        help="where (default: 0,0)",
-    )
-    parser.add_argument(
+        required=True,
+    ),
+    arg.option("--at", "X_mm,Y_mm", "where", "0,0", type=ranges.pair),
+    arg.option(
         "--depth-mm",
+        "A[:B:STEP]",
+        "depth below first touch, or a range, both ends included",
+        "1:3:1",
         dest="depths",
         type=ranges.numbers,
-        default=[1.0, 2.0, 3.0],
-        metavar="A[:B:STEP]",
-        help="depth below first touch, or a range, both ends included (default: 1:3:1)",
-    )
-    parser.add_argument(
-        "--tilt-deg",
-        type=ranges.finite,
-        default=0.0,
-        metavar="T",
-        help="turn of the indenter about y",
-    )
-    parser.add_argument(
-        "--shear-mm",
-        type=ranges.finite,
-        default=0.0,
-        metavar="S",
-        help="drag along x at each depth",
-    )
-    parser.add_argument(
+    ),
+    arg.option("--tilt-deg", "T", "turn of the indenter about y", 0.0, type=ranges.finite),
+    arg.option("--shear-mm", "S", "drag along x at each depth", 0.0, type=ranges.finite),
+    arg.choice(
         "--valve",
-        choices=["closed", "open"],
-        default="closed",
-        help="closed: the chamber keeps its gas (default); open: it keeps its pressure",
-    )
-    parser.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="seed of the camera's noise (default: 0)"
-    )
-    effects.add_shared_arguments(parser)
-    effects.add_estimate_argument(parser)
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="write press.json and press.png there"
-    )
+        ["closed", "open"],
+        "closed: the chamber keeps its gas (default); open: it keeps its pressure",
+        "closed",
+    ),
+    arg.option("--seed", "N", "seed of the camera's noise", 0, type=int),
+    *effects.SHARED,
+    effects.ESTIMATE,
+    arg.out("write press.json and press.png there"),
+)
 
 
 def run(options: argparse.Namespace) -> int:

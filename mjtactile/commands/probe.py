@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mjtactile import InputError, Recorder, Scenario, load_recording
+from mjtactile.commands import arguments as arg
 from mjtactile.commands import plots, ranges, scenario
 from mjtactile.commands.output import optional_folder, print_flags, print_json, stdout_to_stderr
 from mjtactile.core import signals
@@ -35,22 +36,12 @@ exit codes: 0 a class was named, 1 unknown, 2 bad input, 3 a device or the simul
 """
 _DEFAULT = Scenario(object="sponge", controller="probe")
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    scenario.add_arguments(parser, _DEFAULT, leave_out=("accuracy", "effects", "vary", "task"))
-    parser.add_argument(
-        "--source",
-        type=Path,
-        metavar="RECORDING",
-        help="judge the images of a recorded run instead",
-    )
-    ranges.add_frames_argument(parser)
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        help="write probe.json, probe.png, probe.html and the recording there",
-    )
+ARGUMENTS = (
+    *scenario.arguments(_DEFAULT, leave_out=("accuracy", "effects", "vary", "task")),
+    arg.option("--source", "RECORDING", "judge the images of a recorded run instead", type=Path),
+    ranges.FRAMES,
+    arg.out("write probe.json, probe.png, probe.html and the recording there"),
+)
 
 
 def run(options: argparse.Namespace) -> int:

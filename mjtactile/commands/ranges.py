@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import math
 
+from mjtactile.commands import arguments as arg
+
 MAX_STEPS = 10_000
 
 
@@ -53,17 +55,6 @@ def finite(text: str) -> float:
     return value
 
 
-def add_frames_argument(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--frames",
-        type=frames,
-        default=1,
-        metavar="none|every:N|all",
-        help="camera images to keep in the recording: of no cycle, of every N-th, of all "
-        "(default). Without all of them it cannot be replayed; two cameras take 9 MB a second",
-    )
-
-
 def frames(text: str) -> int:
     """Read "none" (0), "all" (1) or "every:N" (N)."""
     word, _, number = text.partition(":")
@@ -72,3 +63,13 @@ def frames(text: str) -> int:
     if text not in ("none", "all"):
         raise argparse.ArgumentTypeError(f"{text!r} is not none, every:N or all")
     return int(text == "all")
+
+
+FRAMES = arg.option(
+    "--frames",
+    "none|every:N|all",
+    "camera images to keep in the recording: of no cycle, of every N-th, of all "
+    "(default). Without all of them it cannot be replayed; two cameras take 9 MB a second",
+    1,
+    type=frames,
+)

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from mjtactile import Chain, InputError, Perception, SensorDesign, load_calibration, load_sensor
+from mjtactile.commands import arguments as arg
 from mjtactile.commands import plots, tracks
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
@@ -50,40 +51,26 @@ JSON: {"sensor": …, "frames": [{"source", "status", "markers": [{"id", "p_SM_m
 FIGURES_MAX = 40
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "source", type=Path, metavar="SOURCE", help="an image, a folder of images or a video"
-    )
-    parser.add_argument(
-        "--sensor", default="dense", metavar="NAME|FILE.toml", help="the sensor (default: dense)"
-    )
-    parser.add_argument(
-        "--calibration",
-        type=Path,
-        metavar="FILE.json",
-        help="of this sensor, by `mjtactile calibrate`",
-    )
-    parser.add_argument(
+ARGUMENTS = (
+    arg.positional("source", "SOURCE", "an image, a folder of images or a video", type=Path),
+    arg.sensor(),
+    arg.option("--calibration", "FILE.json", "of this sensor, by `mjtactile calibrate`", type=Path),
+    arg.choice(
         "--marks",
-        choices=("dark", "bright"),
-        help="follow the dots of any marked skin: dark ones on bright ground, or bright ones",
-    )
-    parser.add_argument(
+        ("dark", "bright"),
+        "follow the dots of any marked skin: dark ones on bright ground, or bright ones",
+    ),
+    arg.option(
         "--camera",
+        "CAMERA.yaml",
+        "with --marks: its calibration, ROS camera_info; with --radius-mm",
         type=Path,
-        metavar="CAMERA.yaml",
-        help="with --marks: its calibration, ROS camera_info; with --radius-mm",
-    )
-    parser.add_argument(
-        "--radius-mm", type=float, metavar="R", help="with --marks: the dots' radius"
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        help="write reconstruct.json, overlays, and 3D figures (of at most "
-        f"{FIGURES_MAX} frames) there",
-    )
+    ),
+    arg.option("--radius-mm", "R", "with --marks: the dots' radius", type=float),
+    arg.out(
+        f"write reconstruct.json, overlays, and 3D figures (of at most {FIGURES_MAX} frames) there"
+    ),
+)
 
 
 def run(options: argparse.Namespace) -> int:

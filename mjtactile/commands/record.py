@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mjtactile import InputError, Recorder, Scenario, complete_scenario, rig_names
+from mjtactile.commands import arguments as arg
 from mjtactile.commands import ranges, slow
 from mjtactile.commands.output import output_folder, print_flags, print_json, stdout_to_stderr
 from mjtactile.core import resources
@@ -53,90 +54,52 @@ at 30 Hz take 9 MB a second. exit codes: 0 recorded, 2 bad input, 3 a device fai
 fault, or Ctrl-C; what was recorded until then is kept.
 """
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--rig",
-        required=True,
-        metavar="RIG",
-        help=f"what to record: {', '.join(rig_names())}, stage",
-    )
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder for the recording"
-    )
-    parser.add_argument(
-        "--seconds",
-        type=float,
-        default=10.0,
-        metavar="S",
-        help="length after the references, at most a recording's (default: 10)",
-    )
-    ranges.add_frames_argument(parser)
-    parser.add_argument(
-        "--sensor",
-        default="dense",
-        metavar="NAME|FILE.toml",
-        help="on each finger (default: dense)",
-    )
-    parser.add_argument(
+ARGUMENTS = (
+    arg.option("--rig", "RIG", f"what to record: {', '.join(rig_names())}, stage", required=True),
+    arg.out("folder for the recording", required=True),
+    arg.option(
+        "--seconds", "S", "length after the references, at most a recording's", 10.0, type=float
+    ),
+    ranges.FRAMES,
+    arg.sensor("on each finger"),
+    arg.option(
         "--object",
-        default="egg",
-        metavar="NAME|FILE.xml",
-        help="sim and emulated: what stands on the table: "
+        "NAME|FILE.xml",
+        "sim and emulated: what stands on the table: "
         f"{', '.join(resources.names('models/objects', '.xml'))} (default: egg)",
-    )
-    parser.add_argument(
+        "egg",
+    ),
+    arg.option(
         "--pressure-kPa",
+        "P",
+        "working pressure of this recording (default: the sensor file's supply)",
         dest="pressure",
         type=ranges.finite,
-        metavar="P",
-        help="working pressure of this recording (default: the sensor file's supply)",
-    )
-    parser.add_argument(
+    ),
+    arg.option(
         "--steps",
-        metavar="NAME|FILE.csv",
-        help="what is done meanwhile: "
+        "NAME|FILE.csv",
+        "what is done meanwhile: "
         f"{', '.join(resources.names('models/protocols', '.csv'))}, or your own",
-    )
-    parser.add_argument(
-        "--indenter",
-        metavar="SHAPE",
-        help="what presses, as `mjtactile press` has it: sphere:8, part.stl, …",
-    )
-    parser.add_argument(
-        "--at",
-        type=ranges.pair,
-        default=(0.0, 0.0),
-        metavar="X_mm,Y_mm",
-        help="where (default: 0,0)",
-    )
-    parser.add_argument(
-        "--finger", default="left", metavar="NAME", help="on which finger (default: left)"
-    )
-    parser.add_argument(
+    ),
+    arg.option(
+        "--indenter", "SHAPE", "what presses, as `mjtactile press` has it: sphere:8, part.stl, …"
+    ),
+    arg.option("--at", "X_mm,Y_mm", "where", "0,0", type=ranges.pair),
+    arg.option("--finger", "NAME", "on which finger", "left"),
+    arg.option(
         "--specimen",
+        "FILE.toml",
+        "stage: the sensor that is really there; the recording names only --sensor",
         type=Path,
-        metavar="FILE.toml",
-        help="stage: the sensor that is really there; the recording names only --sensor",
-    )
-    parser.add_argument(
-        "--load-cell",
-        action="store_true",
-        help="stage: record what a load cell shows in each hold, too",
-    )
-    parser.add_argument(
-        "--shapes",
-        action="store_true",
-        help="say of every touch what body it is of; of a recording, find it in its images",
-    )
-    slow.add_argument(parser)
-    parser.add_argument(
-        "--seed",
-        type=int,
-        default=0,
-        metavar="N",
-        help="sim and emulated: placement and noise (default: 0)",
-    )
+    ),
+    arg.flag("--load-cell", "stage: record what a load cell shows in each hold, too"),
+    arg.flag(
+        "--shapes", "say of every touch what body it is of; of a recording, find it in its images"
+    ),
+    slow.ARGUMENT,
+    arg.option("--seed", "N", "sim and emulated: placement and noise", 0, type=int),
+)
 
 
 @dataclass

@@ -6,23 +6,10 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from mjtactile import Scenario, complete_scenario, load_scenario, rig_names
+from mjtactile.commands import arguments as arg
 from mjtactile.core import resources
-
-_ALL = (
-    "object",
-    "sensor",
-    "controller",
-    "rig",
-    "seed",
-    "accuracy",
-    "effects",
-    "vary",
-    "task",
-    "shapes",
-)
 
 
 def seed(text: str) -> int:
@@ -36,71 +23,76 @@ def _shipped(folder: str, suffix: str) -> str:
     return ", ".join(resources.names(folder, suffix))
 
 
-def _option(name: str) -> dict[str, Any]:
-    """What argparse is told of the option `--name`, without its default."""
-    if name == "object":
-        shipped = _shipped("models/objects", ".xml")
-        text = f"what to grasp: {shipped}, random:N (one of many), or your own MJCF file"
-        return {"metavar": "NAME|FILE.xml", "help": text}
-    if name == "sensor":
-        text = f"on each finger: {_shipped('models/sensors', '.toml')}, or your own file"
-        return {"metavar": "NAME|FILE.toml", "help": text}
-    if name == "controller":
-        text = f"what moves: {_shipped('controllers', '.py')}, or your own file"
-        return {"metavar": "NAME|FILE.py", "help": text}
-    if name == "rig":
-        return {"metavar": "RIG", "help": f"what to run it on: {', '.join(rig_names())}"}
-    if name == "seed":
-        text = "seed of the camera noise and of where the object stands"
-        return {"metavar": "N", "type": seed, "help": text}
-    if name == "accuracy":
-        text = "simulate as coarsely as this force error or real time allows"
-        return {"metavar": "0.02N|realtime", "help": text}
-    if name == "effects":
-        text = "what to simulate: derived from the scene (auto), or effects forced on and off"
-        return {"metavar": "auto|+NAME,-NAME", "help": text}
-    if name == "shapes":
-        text = (
-            "say of every touch what body it is of, whatever the controller reads; area and force "
-            "are then that body's (docs/effects.md has the price)"
-        )
-        return {"action": "store_true", "default": None, "help": text}
-    if name == "vary":
-        text = (
-            "ranges of object, sensor, gas and rig, from which the seed draws the simulated "
-            f"world: {_shipped('models/variations', '.toml')}, none, or your own file"
-        )
-        return {"metavar": "NAME|FILE.toml", "help": text}
-    text = f"what is done with it: {_shipped('models/tasks', '.toml')}, or your own file"
-    return {"metavar": "NAME|FILE.toml", "help": text}
+_SCENARIO = arg.option(
+    "--scenario",
+    "FILE",
+    "take all of the following from a scenario file (FILE.toml), or from a run's result "
+    "(RUN/summary.json); options on the command line are stronger",
+)
+_SHAPES = arg.flag(
+    "--shapes",
+    "say of every touch what body it is of, whatever the controller reads; area and force "
+    "are then that body's (docs/effects.md has the price)",
+    default=None,
+)
 
 
-def add_arguments(
-    parser: argparse.ArgumentParser,
-    default: Scenario | None = None,
-    *,
-    leave_out: Sequence[str] = (),
-) -> None:
+_VALUES = {
+    "object": (
+        "NAME|FILE.xml",
+        f"what to grasp: {_shipped('models/objects', '.xml')}, random:N (one of many), "
+        "or your own MJCF file",
+    ),
+    "sensor": (
+        "NAME|FILE.toml",
+        f"on each finger: {_shipped('models/sensors', '.toml')}, or your own file",
+    ),
+    "controller": (
+        "NAME|FILE.py",
+        f"what moves: {_shipped('controllers', '.py')}, or your own file",
+    ),
+    "rig": ("RIG", f"what to run it on: {', '.join(rig_names())}"),
+    "seed": ("N", "seed of the camera noise and of where the object stands"),
+    "accuracy": ("0.02N|realtime", "simulate as coarsely as this force error or real time allows"),
+    "effects": (
+        "auto|+NAME,-NAME",
+        "what to simulate: derived from the scene (auto), or effects forced on and off",
+    ),
+    "vary": (
+        "NAME|FILE.toml",
+        "ranges of object, sensor, gas and rig, from which the seed draws the simulated "
+        f"world: {_shipped('models/variations', '.toml')}, none, or your own file",
+    ),
+    "task": (
+        "NAME|FILE.toml",
+        f"what is done with it: {_shipped('models/tasks', '.toml')}, or your own file",
+    ),
+}
+"""Field of a scenario to what its value is called in the help, and what that says."""
+_FIELDS = (*_VALUES, "shapes")
+
+
+def arguments(
+    default: Scenario | None = None, *, leave_out: Sequence[str] = ()
+) -> tuple[arg.Argument, ...]:
     """--scenario, and an option for each field; what is not given stays None.
 
     Args:
-        parser: Of the command.
         default: Whose values the help names.
         leave_out: Fields that the command has no option for.
     """
-    parser.add_argument(
-        "--scenario",
-        metavar="FILE",
-        help="take all of the following from a scenario file (FILE.toml), or from a run's result "
-        "(RUN/summary.json); options on the command line are stronger",
-    )
     said = (default or Scenario()).to_dict() | {"accuracy": "a mesh of 13 x 11"}
-    for name in _ALL:
-        if name not in leave_out:
-            option = _option(name)
-            if "action" not in option:
-                option["help"] += f" (default: {said[name]})"
-            parser.add_argument(f"--{name}", **option)
+    options = tuple(
+        arg.option(
+            f"--{name}",
+            metavar,
+            f"{text} (default: {said[name]})",
+            type=seed if name == "seed" else str,
+        )
+        for name, (metavar, text) in _VALUES.items()
+        if name not in leave_out
+    )
+    return _SCENARIO, *options, *(() if "shapes" in leave_out else (_SHAPES,))
 
 
 def scenario_of(options: argparse.Namespace, default: Scenario | None = None) -> Scenario:
@@ -116,7 +108,7 @@ def scenario_of(options: argparse.Namespace, default: Scenario | None = None) ->
     base = default or Scenario()
     if getattr(options, "scenario", None):
         base = load_scenario(options.scenario)
-    given = {name: getattr(options, name, None) for name in _ALL}
+    given = {name: getattr(options, name, None) for name in _FIELDS}
     said = {name: value for name, value in given.items() if value is not None}
     if "sensor" in said:
         base = replace(base, sensors={})

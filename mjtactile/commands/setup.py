@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from mjtactile import InputError
+from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import print_json, stdout_to_stderr
 from mjtactile.core import resources
 
@@ -25,30 +26,12 @@ afterwards:
 SIMULATES = False
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "file", type=Path, metavar="FILE.toml", help="the rig file to make, or to go on with"
-    )
-    parser.add_argument(
-        "--like",
-        default="two_xm430",
-        metavar="NAME|FILE.toml",
-        help="the rig file that it begins as (default: two_xm430)",
-    )
-    parser.add_argument(
-        "--port",
-        action="append",
-        default=[],
-        metavar="PATH",
-        help="also look at this port; again for more",
-    )
-    parser.add_argument(
-        "--camera",
-        action="append",
-        default=[],
-        metavar="URL",
-        help="also look at this stream; again for more",
-    )
+ARGUMENTS = (
+    arg.positional("file", "FILE.toml", "the rig file to make, or to go on with", type=Path),
+    arg.option("--like", "NAME|FILE.toml", "the rig file that it begins as", "two_xm430"),
+    arg.repeated("--port", "PATH", "also look at this port; again for more"),
+    arg.repeated("--camera", "URL", "also look at this stream; again for more"),
+)
 
 
 def run(options: argparse.Namespace) -> int:

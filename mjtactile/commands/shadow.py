@@ -8,6 +8,7 @@ import os
 from pathlib import Path
 
 from mjtactile import InputError
+from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import output_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
 from mjtactile.run.progress import Progress
@@ -31,48 +32,37 @@ What it can tell and what not: docs/integrations.md.
 exit codes: 0 does as the simulator, 1 it parts from it, 2 bad input, 3 the simulation failed.
 """
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "recording", type=Path, metavar="RECORDING", help="a recording, or a run's folder"
-    )
-    parser.add_argument(
-        "--rig",
-        default="sim",
-        metavar="NAME|FILE.toml",
-        help="the simulated rig that stands for the recording's (default: sim)",
-    )
-    parser.add_argument(
-        "--object",
-        default="",
-        metavar="NAME|FILE.xml",
-        help="what was grasped (default: as the recording says)",
-    )
-    parser.add_argument(
+ARGUMENTS = (
+    arg.positional("recording", "RECORDING", "a recording, or a run's folder", type=Path),
+    arg.option(
+        "--rig", "NAME|FILE.toml", "the simulated rig that stands for the recording's", "sim"
+    ),
+    arg.option(
+        "--object", "NAME|FILE.xml", "what was grasped (default: as the recording says)", ""
+    ),
+    arg.option(
         "--until-s",
+        "S",
+        "look at the first S seconds alone (default: all)",
+        math.inf,
         dest="until",
         type=float,
-        default=math.inf,
-        metavar="S",
-        help="look at the first S seconds alone (default: all)",
-    )
-    parser.add_argument(
+    ),
+    arg.repeated(
         "--cause",
-        action="append",
-        default=[],
+        None,
+        "try this one; may be given again (default: all)",
         choices=[cause.name for cause in CAUSES],
-        help="try this one; may be given again (default: all)",
-    )
-    parser.add_argument(
+    ),
+    arg.option(
         "--workers",
+        "N",
+        "processes that simulate (default: half of the processors)",
+        max(1, (os.cpu_count() or 1) // 2),
         type=int,
-        default=max(1, (os.cpu_count() or 1) // 2),
-        metavar="N",
-        help="processes that simulate (default: half of the processors)",
-    )
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="folder for the page and its numbers"
-    )
+    ),
+    arg.out("folder for the page and its numbers"),
+)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -6,19 +6,29 @@ from __future__ import annotations
 import argparse
 
 from mjtactile import InputError
+from mjtactile.commands import arguments as arg
 from mjtactile.core import pace
 
 _MOST = 100.0
 
 
-def add_argument(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--slow",
-        type=_times,
-        metavar="N",
-        help="emulated rig: its world, watchdogs and heartbeats, and this program's time-outs, run "
-        "at 1/N of the speed, for a computer that does not keep up (default: 1)",
-    )
+def _times(text: str) -> float:
+    try:
+        times = float(text)
+    except ValueError:
+        times = 0.0
+    if not 1 <= times <= _MOST:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 1 to {_MOST:g}")
+    return times
+
+
+ARGUMENT = arg.option(
+    "--slow",
+    "N",
+    "emulated rig: its world, watchdogs and heartbeats, and this program's time-outs, "
+    "run at 1/N of the speed, for a computer that does not keep up (default: 1)",
+    type=_times,
+)
 
 
 def apply(slow: float | None, rig: str) -> None:
@@ -30,13 +40,3 @@ def apply(slow: float | None, rig: str) -> None:
             f"the rig {rig!r} keeps no clock; only emulated devices can be slow", field="--slow"
         )
     pace.set_slow(slow)
-
-
-def _times(text: str) -> float:
-    try:
-        times = float(text)
-    except ValueError:
-        times = 0.0
-    if not 1 <= times <= _MOST:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 1 to {_MOST:g}")
-    return times

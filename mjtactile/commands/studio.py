@@ -6,6 +6,7 @@ import argparse
 import sys
 
 from mjtactile import load_recording
+from mjtactile.commands import arguments as arg
 from mjtactile.commands import scenario, slow
 
 DESCRIPTION = """\
@@ -30,36 +31,26 @@ exit codes: 0 ended by closing it, 2 bad input, 3 a device or the simulation fai
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    scenario.add_arguments(parser, leave_out=("vary",))
-    slow.add_argument(parser)
-    parser.add_argument(
-        "--port",
-        type=_port,
-        default=0,
-        metavar="N",
-        help="of the page (default: the first free one from 8080)",
-    )
-    where = parser.add_mutually_exclusive_group()
-    where.add_argument("--web", action="store_true", help="in the browser (this is the default)")
-    where.add_argument(
-        "--native",
-        action="store_true",
-        help="in a window of MuJoCo's own, where there is a display",
-    )
-    parser.add_argument("--no-browser", action="store_true", help="do not open a browser")
-    parser.add_argument(
-        "--no-wait", action="store_true", help="begin at once, not when the page is open"
-    )
-    parser.add_argument(
-        "--fast", action="store_true", help="as fast as the simulation goes, not by the clock"
-    )
-
-
 def _port(text: str) -> int:
     if not text.isdecimal() or not 0 < int(text) < 65536:
         raise argparse.ArgumentTypeError(f"{text!r} is not a port from 1 to 65535")
     return int(text)
+
+
+ARGUMENTS = (
+    *scenario.arguments(leave_out=("vary",)),
+    slow.ARGUMENT,
+    arg.option("--port", "N", "of the page (default: the first free one from 8080)", 0, type=_port),
+    arg.OneOf(
+        (
+            arg.flag("--web", "in the browser (this is the default)"),
+            arg.flag("--native", "in a window of MuJoCo's own, where there is a display"),
+        )
+    ),
+    arg.flag("--no-browser", "do not open a browser"),
+    arg.flag("--no-wait", "begin at once, not when the page is open"),
+    arg.flag("--fast", "as fast as the simulation goes, not by the clock"),
+)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile import InputError, Recording, load_recording
+from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import print_flags, print_json, stdout_to_stderr
 from mjtactile.recording.strip import Strip
 from mjtactile.run.progress import Progress
@@ -27,16 +28,15 @@ examples:
 2 bad input.
 """
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", type=Path, metavar="RUN", help="a run's folder, or a recording")
-    parser.add_argument(
+ARGUMENTS = (
+    arg.positional("source", "RUN", "a run's folder, or a recording", type=Path),
+    arg.flag(
         "--shape",
-        action="store_true",
-        help="find what body touches each finger, too, and draw it: a tenth of a second and more "
+        "find what body touches each finger, too, and draw it: a tenth of a second and more "
         "for each moment that is shown",
-    )
-    parser.add_argument("--out", type=Path, metavar="FILE.html", help="(default: RUN/summary.html)")
+    ),
+    arg.out("(default: RUN/summary.html)", "FILE.html"),
+)
 
 
 def run(options: argparse.Namespace) -> int:

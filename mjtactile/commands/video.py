@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 
 from mjtactile import InputError, load_recording
+from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import print_flags, print_json, require_new, stdout_to_stderr
 from mjtactile.run.progress import Progress
 
@@ -26,38 +27,6 @@ Needs `pip install 'mjtactile[video]'`. exit codes: 0 written, 2 bad input.
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", type=Path, metavar="RUN", help="a run's folder, or a recording")
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="FILE",
-        help=".mp4 (30 images a second), .gif or .webp (10 and 15, half the size) (default: "
-        "RUN/video.mp4); nothing but an earlier film of its own is overwritten",
-    )
-    parser.add_argument(
-        "--speed",
-        type=_positive,
-        default=1.0,
-        metavar="X",
-        help="times as fast as it was (default: 1)",
-    )
-    parser.add_argument(
-        "--begin",
-        type=_time,
-        default=0.0,
-        metavar="S",
-        help="leave out the first S seconds (default: 0)",
-    )
-    parser.add_argument(
-        "--seconds",
-        type=_positive,
-        default=math.inf,
-        metavar="S",
-        help="film so much of it (default: all)",
-    )
-
-
 def _time(text: str) -> float:
     try:
         value = float(text)
@@ -73,6 +42,19 @@ def _positive(text: str) -> float:
     if value == 0:
         raise argparse.ArgumentTypeError("0 is not above 0")
     return value
+
+
+ARGUMENTS = (
+    arg.positional("source", "RUN", "a run's folder, or a recording", type=Path),
+    arg.out(
+        ".mp4 (30 images a second), .gif or .webp (10 and 15, half the size) (default: "
+        "RUN/video.mp4); nothing but an earlier film of its own is overwritten",
+        "FILE",
+    ),
+    arg.option("--speed", "X", "times as fast as it was", 1.0, type=_positive),
+    arg.option("--begin", "S", "leave out the first S seconds", 0.0, type=_time),
+    arg.option("--seconds", "S", "film so much of it (default: all)", math.inf, type=_positive),
+)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -55,3 +55,14 @@ def test_an_option_takes_a_value_with_a_leading_minus(value):
 )
 def test_the_value_is_what_was_written(words, name, value):
     assert getattr(PARSER.parse_args(words), name) == value
+
+
+def test_the_help_names_each_default():
+    silent = [
+        (words, action.dest)
+        for words, parser in subparsers(PARSER)
+        for action in parser._actions
+        if action.default not in (None, "", False, [], argparse.SUPPRESS)
+        and "default" not in (action.help or "")
+    ]
+    assert silent == []

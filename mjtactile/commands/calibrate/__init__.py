@@ -4,7 +4,9 @@ residuals."""
 from __future__ import annotations
 
 import argparse
+from dataclasses import dataclass
 
+from mjtactile.commands import arguments as arg
 from mjtactile.commands.calibrate import camera, force, frame, gripper, valve
 
 SIMULATES = False
@@ -31,24 +33,33 @@ refused, 2 bad input, 3 a device failed.
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    kinds = parser.add_subparsers(
-        title="what to calibrate", metavar="WHAT", dest="what", required=True
-    )
-    for name, kind in KINDS.items():
-        sub = kinds.add_parser(
-            name,
-            help=kind.HELP,
-            description=kind.DESCRIPTION,
-            epilog=kind.EPILOG,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
+@dataclass(frozen=True)
+class _Kinds:
+    """A command for each thing that can be calibrated."""
+
+    def add_to(self, parser: argparse.ArgumentParser) -> None:
+        kinds = parser.add_subparsers(
+            title="what to calibrate", metavar="WHAT", dest="what", required=True
         )
-        kind.add_arguments(sub)
-        for flag, text in (
-            ("--json", "print one JSON object to stdout, all else to stderr"),
-            ("--debug", "show the traceback of an error"),
-        ):
-            sub.add_argument(flag, action="store_true", default=argparse.SUPPRESS, help=text)
+        for name, kind in KINDS.items():
+            sub = kinds.add_parser(
+                name,
+                help=kind.HELP,
+                description=kind.DESCRIPTION,
+                epilog=kind.EPILOG,
+                formatter_class=argparse.RawDescriptionHelpFormatter,
+            )
+            arg.add(sub, kind.ARGUMENTS)
+            arg.add(sub, _SHARED)
+
+
+_SHARED = (
+    arg.flag(
+        "--json", "print one JSON object to stdout, all else to stderr", default=argparse.SUPPRESS
+    ),
+    arg.flag("--debug", "show the traceback of an error", default=argparse.SUPPRESS),
+)
+ARGUMENTS = (_Kinds(),)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile import InputError
+from mjtactile.commands import arguments as arg
 from mjtactile.commands.calibrate import target
 from mjtactile.commands.calibrate.terminal import check_folder, finish, say
 from mjtactile.commands.output import print_json, stdout_to_stderr
@@ -45,64 +46,28 @@ length known to less than 0.5 %, fewer than 3 pictures tilted by 15 degrees, cor
 than 60 % of the view.
 """
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "source", nargs="?", type=Path, metavar="SOURCE", help="folder, image or video of the board"
-    )
-    target.add_arguments(parser, "pictures are taken with its camera", finger="left")
-    parser.add_argument(
-        "--views", type=int, default=20, metavar="N", help="pictures to take live (default: 20)"
-    )
-    parser.add_argument(
-        "--seconds",
-        type=float,
-        default=300.0,
-        metavar="S",
-        help="longest time to take them in (default: 300)",
-    )
-    parser.add_argument(
-        "--board",
-        default="9x7",
-        metavar="CxR",
-        help="squares of the board in x and y (default: 9x7)",
-    )
-    parser.add_argument(
-        "--square-mm",
-        type=float,
-        default=5.0,
-        metavar="MM",
-        help="side of a square, as measured (default: 5)",
-    )
-    parser.add_argument(
-        "--marker-mm", type=float, metavar="MM", help="side of a marker (default: 0.75 squares)"
-    )
-    parser.add_argument(
-        "--dictionary", default="4X4_50", metavar="NAME", help="ArUco dictionary (default: 4X4_50)"
-    )
-    parser.add_argument(
-        "--from-circles",
-        action="store_true",
-        help="the board is one of equal circles on a square grid",
-    )
-    parser.add_argument(
-        "--pitch-mm", type=float, metavar="MM", help="from one circle's centre to the next"
-    )
-    parser.add_argument("--radius-mm", type=float, metavar="MM", help="radius of the circles")
-    parser.add_argument("--bright", action="store_true", help="circles are bright on a dark ground")
-    parser.add_argument(
+ARGUMENTS = (
+    arg.positional("source", "SOURCE", "folder, image or video of the board", nargs="?", type=Path),
+    *target.arguments("pictures are taken with its camera", finger="left"),
+    arg.option("--views", "N", "pictures to take live", 20, type=int),
+    arg.option("--seconds", "S", "longest time to take them in", 300.0, type=float),
+    arg.option("--board", "CxR", "squares of the board in x and y", "9x7"),
+    arg.option("--square-mm", "MM", "side of a square, as measured", 5.0, type=float),
+    arg.option("--marker-mm", "MM", "side of a marker (default: 0.75 squares)", type=float),
+    arg.option("--dictionary", "NAME", "ArUco dictionary", "4X4_50"),
+    arg.flag("--from-circles", "the board is one of equal circles on a square grid"),
+    arg.option("--pitch-mm", "MM", "from one circle's centre to the next", type=float),
+    arg.option("--radius-mm", "MM", "radius of the circles", type=float),
+    arg.flag("--bright", "circles are bright on a dark ground"),
+    arg.flag(
         "--k3",
-        action="store_true",
-        help="fit the distortion's sixth order too (wide lenses); from circles it is fitted "
+        "fit the distortion's sixth order too (wide lenses); from circles it is fitted "
         "without being asked for where it is plainly there",
-    )
-    parser.add_argument(
-        "--print",
-        dest="print_to",
-        type=Path,
-        metavar="FILE.png",
-        help="write the board as an image, and end",
-    )
+    ),
+    arg.option(
+        "--print", "FILE.png", "write the board as an image, and end", dest="print_to", type=Path
+    ),
+)
 
 
 def run(options: argparse.Namespace) -> int:

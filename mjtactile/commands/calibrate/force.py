@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile import Calibration, InputError, SensorDesign, load_sensor
+from mjtactile.commands import arguments as arg
 from mjtactile.commands.calibrate import target
 from mjtactile.commands.calibrate.terminal import ask, confirm, finish_all, say
 from mjtactile.commands.output import stdout_to_stderr
@@ -52,67 +53,35 @@ load cell. Refused (exit code 1): fewer than 4 loads, a largest load below 0.2 N
 by 25 %, loads 10 % off a line, an area that does not grow.
 """
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "source",
-        nargs="?",
-        type=Path,
-        metavar="SOURCE.csv",
-        help="images and loads, or times and loads",
-    )
-    target.add_arguments(parser, "its sensors are loaded")
-    parser.add_argument(
-        "--flat", type=Path, metavar="SOURCE", help="images of the flat membrane, valve open"
-    )
-    parser.add_argument(
-        "--rest",
-        type=Path,
-        metavar="SOURCE",
-        help="images of the inflated membrane, nothing touching",
-    )
-    parser.add_argument(
+ARGUMENTS = (
+    arg.positional(
+        "source", "SOURCE.csv", "images and loads, or times and loads", nargs="?", type=Path
+    ),
+    *target.arguments("its sensors are loaded"),
+    arg.option("--flat", "SOURCE", "images of the flat membrane, valve open", type=Path),
+    arg.option("--rest", "SOURCE", "images of the inflated membrane, nothing touching", type=Path),
+    arg.option(
         "--pressure-kPa",
+        "P",
+        "gauge pressure in the rest images, as its sensor says",
         dest="pressure",
         type=float,
-        metavar="P",
-        help="gauge pressure in the rest images, as its sensor says",
-    )
-    parser.add_argument(
-        "--recording", type=Path, metavar="DIR", help="the images are those of this recording"
-    )
-    parser.add_argument(
-        "--delay-s",
-        dest="delay",
-        type=float,
-        default=0.0,
-        metavar="S",
-        help="to add to the load cell's times (default: 0)",
-    )
-    parser.add_argument(
-        "--load-cell", action="store_true", help="live: squeeze a load cell between the jaws"
-    )
-    parser.add_argument(
-        "--force-N",
-        dest="force",
-        type=float,
-        default=1.5,
-        metavar="F",
-        help="live: largest force to squeeze it with (default: 1.5)",
-    )
-    parser.add_argument(
+    ),
+    arg.option("--recording", "DIR", "the images are those of this recording", type=Path),
+    arg.option("--delay-s", "S", "to add to the load cell's times", 0.0, dest="delay", type=float),
+    arg.flag("--load-cell", "live: squeeze a load cell between the jaws"),
+    arg.option(
+        "--force-N", "F", "live: largest force to squeeze it with", 1.5, dest="force", type=float
+    ),
+    arg.option(
         "--weights-g",
+        "A,B,…",
+        "live: masses to put on, one after the other",
+        "0,20,50,100",
         dest="weights",
-        default="0,20,50,100",
-        metavar="A,B,…",
-        help="live: masses to put on, one after the other (default: 0,20,50,100)",
-    )
-    parser.add_argument(
-        "--object",
-        default="egg",
-        metavar="NAME|FILE.xml",
-        help="emulated rig: what is squeezed (default: egg)",
-    )
+    ),
+    arg.option("--object", "NAME|FILE.xml", "emulated rig: what is squeezed", "egg"),
+)
 
 
 Loads = Iterator[tuple[str, float, Sequence[Sequence[Image]]]]

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile import InputError, SensorDesign, load_sensor
+from mjtactile.commands import arguments as arg
 from mjtactile.commands.calibrate import target
 from mjtactile.commands.calibrate.terminal import finish_all, say
 from mjtactile.commands.output import stdout_to_stderr
@@ -39,33 +40,26 @@ Refused (exit code 1): markers missing or of another size than the sensor file s
 off by more than 1 px.
 """
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
+ARGUMENTS = (
+    arg.positional(
         "source",
+        "FLAT",
+        "image, folder or video of the flat membrane, valve open",
         nargs="?",
         type=Path,
-        metavar="FLAT",
-        help="image, folder or video of the flat membrane, valve open",
-    )
-    target.add_arguments(parser, "pictures are taken with its valves and cameras")
-    parser.add_argument(
-        "--rest",
-        type=Path,
-        metavar="SOURCE",
-        help="images of the inflated membrane, nothing touching",
-    )
-    parser.add_argument(
+    ),
+    *target.arguments("pictures are taken with its valves and cameras"),
+    arg.option("--rest", "SOURCE", "images of the inflated membrane, nothing touching", type=Path),
+    arg.option(
         "--pressure-kPa",
+        "P",
+        "gauge pressure in the rest images, as its sensor says (default: the sensor's supply "
+        "pressure)",
         dest="pressure",
         type=float,
-        metavar="P",
-        help="gauge pressure in the rest images, as its sensor says (default: "
-        "the sensor's supply pressure)",
-    )
-    parser.add_argument(
-        "--valve", choices=["closed", "open"], default="closed", help="in use after the rest images"
-    )
+    ),
+    arg.choice("--valve", ["closed", "open"], "in use after the rest images", "closed"),
+)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile import InputError
+from mjtactile.commands import arguments as arg
 from mjtactile.commands.calibrate.terminal import ask, check_folder, confirm, finish, say
 from mjtactile.commands.output import stdout_to_stderr
 
@@ -39,49 +40,30 @@ _sd; rms_N} and `servo`: zero_ticks, mm_per_rad, torque_Nm_per_A of each. Refuse
 0.5 to 1.5, readings 10 % off a line.
 """
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--rig", required=True, metavar="NAME|FILE.toml", help="the gripper's rig file"
-    )
-    parser.add_argument(
-        "--openings",
-        type=Path,
-        metavar="FILE.csv",
-        help="caliper readings, instead of moving the jaws",
-    )
-    parser.add_argument(
-        "--forces", type=Path, metavar="FILE.csv", help="load cell readings, instead of squeezing"
-    )
-    parser.add_argument("--skip-forces", action="store_true", help="calibrate the opening alone")
-    parser.add_argument(
+ARGUMENTS = (
+    arg.option("--rig", "NAME|FILE.toml", "the gripper's rig file", required=True),
+    arg.option("--openings", "FILE.csv", "caliper readings, instead of moving the jaws", type=Path),
+    arg.option("--forces", "FILE.csv", "load cell readings, instead of squeezing", type=Path),
+    arg.flag("--skip-forces", "calibrate the opening alone"),
+    arg.option(
         "--opening-mm",
+        ("LOW", "HIGH"),
+        "openings to move between; nothing may be there (default: 60 and 90 %% of the "
+        "gripper's range)",
         dest="range",
         nargs=2,
         type=float,
-        metavar=("LOW", "HIGH"),
-        help="openings to move between; nothing may be there (default: 60 and "
-        "90 %% of the gripper's range)",
-    )
-    parser.add_argument(
+    ),
+    arg.option(
         "--force-N",
+        "F",
+        "largest force to squeeze with (default: half of the rig file's force_max_N)",
         dest="force",
         type=float,
-        metavar="F",
-        help="largest force to squeeze with (default: half of the rig file's force_max_N)",
-    )
-    parser.add_argument(
-        "--object",
-        default="egg",
-        metavar="NAME|FILE.xml",
-        help="emulated rig: what is squeezed (default: egg)",
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="FILE.json",
-        help="default: the one that the rig file's [gripper] names as its calibration",
-    )
+    ),
+    arg.option("--object", "NAME|FILE.xml", "emulated rig: what is squeezed", "egg"),
+    arg.out("default: the one that the rig file's [gripper] names as its calibration", "FILE.json"),
+)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -3,40 +3,32 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from mjtactile import InputError
 from mjtactile.calibrate.target import Target, places
 from mjtactile.calibrate.target import find_targets as _find_targets
+from mjtactile.commands import arguments as arg
 from mjtactile.commands.calibrate.terminal import check_folder
 from mjtactile.types import FINGERS
 
-__all__ = ["Target", "add_arguments", "find_targets", "places"]
+__all__ = ["Target", "arguments", "find_targets", "places"]
 
 
-def add_arguments(parser: argparse.ArgumentParser, live: str, *, finger: str | None = None) -> None:
+def arguments(live: str, *, finger: str | None = None) -> tuple[arg.Argument, ...]:
     """Options that say whose calibration it is; `live` says what is done with a rig when there is
     no SOURCE."""
-    parser.add_argument(
-        "--rig", metavar="NAME|FILE.toml", help=f"whose finger it is; without SOURCE, {live}"
-    )
-    parser.add_argument(
-        "--finger",
-        choices=FINGERS,
-        default=finger,
-        help=f"which finger of the rig (default: {finger or 'all of them'})",
-    )
-    parser.add_argument(
-        "--sensor",
-        default="dense",
-        metavar="NAME|FILE.toml",
-        help="the sensor, where the rig file does not say it (default: dense)",
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="FILE.json",
-        help="calibration file to write into (default: the one that the rig file names)",
+    return (
+        arg.option("--rig", "NAME|FILE.toml", f"whose finger it is; without SOURCE, {live}"),
+        arg.choice(
+            "--finger",
+            FINGERS,
+            f"which finger of the rig (default: {finger or 'all of them'})",
+            finger,
+        ),
+        arg.sensor("the sensor, where the rig file does not say it"),
+        arg.out(
+            "calibration file to write into (default: the one that the rig file names)", "FILE.json"
+        ),
     )
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile import InputError, load_sensor
+from mjtactile.commands import arguments as arg
 from mjtactile.commands.calibrate import target
 from mjtactile.commands.calibrate.terminal import finish_all, say
 from mjtactile.commands.output import stdout_to_stderr
@@ -35,26 +36,18 @@ zero off by 5 % of the step, noise 5 %, pressure reached off by 10 %, rise above
 above 10 % a minute.
 """
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "source", nargs="?", type=Path, metavar="SOURCE.csv", help="a recorded step"
-    )
-    target.add_arguments(parser, "its valves are stepped")
-    parser.add_argument(
+ARGUMENTS = (
+    arg.positional("source", "SOURCE.csv", "a recorded step", nargs="?", type=Path),
+    *target.arguments("its valves are stepped"),
+    arg.option(
         "--pressure-kPa",
+        "P",
+        "gauge pressure of the step (default: the sensor's supply pressure)",
         dest="pressure",
         type=float,
-        metavar="P",
-        help="gauge pressure of the step (default: the sensor's supply pressure)",
-    )
-    parser.add_argument(
-        "--seal",
-        type=float,
-        default=10.0,
-        metavar="S",
-        help="time to watch the sealed chamber (default: 10 s)",
-    )
+    ),
+    arg.option("--seal", "S", "time to watch the sealed chamber (default: 10 s)", 10.0, type=float),
+)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -9,7 +9,8 @@ from dataclasses import replace
 
 import pytest
 
-from mjtactile.commands.evaluate import add_arguments
+from mjtactile.commands import arguments
+from mjtactile.commands.evaluate import ARGUMENTS
 from mjtactile.commands.scenario import scenario_of
 from mjtactile.core.errors import DeviceError, InputError, Interrupted, SimulationError
 from mjtactile.core.scenario import Scenario
@@ -174,7 +175,7 @@ def test_the_manifest_says_how_to_run_it_again(tmp_path):
     found = store.manifest(options, [tmp_path / "cup.xml", tmp_path / "a" / "cup.xml"])
     assert len(found["files"]) == 2
     parser = argparse.ArgumentParser()
-    add_arguments(parser)
+    arguments.add(parser, ARGUMENTS)
     program, name, *words = shlex.split(found["command"])
     parsed = parser.parse_args(words)
     read = dict(vars(parsed))
