@@ -7,41 +7,16 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
-import shutil
 import subprocess
-import time
-import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 from websockets.sync.client import connect
 
+from benchmarks.studio.chromium import CHROMIUM, FLAGS, page_address
 from benchmarks.studio.probe import MARK
 
-CHROMIUM = next(
-    (
-        path
-        for name in ("chromium", "chromium-browser", "google-chrome")
-        if (path := shutil.which(name))
-    ),
-    None,
-)
-_FLAGS = (
-    "--headless=new",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--no-sandbox",
-    "--window-size=1280,800",
-    "--remote-allow-origins=*",
-    "--remote-debugging-port=0",
-    "--no-first-run",
-    "--disable-sync",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-extensions",
-)
 _LIMIT = 60.0  # s that it may take to come up
 _SCRIPT = """(() => {
     const context = WebGL2RenderingContext.prototype;
@@ -76,12 +51,12 @@ def look_at(url: str, folder: Path) -> Iterator[Callable[[], list[tuple[int, flo
     clock."""
     assert CHROMIUM is not None
     process = subprocess.Popen(
-        [CHROMIUM, *_FLAGS, f"--user-data-dir={folder}", "about:blank"],
+        [CHROMIUM, *FLAGS, f"--user-data-dir={folder}", "about:blank"],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
     try:
-        with connect(_address(folder), max_size=None) as socket:
+        with connect(page_address(folder, _LIMIT), max_size=None) as socket:
             numbers = itertools.count(1)
 
             def ask(method: str, **params: Any) -> Any:
@@ -103,21 +78,3 @@ def look_at(url: str, folder: Path) -> Iterator[Callable[[], list[tuple[int, flo
     finally:
         process.kill()
         process.wait()
-
-
-def _address(folder: Path) -> str:
-    """The page's own socket; waits for the browser."""
-    end = time.monotonic() + _LIMIT
-    while True:
-        try:
-            port = (folder / "DevToolsActivePort").read_text(encoding="utf-8").splitlines()[0]
-            with urllib.request.urlopen(f"http://127.0.0.1:{port}/json", timeout=5) as answer:
-                return next(
-                    page["webSocketDebuggerUrl"]
-                    for page in json.load(answer)
-                    if page["type"] == "page"
-                )
-        except (OSError, StopIteration, IndexError):
-            if time.monotonic() > end:
-                raise
-            time.sleep(0.2)

@@ -41,10 +41,10 @@ def rows(quick: bool = False) -> list[dict[str, Any]]:
 
 def feel(trouble: Callable[[SimFinger], None], held: bool) -> dict[str, Any]:
     """Felt less true force after it, of images whose status is ok."""
-    model, data, finger = _scene(held)
-    _watch(model, data, finger, BEFORE)
+    model, data, finger = scene(MASS if held else None)
+    errors(model, data, finger, BEFORE)
     trouble(finger)
-    off, sd = _watch(model, data, finger, AFTER).T
+    off, sd = errors(model, data, finger, AFTER).T
     known = np.isfinite(off)
     far = (np.abs(off) > FAR_SD * sd) & (np.abs(off) > FAR_N) & known
     return {
@@ -57,20 +57,22 @@ def feel(trouble: Callable[[SimFinger], None], held: bool) -> dict[str, Any]:
     }
 
 
-def _scene(held: bool) -> tuple[mujoco.MjModel, mujoco.MjData, SimFinger]:
+def scene(mass: float | None) -> tuple[mujoco.MjModel, mujoco.MjData, SimFinger]:
+    """A sensor that looks up, with a ball of `mass` kg on it that can only move up and down, or
+    without."""
     spec = mujoco.MjSpec()
     mjtactile.recommend_options(spec)
     tip = mjtactile.attach(spec, "dense", site=spec.worldbody.add_site(name="tip"), prefix="f/")
-    if held:
+    if mass is not None:
         ball = spec.worldbody.add_body(name="ball", pos=[0, 0, RADIUS + 0.006])
         ball.add_joint(name="z", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1], damping=2.0)
-        ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[RADIUS, 0, 0], mass=MASS)
+        ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[RADIUS, 0, 0], mass=mass)
     model = spec.compile()
     data = mujoco.MjData(model)
     return model, data, tip.bind(model, data)
 
 
-def _watch(
+def errors(
     model: mujoco.MjModel, data: mujoco.MjData, finger: SimFinger, seconds: float
 ) -> np.ndarray:
     """Felt less true force, N, and its sd, of each image (n, 2); NaN where it is not known."""

@@ -9,40 +9,15 @@ import base64
 import contextlib
 import itertools
 import json
-import shutil
 import subprocess
 import time
-import urllib.request
 
 import cv2
 import numpy as np
 from websockets.sync.client import connect
 
-CHROMIUM = next(
-    (
-        path
-        for name in ("chromium", "chromium-browser", "google-chrome")
-        if (path := shutil.which(name))
-    ),
-    None,
-)
-_FLAGS = [
-    "--headless=new",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--no-sandbox",
-    "--window-size=1280,800",
-    "--remote-allow-origins=*",
-    "--remote-debugging-port=0",
-    "--no-first-run",
-    "--disable-sync",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-default-apps",
-    "--disable-extensions",
-    "--disable-gpu-rasterization",
-]
+from benchmarks.studio.chromium import CHROMIUM, FLAGS, page_address
+
 LIMIT = 180  # s; for whatever is waited for, on a computer that does other things, too
 _SPARING = """(() => {
     let drawing = false;
@@ -128,14 +103,14 @@ def open_page(url, folder, until=None, *, sparing=False, scale=1.0):
     it has."""
     command = [
         CHROMIUM,
-        *_FLAGS,
+        *FLAGS,
         f"--force-device-scale-factor={scale}",
         f"--user-data-dir={folder}",
         "about:blank",
     ]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        with connect(_socket(folder), max_size=None) as socket:
+        with connect(page_address(folder, LIMIT), max_size=None) as socket:
             end = time.monotonic() + LIMIT
             while until is not None and "inflated" not in until.read_text():
                 assert time.monotonic() < end, until.read_text()
@@ -146,20 +121,3 @@ def open_page(url, folder, until=None, *, sparing=False, scale=1.0):
     finally:
         process.kill()
         process.wait()
-
-
-def _socket(folder):
-    """The address of the page's own socket; waits for the browser."""
-    end = time.monotonic() + LIMIT
-    while True:
-        try:
-            port = (folder / "DevToolsActivePort").read_text().splitlines()[0]
-            with urllib.request.urlopen(f"http://127.0.0.1:{port}/json", timeout=5) as answer:
-                return next(
-                    page["webSocketDebuggerUrl"]
-                    for page in json.load(answer)
-                    if page["type"] == "page"
-                )
-        except (OSError, StopIteration, IndexError):
-            assert time.monotonic() < end, "the browser did not come up"
-            time.sleep(0.2)

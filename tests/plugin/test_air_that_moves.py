@@ -3,65 +3,17 @@ simulated contact carries."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-import mujoco
 import numpy as np
 import pytest
 
 import mjtactile
-from mjtactile import SimFinger
+from benchmarks.trust.air import AFTER, BEFORE, MASS, TROUBLES, errors, scene
 from mjtactile.core.types import PressureReading
 from mjtactile.sensing.force.gauge import GaugeFilter
 from mjtactile.sensing.force.sheet import Gas
 
-RADIUS = 0.012
-MASS = 0.061  # kg: 0.6 N
 TOLERANCE = 0.03  # N: three sd of an untouched sensor with its gauge, and what a hole adds
 BOUNCE = 0.4  # s in which the ball swings after a jump of the pressure, and the sheet drags
-
-
-def scene(mass: float | None) -> tuple[mujoco.MjModel, mujoco.MjData, SimFinger]:
-    """A sensor that looks up, with a ball on it that can only move up and down, or without."""
-    spec = mujoco.MjSpec()
-    mjtactile.recommend_options(spec)
-    tip = mjtactile.attach(spec, "dense", site=spec.worldbody.add_site(name="tip"), prefix="f/")
-    if mass is not None:
-        ball = spec.worldbody.add_body(name="ball", pos=[0, 0, RADIUS + 0.006])
-        ball.add_joint(name="z", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1], damping=2.0)
-        ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[RADIUS, 0, 0], mass=mass)
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    return model, data, tip.bind(model, data)
-
-
-def errors(
-    model: mujoco.MjModel, data: mujoco.MjData, finger: SimFinger, seconds: float
-) -> np.ndarray:
-    """Felt less true force, N, and its sd, of each image; NaN where the finger does not know."""
-    ball = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, "z")
-    found = []
-    end = data.time + seconds
-    seen = finger.touch.time
-    while data.time < end:
-        mjtactile.step(model, data, [finger])
-        touch = finger.touch
-        if touch.time > seen:
-            seen = touch.time
-            held = 0.0 if ball < 0 else float(data.qfrc_constraint[model.jnt_dofadr[ball]])
-            off = touch.force_normal - held if touch.status == "ok" else np.nan
-            found.append((off, touch.force_normal_sd))
-    return np.array(found)
-
-
-TROUBLES: dict[str, Callable[[SimFinger], None]] = {
-    "valve to 0.5 kPa": lambda finger: finger.sensor.open_valve(500.0),
-    "valve to 2 kPa": lambda finger: finger.sensor.open_valve(2000.0),
-    "valve to the air": lambda finger: finger.sensor.open_valve(0.0),
-    "puncture": lambda finger: finger.sensor.puncture(1e-9),
-    "leak of 0.03 mL/(s kPa)": lambda finger: finger.sensor.puncture(0.03e-9),
-    "warmth of 3 K": lambda finger: finger.sensor.warm(1.5),
-}
 
 
 @pytest.mark.slow
@@ -69,9 +21,9 @@ TROUBLES: dict[str, Callable[[SimFinger], None]] = {
 @pytest.mark.parametrize("trouble", TROUBLES)
 def test_force_stays_right_or_is_unknown(trouble: str, mass: float | None) -> None:
     model, data, finger = scene(mass)
-    errors(model, data, finger, 0.8)
+    errors(model, data, finger, BEFORE)
     TROUBLES[trouble](finger)
-    off, sd = np.abs(errors(model, data, finger, 2.0)).T
+    off, sd = np.abs(errors(model, data, finger, AFTER)).T
     swings = round(BOUNCE * finger.design.camera.rate)
     assert np.nanmax((off / np.maximum(TOLERANCE, 3 * sd))[:swings]) < 1
     assert np.nanmax(off[swings:]) < TOLERANCE
