@@ -181,19 +181,23 @@ void apply_gas_load(int64_t k, const double *gradient /* k, 3 */, const double *
 int64_t membrane_loads(int64_t contacts, int64_t list, const int64_t *layout /* 9 */, int64_t rows,
                        const double *force /* rows */, int64_t n, const int64_t *membranes /* n, 3 */, double *loads /* n, 3 */);
 /* sim/sensor/rubber.py: MuJoCo's stiffness `rows`, of which six are written, from the strain of m triangles of `edges` between
-   `ends` of n vertices `p`. `law`: mu, Poisson's ratio, lambda', its least and most. */
+   `ends` of n vertices `p`. `law`: mu, Poisson's ratio, lambda', its least and most. Out, too: `thin`, the square of the
+   thickness's stretch over that of the area. */
 int64_t rubber_stiffness(int64_t m, const int64_t *edges /* m, 3 */, int64_t e, const int64_t *ends /* e, 2 */, int64_t n,
                          const double *p /* n, 3 */, const double *metric /* m, 3, 3 */, const double *law /* 5 */,
-                         const double *by_mu /* m, 6 */, const double *by_lambda /* m, 6 */, double *rows /* m, 21 */);
+                         const double *by_mu /* m, 6 */, const double *by_lambda /* m, 6 */, double *thin /* m */,
+                         double *rows /* m, 21 */);
 /* sim/sensor/relaxing.py: m triangles of n vertices `p`, whose edges' `inverse` and area times thickness, `section`, are those of
-   the flat sheet. `law`: mu, Poisson's ratio, the pre-stretch squared, softening and its energy; each term has a share and what is
-   `kept` of it. In and out: `memory`, the stress before and what each term has faded by, and `most` energy. Out: `scale` of the
-   lasting stiffness, and `forces` that take the faded stress away. */
+   the flat sheet. `law`: mu, Poisson's ratio, the pre-stretch squared, softening and its energy; `thin`: of rubber_stiffness at
+   the same `p`; each term has a share and what is `kept` of it. In and out: `memory`, the stress before and what each term has
+   faded by, `most` energy, `rows`, which become as stiff as the quick rubber, and `forces` on k `interior` vertices, to which
+   those are added that take the faded stress away. `work` is room for it. */
 int64_t rubber_remembers(int64_t m, const int64_t *triangles /* m, 3 */, int64_t n, const double *p /* n, 3 */,
                          const double *inverse /* m, 2, 2 */, const double *section /* m */, const double *law /* 5 */,
-                         int64_t terms, const double *shares /* terms */, const double *kept /* terms */,
-                         double *memory /* m, terms + 1, 3 */, double *most /* m */, double *scale /* m */,
-                         double *forces /* n, 3 */);
+                         const double *thin /* m or NULL */, int64_t terms, const double *shares /* terms */,
+                         const double *kept /* terms */, double *memory /* terms + 1, 3, m */, double *most /* m */,
+                         double *work /* 12 * m + 3 * n */, int64_t k, const int64_t *interior /* k */,
+                         double *rows /* m, 21 or NULL */, double *forces /* 3 * k */);
 /* sim/sensor/facets.py: sums of the principal curvatures `out` 1/m of MuJoCo's geoms of `kinds` and `sizes` where their surfaces
    have the `normals` in their frames; `end`: the least cosine of a normal to a cylinder's end. */
 void curvatures(int64_t n, const int32_t *kinds /* n */, const double *sizes /* n, 3 */, const double *normals /* n, 3 */,

@@ -96,7 +96,8 @@ static double thickness_over_area(double log_det, double poisson) {
 }
 
 int64_t rubber_stiffness(int64_t m, const int64_t *edges, int64_t e, const int64_t *ends, int64_t n, const double *p,
-                         const double *metric, const double *law, const double *by_mu, const double *by_lambda, double *rows) {
+                         const double *metric, const double *law, const double *by_mu, const double *by_lambda, double *thin,
+                         double *rows) {
     if (!are_below(e, 3 * m, edges) || !are_below(n, 2 * e, ends)) return REFUSED;
     double shear = law[0], poisson = law[1], first = law[2], least = law[3], most = law[4];
     for (int64_t t = 0; t < m; t++) {
@@ -111,7 +112,8 @@ int64_t rubber_stiffness(int64_t m, const int64_t *edges, int64_t e, const int64
             for (int i = 0; i < 3; i++) C[i] += metric[9 * t + 3 * i + side] * square;
         }
         double trace = (C[0] + C[1]) / 2 - 1;
-        mu = shear * thickness_over_area(log(fmax(C[0] * C[1] - C[2] * C[2], FLATTEST)), poisson);
+        thin[t] = thickness_over_area(log(fmax(C[0] * C[1] - C[2] * C[2], FLATTEST)), poisson);
+        mu = shear * thin[t];
         if (!(fabs(trace) < UNSTRAINED))
             lambda = fmin(fmax((shear - mu * (1 + 2 * trace)) / trace, least * mu), most * first);
         for (int i = 0; i < 6; i++) rows[ROW * t + i] = mu * by_mu[6 * t + i] + lambda * by_lambda[6 * t + i];
@@ -126,41 +128,53 @@ static double energy(const double *C, double q, double poisson) {
 }
 
 int64_t rubber_remembers(int64_t m, const int64_t *triangles, int64_t n, const double *p, const double *inverse,
-                         const double *section, const double *law, int64_t terms, const double *shares, const double *kept,
-                         double *memory, double *most, double *scale, double *forces) {
-    if (!are_below(n, 3 * m, triangles)) return REFUSED;
+                         const double *section, const double *law, const double *thin, int64_t terms, const double *shares,
+                         const double *kept, double *memory, double *most, double *work, int64_t k, const int64_t *interior,
+                         double *rows, double *forces) {
+    if (!are_below(n, 3 * m, triangles) || !are_below(n, k, interior)) return REFUSED;
     double shear = law[0], poisson = law[1], stretch2 = law[2], softening = law[3], softening_energy = law[4], quick = 1;
+    double *slopes = work, *stress = work + 6 * m, *faded = work + 9 * m, *load = work + 12 * m;
     for (int64_t i = 0; i < terms; i++) quick += shares[i];
-    memset(forces, 0, 3 * n * sizeof *forces);
     for (int64_t t = 0; t < m; t++) {
         const int64_t *corner = triangles + 3 * t;
         const double *in = inverse + 4 * t;
-        double *before = memory + 3 * (terms + 1) * t, faded[3] = {0}, g[2][3], C[3] = {0};
-        for (int k = 0; k < 3; k++) {
-            double a = p[3 * corner[0] + k], u = p[3 * corner[1] + k] - a, w = p[3 * corner[2] + k] - a;
-            for (int i = 0; i < 2; i++) g[i][k] = in[2 * i] * u + in[2 * i + 1] * w;
-            C[0] += stretch2 * g[0][k] * g[0][k], C[1] += stretch2 * g[1][k] * g[1][k], C[2] += stretch2 * g[0][k] * g[1][k];
+        double *g = slopes + 6 * t, C[3] = {0}, by = shear;
+        for (int x = 0; x < 3; x++) {
+            double a = p[3 * corner[0] + x], u = p[3 * corner[1] + x] - a, w = p[3 * corner[2] + x] - a;
+            for (int i = 0; i < 2; i++) g[3 * i + x] = in[2 * i] * u + in[2 * i + 1] * w;
+            C[0] += stretch2 * g[x] * g[x], C[1] += stretch2 * g[3 + x] * g[3 + x], C[2] += stretch2 * g[x] * g[3 + x];
         }
-        double q = thickness_over_area(log(fmax(C[0] * C[1] - C[2] * C[2], FLATTEST)), poisson);
-        double by = shear;
-        if (softening > 0) { /* else nobody asks for the energy, a third of the time */
+        double q = thin ? thin[t] : thickness_over_area(log(fmax(C[0] * C[1] - C[2] * C[2], FLATTEST)), poisson);
+        if (softening > 0) { /* else nobody asks for the energy */
             double W = shear * energy(C, q, poisson);
             most[t] = fmax(most[t], W), by *= 1 - softening * erf((most[t] - W) / softening_energy);
         }
-        double S[3] = {by * (1 - q * C[1]), by * (1 - q * C[0]), by * q * C[2]};
-        scale[t] = quick * by / shear;
-        double mean[3] = {(before[0] + S[0]) / 2, (before[1] + S[1]) / 2, (before[2] + S[2]) / 2};
-        memcpy(before, S, sizeof S);
-        for (int64_t i = 0; i < terms; i++) {
-            double *r = before + 3 * (i + 1), gained = (1 - kept[i]) * shares[i];
-            for (int k = 0; k < 3; k++) r[k] = kept[i] * r[k] + gained * mean[k], faded[k] += r[k];
-        }
-        for (int k = 0; k < 3; k++) {
-            double one = faded[0] * g[0][k] + faded[2] * g[1][k], two = faded[2] * g[0][k] + faded[1] * g[1][k];
-            double u = section[t] * (in[0] * one + in[2] * two), w = section[t] * (in[1] * one + in[3] * two);
-            forces[3 * corner[1] + k] += u, forces[3 * corner[2] + k] += w, forces[3 * corner[0] + k] -= u + w;
+        stress[t] = by * (1 - q * C[1]), stress[m + t] = by * (1 - q * C[0]), stress[2 * m + t] = by * q * C[2];
+        if (rows)
+            for (int i = 0; i < 6; i++) rows[ROW * t + i] *= quick * by / shear;
+    }
+    memset(faded, 0, 3 * m * sizeof *faded);
+    for (int64_t j = 0; j < 3 * m; j++) {
+        double mean = (memory[j] + stress[j]) / 2;
+        memory[j] = stress[j], stress[j] = mean;
+    }
+    for (int64_t i = 0; i < terms; i++) {
+        double *restrict r = memory + 3 * m * (i + 1), left = kept[i], gained = (1 - left) * shares[i];
+        for (int64_t j = 0; j < 3 * m; j++) r[j] = left * r[j] + gained * stress[j], faded[j] += r[j];
+    }
+    memset(load, 0, 3 * n * sizeof *load);
+    for (int64_t t = 0; t < m; t++) {
+        const int64_t *corner = triangles + 3 * t;
+        const double *in = inverse + 4 * t, *g = slopes + 6 * t;
+        double along = section[t] * faded[t], across = section[t] * faded[m + t], both = section[t] * faded[2 * m + t];
+        for (int x = 0; x < 3; x++) {
+            double one = along * g[x] + both * g[3 + x], two = both * g[x] + across * g[3 + x];
+            double u = in[0] * one + in[2] * two, w = in[1] * one + in[3] * two;
+            load[3 * corner[1] + x] += u, load[3 * corner[2] + x] += w, load[3 * corner[0] + x] -= u + w;
         }
     }
+    for (int64_t v = 0; v < k; v++)
+        for (int i = 0; i < 3; i++) forces[3 * v + i] += load[3 * interior[v] + i];
     return 0;
 }
 

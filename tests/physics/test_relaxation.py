@@ -32,14 +32,14 @@ class Patch:
         self.relaxation = relaxation
         self.sheet = Relaxing(mesh, DENSE.membrane, relaxation)
         # the lasting stress of the mounted sheet, Pa
-        self.at_rest = self.sheet._memory[0, 0].copy()
+        self.at_rest = self.sheet._memory[0, :, 0].copy()
 
     def stretched(self, by, elapsed):
         """Lasting and total stress along x, beyond the mounted sheet's, stretched `by` both ways
         for `elapsed` s since the last call."""
         self.sheet._advance(self.flat * [1 + by, 1 + by, 1], elapsed)
-        lasting = self.sheet._memory[0, 0]
-        mine = self.relaxation.quick * lasting - self.sheet._memory[0, 1:].sum(axis=0)
+        lasting = self.sheet._memory[0, :, 0]
+        mine = self.relaxation.quick * lasting - self.sheet._memory[1:, :, 0].sum(axis=0)
         return float((lasting - self.at_rest)[0]), float((mine - self.at_rest)[0])
 
 

@@ -14,6 +14,8 @@ stresses that it has seen.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from mjtactile.core.relaxation import Relaxation
@@ -29,72 +31,91 @@ rest: 0.6 um of a bulge of 3 mm."""
 
 
 class Relaxing:
-    """What one sheet remembers. It begins as one that has been mounted, flat, for ever."""
+    """What one sheet remembers. It begins as one that has been mounted, flat, for ever.
+
+    Args:
+        mesh: Its triangles.
+        sheet: Its rubber.
+        relaxation: How that fades.
+    """
 
     def __init__(self, mesh: MembraneMesh, sheet: Membrane, relaxation: Relaxation):
+        count = len(mesh.triangles)
         self._relaxation = relaxation
         self._shares = relaxation.shares
+        self._elapsed = np.nan
         self._kept = np.zeros(len(self._shares))
         self._shear = shear_modulus(sheet.young, sheet.poisson)
-        self._interior = mesh.interior
         self._p_SV = mesh.p_SV.copy()
-        self._memory = np.zeros((len(mesh.triangles), len(self._shares) + 1, 3))
-        self._scale = np.empty(len(mesh.triangles))
-        self._forces = np.empty_like(self._p_SV)
-        self._remember = bound(
-            "rubber_remembers",
-            len(mesh.triangles),
+        # lasting stress, then what each term has faded by: S_xx, S_yy, S_xy of each triangle
+        self._memory = np.zeros((len(self._shares) + 1, 3, count))
+        law = [
+            self._shear,
+            sheet.poisson,
+            sheet.pre_stretch**2,
+            relaxation.softening,
+            relaxation.softening_energy,
+        ]
+        self._sheet = (
+            count,
             np.ascontiguousarray(mesh.triangles),
             len(self._p_SV),
             self._p_SV,
             np.ascontiguousarray(mesh.inverse_edges),
             mesh.triangle_areas * sheet.thickness,
-            np.array(
-                [
-                    self._shear,
-                    sheet.poisson,
-                    sheet.pre_stretch**2,
-                    relaxation.softening,
-                    relaxation.softening_energy,
-                ]
-            ),
+            np.array(law),
+        )
+        self._state = (
             len(self._shares),
             self._shares,
             self._kept,
             self._memory,
-            np.zeros(len(mesh.triangles)),
-            self._scale,
-            self._forces,
+            np.zeros(count),
+            np.empty(12 * count + 3 * len(self._p_SV)),
+            len(mesh.interior),
+            np.ascontiguousarray(mesh.interior, np.int64),
         )
+        aside = np.zeros(3 * len(mesh.interior))
+        self._remember = bound("rubber_remembers", *self._sheet, None, *self._state, None, aside)
+        self._act = self._remember
         self.settle(mesh.p_SV)
+
+    def carry(self, thin: Array, rows: Array, forces: Array) -> None:
+        """Name the arrays that `update` reads and changes, for good.
+
+        Args:
+            thin: (m,) of the lasting rubber, which is updated first (`Rubber.thin`).
+            rows: Its stiffness (m, 21), which becomes the present one's.
+            forces: Generalised forces (3 k,) N of the interior vertices, to which those are added
+                that take the faded stress away.
+        """
+        self._act = bound("rubber_remembers", *self._sheet, thin, *self._state, rows, forces)
 
     def settle(self, p_SV: Array) -> None:
         """Forget all but a shape (n, 3) m that has been there for ever."""
         for _ in range(2):  # the first tells the stress, the second what it has faded by
             self._advance(p_SV, np.inf)
 
-    def update(self, p_SV: Array, elapsed: float, rows: Array, forces: Array) -> None:
-        """Follow the sheet to `p_SV` (n, 3) m, `elapsed` s later; before every step.
-
-        Args:
-            p_SV: The vertices, m in S.
-            elapsed: Since the last call, s.
-            rows: The lasting rubber's stiffness (m, 6), which becomes the present one's.
-            forces: Generalised forces (3 k,) N of the interior vertices, to which those are added
-                that take the faded stress away.
-        """
-        self._advance(p_SV, elapsed)
-        rows *= self._scale[:, None]
-        forces += self._forces[self._interior].ravel()
+    def update(self, p_SV: Array, elapsed: float) -> None:
+        """Follow the sheet to `p_SV` (n, 3) m, `elapsed` s later; before every step, and after the
+        lasting rubber."""
+        self._come_to(p_SV, elapsed)
+        self._act()
 
     @property
     def is_still(self) -> bool:
         """Whether all terms have come to their ends."""
-        stress = self._memory[:, :1]
-        off = stress * self._shares[:, None] - self._memory[:, 1:]
+        off = self._memory[0] * self._shares[:, None, None] - self._memory[1:]
         return bool(np.abs(off).max(initial=0.0) < _STILL * self._shear)
 
     def _advance(self, p_SV: Array, elapsed: float) -> None:
-        self._p_SV[:] = p_SV
-        self._kept[:] = self._relaxation.kept(elapsed)
+        """As `update`, of a sheet that carries nothing."""
+        self._come_to(p_SV, elapsed)
         self._remember()
+
+    def _come_to(self, p_SV: Array, elapsed: float) -> None:
+        self._p_SV[:] = p_SV
+        # steps are alike but for the rounding of the clock
+        if not math.isclose(elapsed, self._elapsed, rel_tol=1e-9):
+            self._elapsed = elapsed
+            self._kept[:] = self._relaxation.kept(elapsed)

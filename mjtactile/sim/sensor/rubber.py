@@ -50,10 +50,11 @@ class EdgeMatrices:
 def stiffness_rows(model: mujoco.MjModel, flex_id: int) -> Array:
     """A live view (m, 6) of the flex's stiffness: what (m, 3) squared edge lengths beyond the free
     ones turn into force over length of the edges, N/m."""
-    return _all_rows(model, flex_id)[:, :6]
+    return all_rows(model, flex_id)[:, :6]
 
 
-def _all_rows(model: mujoco.MjModel, flex_id: int) -> Array:
+def all_rows(model: mujoco.MjModel, flex_id: int) -> Array:
+    """A live view (m, 21) of all that the flex keeps of a triangle."""
     start = int(model.flex_stiffnessadr[flex_id])
     count = int(model.flex_elemnum[flex_id])
     return np.asarray(model.flex_stiffness)[start : start + _ROW * count].reshape(count, _ROW)
@@ -78,6 +79,8 @@ class Rubber:
         self._p_SV = mesh.p_SV.copy()
         edges = elements.edges.astype(np.int64)
         ends = elements.ends.astype(np.int64)
+        self.thin = np.ones(len(edges))
+        """Square of the thickness's stretch over that of the area, (m,), at the last update."""
         self._write = bound(
             "rubber_stiffness",
             len(edges),
@@ -91,17 +94,16 @@ class Rubber:
             np.array([mu, sheet.poisson, unstrained, _LEAST, _MOST]),
             by_mu,
             by_lambda,
-            _all_rows(model, flex_id),
+            self.thin,
+            all_rows(model, flex_id),
         )
-        self._rows = stiffness_rows(model, flex_id)
 
-    def update(self, p_SV: Array) -> Array:
+    def update(self, p_SV: Array) -> None:
         """Write the stiffness of the strain that the vertices at `p_SV` (n, 3) m mean; call before
-        every step. Returns a live view of it, (m, 6).
+        every step.
 
         Of each triangle: secant moduli mu', lambda', times what turns them into MuJoCo's matrix
         (mjtactile/kernels/membrane.c).
         """
         self._p_SV[:] = p_SV
         self._write()
-        return self._rows

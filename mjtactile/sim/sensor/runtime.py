@@ -19,7 +19,7 @@ from mjtactile.sim.sensor.membrane import FLEX, ContactStiffness, pre_stretch, t
 from mjtactile.sim.sensor.mesh import MembraneMesh
 from mjtactile.sim.sensor.points import ContactPoints, missed
 from mjtactile.sim.sensor.relaxing import Relaxing
-from mjtactile.sim.sensor.rubber import Rubber
+from mjtactile.sim.sensor.rubber import Rubber, all_rows
 from mjtactile.sim.sensor.sheet_sensor import SheetSensor, require
 from mjtactile.sim.sensor.sleep import Sleeper
 from mjtactile.sim.sensor.stiction import Stiction
@@ -94,6 +94,9 @@ class TactileSensor(SheetSensor):
         self._relaxing = _relaxing(design, mesh)
         self._turning = Turning(model, data, self.body_id, self.flex_id, mesh)
         self._tendon = make_load(model, data, mesh, prefix, effects)
+        if self._relaxing and self._rubber:
+            rows = all_rows(model, self.flex_id)
+            self._relaxing.carry(self._rubber.thin, rows, self._tendon.forces)
         # rooms for every step
         self._p_SV = mesh.p_SV.copy()
         self._flat = mesh.p_SV[mesh.interior].ravel()
@@ -165,9 +168,9 @@ class TactileSensor(SheetSensor):
         self._tendon.apply(pressure, self._gas.stiffness(self._timestep), gradient)
         self._contact_stiffness.set_pressure(pressure)
         if self._rubber:
-            rows = self._rubber.update(p_SV)
+            self._rubber.update(p_SV)
             if self._relaxing:
-                self._relaxing.update(p_SV, elapsed, rows, self._tendon.forces)
+                self._relaxing.update(p_SV, elapsed)
         self._turning.update(p_SV)
         self._stand_off.update()
         if self._approach:
