@@ -30,8 +30,8 @@ def main(rate: float, kind: str) -> dict[str, Any]:
     from mjtactile.run.controller import load_controller
     from mjtactile.run.session import open_session
     from mjtactile.sensing.perception import Perception
-    from mjtactile.sim import rig
     from mjtactile.sim.camera import SimCamera
+    from mjtactile.sim.rig import SimClock
     from mjtactile.sim.scenes.world import World
 
     imported = time.perf_counter() - begin[1]
@@ -61,7 +61,9 @@ def main(rate: float, kind: str) -> dict[str, Any]:
         timed(Perception, "perceive", "image to touch")
         timed(SimCamera, "draw", "drawing an image")
         timed(World, "step", "a step")
-        rig.ThreadPoolExecutor = _AtOnce  # type: ignore[attr-defined,misc]
+        # an older checkout has it in another file
+        clocks = sys.modules[SimClock.__module__]
+        clocks.ThreadPoolExecutor = _AtOnce  # type: ignore[attr-defined]
     moments: list[tuple[str, float, float]] = []
 
     def on_cycle(cycle: Any) -> None:

@@ -117,11 +117,13 @@ def _bus(rig: RigFile, offered: _Offered, ask: Ask, say: Say) -> Mapping[Place, 
     for number in range(len(wanted)):
         is_lift = number >= len(rig.gripper.servos)
         name = "the lift"
-        section, index = "lift", 0
+        section = "lift"
+        index = 0
         if not is_lift:
             per_rad_mm = 1e3 * rig.gripper.servos[number].per_rad
             name = f"jaw {number + 1} ({per_rad_mm:+g} mm/rad)"
-            section, index = "gripper.servo", number
+            section = "gripper.servo"
+            index = number
         chosen = _choose(
             f"servo of {name}", free, lambda servo: f"{servo}, {port.servos[servo]}", ask, say
         )

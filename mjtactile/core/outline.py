@@ -104,7 +104,8 @@ class Outline:
         goes to its rim."""
         z = plane[:, 0] + 1j * plane[:, 1]
         # begun where an affine map would have it, which for circles and ellipses it is
-        a, b = self.powers[1], self.conjugates[1]
+        a = self.powers[1]
+        b = self.conjugates[1]
         off = z - self.powers[0]
         w = (np.conj(a) * off - b * np.conj(off)) / (abs(a) ** 2 - abs(b) ** 2)
         w = w / np.maximum(np.abs(w), 1.0)
@@ -189,7 +190,8 @@ def _to_square(w: NDArray) -> Array:
             - np.sqrt(np.maximum(rest - 2 * _ROOT2 * first, 0))
         )
 
-    x, y = w.real, w.imag
+    x = w.real
+    y = w.imag
     return np.clip(np.column_stack([along(x, y), along(y, x)]), -1.0, 1.0)
 
 
@@ -215,7 +217,8 @@ def _sampled(corners: Sequence[tuple[float, float]], radius: float) -> NDArray:
 
     def at(s: Array) -> NDArray:
         part = np.clip(np.searchsorted(starts, s, side="right") - 1, 0, len(lengths) - 1)
-        k, straight = part // 2, part % 2 == 1
+        k = part // 2
+        straight = part % 2 == 1
         rest = s - starts[part]
         center = p[k] + (-cut[k] + 1j * radius) * before[k]
         arc = center - 1j * radius * before[k] * np.exp(1j * rest / max(radius, 1e-12))

@@ -112,7 +112,8 @@ class EmulatedServo(Registers):
         with self._lock:
             if self._registered is None:
                 return INSTRUCTION_ERROR
-            (address, data), self._registered = self._registered, None
+            address, data = self._registered
+            self._registered = None
             self.set("Registered Instruction", 0)
             return self.write(address, data)
 

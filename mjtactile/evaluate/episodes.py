@@ -29,7 +29,7 @@ from mjtactile.run.controller import Stepper
 from mjtactile.run.cycle import Cycle
 from mjtactile.run.grasp import run_grasp
 from mjtactile.run.session import Session
-from mjtactile.sim.rig import SimClock
+from mjtactile.sim.devices import SimClock
 from mjtactile.sim.scenes.random_objects import object_text as object_text
 from mjtactile.sim.scenes.random_objects import random_thing, seed_of
 

@@ -25,7 +25,8 @@ from mjtactile.evaluate.wilson import Line
 
 LEVEL = "-sheet,-chain"
 """Effects of the cheap level."""
-SCREEN, FULL = "screen", "full"
+SCREEN = "screen"
+FULL = "full"
 """Folders of both evaluations, within that of the whole."""
 _SEED = 20_000  # of the sample: not an episode's
 
@@ -129,7 +130,8 @@ def _of_controller(name: str, screened: Sequence[Line], full: Sequence[Line]) ->
         key: _stratum([number for number in numbers if number in whole], cheap, whole)
         for key, numbers in (("failed", sorted(cheap.keys() - held)), ("held", sorted(held)))
     }
-    fails, holds = len(cheap) - len(held), len(held)
+    fails = len(cheap) - len(held)
+    holds = len(held)
     low, high = strata["held"]["holds_interval"]
     # all failures are run again; of the rest the sample speaks, within its exact limits
     in_failed = strata["failed"]["holds"]
@@ -175,7 +177,8 @@ def table(result: Mapping[str, Any]) -> str:
     )
     lines = [head, "|---" * 7 + "|"]
     for name, one in result["controllers"].items():
-        failed, held = one["of_failed"], one["of_held"]
+        failed = one["of_failed"]
+        held = one["of_held"]
         run_again = failed["run_again"] + held["run_again"]
         differ = failed["differ"] + held["differ"]
         low, high = exact_limits(differ, run_again) if run_again else (0.0, 1.0)

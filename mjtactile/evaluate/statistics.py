@@ -89,7 +89,8 @@ def _episodes_to_settle(only_first: int, only_second: int, n: int) -> int | None
 
     least = most = n
     while not is_settled(most):
-        least, most = most, 2 * most
+        least = most
+        most = 2 * most
     while most - least > 1:
         middle = (least + most) // 2
         least, most = (least, middle) if is_settled(middle) else (middle, most)

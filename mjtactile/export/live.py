@@ -231,7 +231,8 @@ def _design(finger: Any) -> SensorDesign:
 def _parsed(target: str) -> tuple[str, Path | str]:
     """The viewer, and its file, its address or port, "" for the usual one. Raises InputError."""
     if target.startswith("rerun+http"):
-        viewer, where = "rerun", target
+        viewer = "rerun"
+        where = target
     else:
         viewer, _, where = target.partition(":")
     if viewer not in _MODULES:

@@ -30,9 +30,11 @@ def markers(layout: Layout, *, mounted: bool = False) -> list[Contour]:
     """The markers as printed on the unstretched sheet, or as they lie on the mounted one."""
     design = layout.design
     if mounted:
-        scale, shrink = (1.0, 1.0)
+        scale = 1.0
+        shrink = 1.0
     else:
-        scale, shrink = (1 / design.membrane.pre_stretch, marker_shrink(design, layout.hardware))
+        scale = 1 / design.membrane.pre_stretch
+        shrink = marker_shrink(design, layout.hardware)
     return [
         circle(MM * design.markers.radius * shrink, MM * x * scale, MM * y * scale)
         for x, y, _ in design.markers.p_SM

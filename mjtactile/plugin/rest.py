@@ -23,7 +23,7 @@ from mjtactile.sensing.perception import Perception
 from mjtactile.sensing.state import ChainState
 from mjtactile.sim.attach import attach_membrane, recommend_options
 from mjtactile.sim.camera import SimCamera
-from mjtactile.sim.rig import SimClock, SimValve
+from mjtactile.sim.devices import SimClock, SimValve
 from mjtactile.sim.scenes.world import World
 
 

@@ -18,7 +18,7 @@ from mjtactile.rig.finger import Finger
 from mjtactile.sensing.perception import Perception
 from mjtactile.sim.attach import Attachment
 from mjtactile.sim.camera import SimCamera
-from mjtactile.sim.rig import SimValve
+from mjtactile.sim.devices import SimValve
 from mjtactile.sim.sensor.any import AnySensor
 from mjtactile.sim.sensor.loads import membrane_wrench
 from mjtactile.sim.step import advance

@@ -15,7 +15,9 @@ _ARC = 1.2  # rad to either side of the nearest point, of a bent body
 _REACH = 8e-3  # m, of a flat one, and at most of any
 _POINTS = 17
 _FLAT = 1.0  # 1/m
-_BELOW, _ABOVE = 2e-3, 8e-3  # m, about the body's nearest point: further off is another thing
+# m, about the body's nearest point: further off is another thing
+_BELOW = 2e-3
+_ABOVE = 8e-3
 
 
 def lines_of(shape: FeltShape) -> list[Array]:
@@ -71,7 +73,8 @@ def _cut(corners: Array, turn: float) -> Array:
     `turn` rad from x."""
     off = corners @ np.array([-math.sin(turn), math.cos(turn), 0.0])
     crossed = np.flatnonzero(off.min(axis=1) * off.max(axis=1) < 0)
-    corners, off = corners[crossed], off[crossed]
+    corners = corners[crossed]
+    off = off[crossed]
     after = np.roll(corners, -1, axis=1)
     beyond = np.roll(off, -1, axis=1)
     meets = off * beyond < 0

@@ -70,11 +70,9 @@ def draw_scene(axes: Any, view: View, touch: Sequence[Touch], colours: Sequence[
 def picture_of(view: View, size: tuple[int, int], samples: int = _SAMPLES) -> Array:
     """The scene around the sensors, (*size, 3) from 0 to 1; `samples` along a side of a pixel make
     edges smooth."""
-    (middle, half, axes_PW), (corners, rgba), (rows, columns) = (
-        _framing(view),
-        view.triangles(),
-        size,
-    )
+    middle, half, axes_PW = _framing(view)
+    corners, rgba = view.triangles()
+    rows, columns = size
     image = rasterise(
         (corners - middle) @ axes_PW.T / half, rgba[:, :3], (rows * samples, columns * samples)
     )

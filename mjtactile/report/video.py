@@ -122,7 +122,8 @@ class _Film:
         self._views = views
         self._view_times = [time for time, _ in views]
         self._time = recording.column("time")[:, 0]
-        self.start, self.end = float(self._time[0]), float(self._time[-1])
+        self.start = float(self._time[0])
+        self.end = float(self._time[-1])
         self._images = self._shots()
         self._shown: list[Pixels] = []
         self._next: tuple[Image, ...] = next(self._images)

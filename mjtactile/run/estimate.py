@@ -102,7 +102,8 @@ class GraspEstimate:
     def _repeat(self, mesh: tuple[int, int], timestep: float) -> float:
         """Mean normal force on the two membranes with everything rigid held in place."""
         assert self._state is not None
-        old, (pose, lift, opening) = self._world, self._state
+        old = self._world
+        pose, lift, opening = self._state
         start = min(opening + _FREE, old.max_opening)
         world = GraspWorld(
             old.design,

@@ -357,7 +357,8 @@ def _walls_around(outline: Outline, rim: float) -> list[tuple[float, float, floa
     """Walls of this width, m, that touch an outline from outside: x, y, half length, half width,
     m, and the angle of each to x."""
     at = outline.points(2 * _WALLS)
-    ends, touching = at[::2], at[1::2]
+    ends = at[::2]
+    touching = at[1::2]
     along = np.roll(ends, -1, axis=0) - ends
     lengths = np.linalg.norm(along, axis=1)
     along /= lengths[:, None]

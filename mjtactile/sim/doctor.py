@@ -165,7 +165,8 @@ def _arm(world: HandWorld) -> Iterator[Finding]:
 def _motions(world: HandWorld) -> Iterator[Finding]:
     """Inflate; then open, close and lift, and compare what is asked for with where the fingertips
     go."""
-    rig, (low, high) = world.rig, world.rig.gripper.opening
+    rig = world.rig
+    low, high = world.rig.gripper.opening
     if touching := touched_by_sensors(world):
         yield from _touches({"at its start": touching})  # nothing can be measured from there
         return
@@ -189,7 +190,8 @@ def _motions(world: HandWorld) -> Iterator[Finding]:
 
 
 def _jaws(reached: dict[float, tuple[float, float]], low: float, high: float) -> Iterator[Finding]:
-    (opened, seen_open), (closed, seen_closed) = reached[high], reached[low]
+    opened, seen_open = reached[high]
+    closed, seen_closed = reached[low]
     way = f"from {_mm(seen_open)} to {_mm(seen_closed)} mm"
     if seen_open - seen_closed < -_MOVES:
         yield Finding(

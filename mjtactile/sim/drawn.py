@@ -30,7 +30,9 @@ _STILL = fixed(np.zeros(2))
 _NO_CONTACT = Contact(False, 0.0, _NOWHERE, 0.0, _NO_MASK)
 _NO_SLIP = Slip("none", _STILL, 0.0, 1.0)
 _COLUMNS = 23
-_FACTOR, _ELAPSED = 3, 4  # of what the kernel is given
+# of what the kernel is given
+_FACTOR = 3
+_ELAPSED = 4
 METHOD = "drawn"
 """`Traction.method` of a touch that no chain has felt."""
 

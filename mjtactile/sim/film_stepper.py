@@ -24,7 +24,8 @@ from mjtactile.sim.sensor.film_sensor import FilmSensor
 
 MOST = 64
 """Steps in one go."""
-_RAN, _UNSOLVED = 0, 1
+_RAN = 0
+_UNSOLVED = 1
 
 
 @dataclass(frozen=True)

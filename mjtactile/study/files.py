@@ -96,7 +96,8 @@ def scaled_pixels(design: SensorDesign, factor: float) -> SensorDesign:
     stay."""
     camera = design.camera
     width, height = (round(factor * side) for side in (camera.width, camera.height))
-    by_x, by_y = width / camera.width, height / camera.height
+    by_x = width / camera.width
+    by_y = height / camera.height
     return replace(
         design,
         camera=replace(
@@ -114,7 +115,8 @@ def scaled_pixels(design: SensorDesign, factor: float) -> SensorDesign:
 def with_frame(design: SensorDesign, length: float, width: float) -> SensorDesign:
     """The same sensor with another opening, m, and its markers as far from the rim; as many a
     millimetre, as far as whole rows go."""
-    frame, markers = design.frame, design.markers
+    frame = design.frame
+    markers = design.markers
     extent = extent_of(design)
     wider = (length - frame.length, width - frame.width)
     counts = (

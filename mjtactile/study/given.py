@@ -133,7 +133,8 @@ def picture_of(stand: Stand) -> Picture:
 
 def _longest_lens(stand: Stand) -> float:
     flat = np.zeros_like(stand.film.rest.x)
-    low, high = 1.0, _LONGEST
+    low = 1.0
+    high = _LONGEST
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
         sighter = Sighter(scaled_lens(stand.design, middle))
@@ -155,7 +156,9 @@ def variants(design: SensorDesign, longest_lens: float) -> list[tuple[str, Senso
     Returns:
         Words and sensor of each.
     """
-    chamber, membrane, camera = design.chamber, design.membrane, design.camera
+    chamber = design.chamber
+    membrane = design.membrane
+    camera = design.camera
     markers = design.markers
     rows, columns = (round(_MORE * count) for count in (markers.rows, markers.columns))
     lens = min(_MORE, longest_lens)

@@ -18,7 +18,10 @@ TOLD = 0.25
 """Of a radius, its sd at most where it counts as told."""
 RANGE_RADIUS = 10e-3
 """m, of the ball that presses as hard as the sensor carries."""
-_LEAST, _MORE, _STEPS = 0.25, 1.25, 20  # N, from which on the range is tried, by a factor, so often
+# N, from which on the range is tried, by a factor, so often
+_LEAST = 0.25
+_MORE = 1.25
+_STEPS = 20
 _FELT_RIGHT = 0.1  # of the largest force, that it may be felt wrong by
 # of half the opening: three places that lie anyhow over markers and the film's nodes
 _PLACES = ((0.05, 0.08), (0.31, -0.22), (-0.27, 0.36))
@@ -101,7 +104,8 @@ def smallest_radius(reacher: Reacher, places: list[Array], force: float) -> floa
 def largest_force(stand: Stand) -> float:
     """The largest force, N, of a ball in the middle that the film carries and the chain feels
     within a tenth, in steps of a quarter; NaN: not even a quarter of a newton."""
-    held, lost = -1, _STEPS
+    held = -1
+    lost = _STEPS
     while lost - held > 1:
         middle = (held + lost) // 2
         if _felt_right(stand, _LEAST * _MORE**middle):

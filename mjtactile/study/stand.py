@@ -139,7 +139,9 @@ class Stand:
                 if step < _STEP / _SHORTEST:
                     return None
                 continue
-            low, high, state = low - step, low, further
+            state = further
+            high = low
+            low -= step
             if low < -_DEEPEST:
                 return None
         above = None
@@ -149,9 +151,11 @@ class Stand:
             if found is None:
                 break
             if found.force_normal < force:
-                high, above = middle, found
+                high = middle
+                above = found
             else:
-                low, state = middle, found
+                low = middle
+                state = found
         off = abs(state.force_normal - force)
         return Pressed(state, low) if off < _OFF * force else None
 
@@ -181,7 +185,8 @@ class Stand:
     def poses(self, x: Array) -> tuple[Array, Array]:
         """Where the markers are on a film displaced by `x` (3, nx, ny) m, and its normals there,
         each (N, 3) in S."""
-        (a, b), (da, db) = self._at, self._slope
+        a, b = self._at
+        da, db = self._slope
 
         def at(rows: Array, columns: Array) -> Array:
             return np.einsum("ni,cij,nj->nc", rows, x, columns)

@@ -150,7 +150,9 @@ def made_of(design: SensorDesign, numbers: Array) -> SensorDesign:
         The design; whether it can be built is not looked at.
     """
     density, share, lens, thicker, higher, stretch = numbers.tolist()
-    frame, membrane, chamber = design.frame, design.membrane, design.chamber
+    frame = design.frame
+    membrane = design.membrane
+    chamber = design.chamber
     sides = np.array([frame.length, frame.width])
     columns, rows = (max(3, round(1e3 * density * side)) for side in sides)
     # the outermost rims stay clear of the frame: extent + 2 share pitch = side - 2 edge
@@ -171,7 +173,8 @@ def made_of(design: SensorDesign, numbers: Array) -> SensorDesign:
 def longest_lens(design: SensorDesign) -> float:
     """By how much longer the lens may be until a flat marker reaches the picture's rim, as a
     pinhole has it."""
-    markers, camera = design.markers, design.camera
+    markers = design.markers
+    camera = design.camera
     reach = np.abs(markers.p_SM[:, :2]).max(axis=0) + markers.radius
     depth = camera.distance - design.pane_thickness_apparent
     room = np.array(

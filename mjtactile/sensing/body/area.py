@@ -144,7 +144,8 @@ def interval(bodies: Sequence[tuple[float, float, float]]) -> tuple[float, float
     likely = [body for body in bodies if body[0] > _LIKELY]
     p, area, sd = np.array(likely).T
     sd = np.maximum(sd, 1e-9)
-    low, high = float((area - 4 * sd).min()), float((area + 4 * sd).max())
+    low = float((area - 4 * sd).min())
+    high = float((area + 4 * sd).max())
     grid = np.linspace(max(0.0, low), high, 400)
     share = (p * ndtr((grid[:, None] - area) / sd)).sum(axis=1) / p.sum()
     ends = np.interp(_INTERVAL, share, grid)

@@ -110,11 +110,14 @@ class Family:
 
 def about(axis: int, angle: float) -> Array:
     """Rotation (3, 3) by `angle` rad about an axis."""
-    c, s = math.cos(angle), math.sin(angle)
+    c = math.cos(angle)
+    s = math.sin(angle)
     R = np.eye(3)
-    i, j = (axis + 1) % 3, (axis + 2) % 3
+    i = (axis + 1) % 3
+    j = (axis + 2) % 3
     R[i, i] = R[j, j] = c
-    R[i, j], R[j, i] = -s, s
+    R[i, j] = -s
+    R[j, i] = s
     return R
 
 
@@ -126,7 +129,8 @@ def place_of(theta: Array, hint: Hint) -> Array:
 def principal(theta: Array) -> tuple[float, float, float]:
     """Curvatures (1/m), the larger first, and the direction (rad from x) of the smaller."""
     kxx, kxy, kyy = theta[3:6]
-    middle, half = (kxx + kyy) / 2, math.hypot((kxx - kyy) / 2, kxy)
+    middle = (kxx + kyy) / 2
+    half = math.hypot((kxx - kyy) / 2, kxy)
     direction = 0.5 * math.atan2(2 * kxy, kxx - kyy) + math.pi / 2
     return middle + half, middle - half, direction % math.pi
 
@@ -141,7 +145,8 @@ def kinds_of(family: Family, theta: Array, cov: Array) -> dict[str, float]:
         most, least, _ = principal(theta)
         variance = max(cov[3, 3], cov[5, 5])
     else:
-        most, variance = float(theta[3]), cov[3, 3]
+        most = float(theta[3])
+        variance = cov[3, 3]
         least = most if family.name == "ball" else 0.0
     sharp = float(ndtr((most - SHARP) / math.sqrt(max(variance, 1.0))))
     return {"smooth": 1 - sharp, "edge" if least < LINE * most else "tip": sharp}
@@ -158,7 +163,8 @@ def _smooth(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
 
 
 def _smooth_starts(hint: Hint) -> tuple[Array, ...]:
-    c, s = math.cos(hint.angle), math.sin(hint.angle)
+    c = math.cos(hint.angle)
+    s = math.sin(hint.angle)
     along = np.array([c * c, c * s, s * s])  # of the curvature along the patch's longer axis
     across = np.array([s * s, -c * s, c * c])
     return tuple(
@@ -195,7 +201,8 @@ def _soft(off: Array, rounding: float) -> Array:
 def _off_middle(theta: Array, hint: Hint) -> tuple[Array, Array, Array]:
     """Nodes' places from the body's middle, (nx, ny) m, and the tilted face's heights there."""
     place = place_of(theta, hint)
-    x, y = hint.nodes[0] - place[0], hint.nodes[1] - place[1]
+    x = hint.nodes[0] - place[0]
+    y = hint.nodes[1] - place[1]
     return x, y, place[2] + theta[3] * y - theta[4] * x
 
 
@@ -203,11 +210,13 @@ def face_of(family: Family, theta: Array, hint: Hint, moved: Array) -> tuple[Arr
     """Of a body with a flat face: how far, (nx, ny) m, each node that has `moved` (2, nx, ny) m is
     beyond the face's rim, negative within; and the face's area, m^2."""
     x, y, _ = _off_middle(theta, hint)
-    x, y = x + moved[0], y + moved[1]
+    x = x + moved[0]
+    y = y + moved[1]
     if family.name == "disc":
         radius = 1e-3 * theta[5]
         return np.hypot(x, y) - radius, math.pi * radius**2
-    c, s = math.cos(theta[5]), math.sin(theta[5])
+    c = math.cos(theta[5])
+    s = math.sin(theta[5])
     halves = 1e-3 * theta[6:8]
     off = np.maximum(np.abs(c * x + s * y) - halves[0], np.abs(c * y - s * x) - halves[1])
     return off, 4 * float(np.prod(halves))
@@ -225,7 +234,8 @@ def _disc_starts(hint: Hint) -> tuple[Array, ...]:
 
 def _face(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
     x, y, face = _off_middle(theta, hint)
-    c, s = math.cos(theta[5]), math.sin(theta[5])
+    c = math.cos(theta[5])
+    s = math.sin(theta[5])
     flanks = np.zeros_like(x)
     for along, half in ((c * x + s * y, theta[6]), (c * y - s * x, theta[7])):
         off = np.abs(along) - 1e-3 * half - _RIM_OUT * hint.rounding

@@ -15,7 +15,9 @@ from mjtactile.sensing.body.families import Family, Hint
 from mjtactile.sensing.body.forward import SUMS, Forward, converged
 from mjtactile.sensing.settings import BodySettings
 
-_TRIED, _HOPELESS = 4, 3.0  # rounds, after which a cost so many times the best is given up
+# rounds, after which a cost so many times the best is given up
+_TRIED = 4
+_HOPELESS = 3.0
 _SETTLED = 0.5  # of the cost: less does not tell one body from another
 _DAMPING = (1e-2, 1e-8, 1e3)  # first, least, most
 _AGAIN = 0.5  # of what an image tells, that the next has no part in: the film's error comes again
@@ -277,7 +279,8 @@ def refine(
             if damping > _DAMPING[2]:
                 break
             if not fresh:
-                slopes, fresh = find_slopes(forward, family, hint, at), True
+                slopes = find_slopes(forward, family, hint, at)
+                fresh = True
             else:
                 damping = max(10 * damping, 1e-2)
             continue
@@ -285,10 +288,13 @@ def refine(
         moved = (new.theta - at.theta) / sd
         sums = new.state.found[SUMS] - at.state.found[SUMS]
         if slopes.worn(family, new.theta):
-            slopes, fresh = find_slopes(forward, family, hint, new), True
+            slopes = find_slopes(forward, family, hint, new)
+            fresh = True
         else:
-            slopes, fresh = slopes.learnt(moved, new.heights - at.heights, sums), False
-        at, damping = new, max(damping / 10, _DAMPING[1])
+            slopes = slopes.learnt(moved, new.heights - at.heights, sums)
+            fresh = False
+        at = new
+        damping = max(damping / 10, _DAMPING[1])
         if gained < _SETTLED:
             break
     J = data.root @ slopes.heights[data.ids]

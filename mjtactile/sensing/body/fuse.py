@@ -53,7 +53,9 @@ def borne(forward: Forward, press: Press, wrench: Array, noise: float, s: BodySe
     height = float((forces * state.heights).sum() / max(float(forces.sum()), 1e-9))
     rows = np.zeros((3, 6))
     rows[0, 2] = rows[1, 3] = rows[2, 4] = 1.0
-    rows[1, 1], rows[2, 0] = height, -height  # what shear does at that height is no part of it
+    # what shear does at that height is no part of it
+    rows[1, 1] = height
+    rows[2, 0] = -height
     more = sticks(forward, state, s)
     load = more * rows @ state.wrench
     pointed = _pointed(found, noise, s)
@@ -65,7 +67,9 @@ def borne(forward: Forward, press: Press, wrench: Array, noise: float, s: BodySe
     by_numbers = more**2 * rows @ found.sums_cov_with(noise)[:6, :6] @ rows.T
     off = load - rows @ wrench
     doubt = 1 - float(press.probabilities[0])
-    x, y = load[2] / -load[0], load[1] / load[0]  # of where it presses: t_x = y f_z, t_y = -x f_z
+    # of where it presses: t_x = y f_z, t_y = -x f_z
+    x = load[2] / -load[0]
+    y = load[1] / load[0]
     shear = np.array([[1, 0, 0, 0, height, -y], [0, 1, 0, -height, 0, x]])
     unseen = (s.tip_shear * pointed * load[0]) ** 2 * shear.T @ shear
     return Borne(load, model + by_numbers + doubt * np.outer(off, off), rows, unseen)
@@ -75,9 +79,11 @@ def _pointed(found: Fit, noise: float, s: BodySettings) -> float:
     """How probably the sheet meets a point: more curved than a limit both ways."""
     cov = found.cov_with(noise)
     if found.family.name == "ball":
-        least, variance = float(found.theta[3]), cov[3, 3]
+        least = float(found.theta[3])
+        variance = cov[3, 3]
     elif found.family.name == "smooth":
-        least, variance = principal(found.theta)[1], max(cov[3, 3], cov[5, 5])
+        least = principal(found.theta)[1]
+        variance = max(cov[3, 3], cov[5, 5])
     else:
         return 0.0
     light = min(found.state.force_normal / s.tip_light, 1.0)
@@ -111,7 +117,8 @@ def with_load(touch: Touch, known: Borne) -> Touch:
     traction = touch.traction
     if traction is None:
         return touch
-    P, H = traction.wrench_cov, known.rows
+    P = traction.wrench_cov
+    H = known.rows
     gain = np.linalg.solve(H @ P @ H.T + known.cov, H @ P).T
     wrench = traction.wrench + gain @ (known.load - H @ traction.wrench)
     left = np.eye(6) - gain @ H

@@ -84,17 +84,22 @@ def tracked(
     name = found.family.name
     goes_on = rubber is not None and track and track[-1].family == name
     if not goes_on or not 0 < time - track[-1].time < s.motion_time:
-        track, dragged, twisted = (), np.zeros(2), 0.0
+        track = ()
+        dragged = np.zeros(2)
+        twisted = 0.0
     else:
         assert rubber is not None
-        dragged, twisted = track[-1].dragged + rubber.step, track[-1].twisted + rubber.twist
+        dragged = track[-1].dragged + rubber.step
+        twisted = track[-1].twisted + rubber.twist
     # of one image alone: what a press has told of the numbers is common to all its images
     precision = found.curvature / scale + np.eye(len(found.theta))
     cov = np.linalg.inv(precision) * np.outer(found.family.sd, found.family.sd)
-    turns, turn_var = np.full(3, np.nan), np.full(3, np.nan)
+    turns = np.full(3, np.nan)
+    turn_var = np.full(3, np.nan)
     for axis, number in enumerate(TURNS[name]):
         if number is not None:
-            turns[axis], turn_var[axis] = found.theta[number], cov[number, number]
+            turns[axis] = found.theta[number]
+            turn_var[axis] = cov[number, number]
     place = place_of(found.theta, found.hint)[:2] - dragged
     values = np.array([*place, turns[2] - twisted, *turns])
     places = 1e-6 * np.diag(cov)[:2] + s.motion_sd**2

@@ -117,7 +117,8 @@ def approach(
         batch = forward.solve([family.build(trial, hint)], state)
         if not converged(batch):
             break
-        state, reached = batch[0], trial
+        state = batch[0]
+        reached = trial
         force = state.force_normal
         if force > data.force:
             break
@@ -147,8 +148,10 @@ def _to_force(
         batch = forward.solve([family.build(trial, hint)], state)
         if not converged(batch):
             break
-        theta, state = trial, batch[0]
-        before, force = force, state.force_normal
+        theta = trial
+        state = batch[0]
+        before = force
+        force = state.force_normal
         if abs(down) > 1e-6:
             stiffness = float(np.clip((force - before) / down, _STIFFNESS[0], _STIFFNESS[2]))
     return begin(forward, family, hint, theta, data, prior, state)

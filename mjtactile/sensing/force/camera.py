@@ -25,7 +25,10 @@ from mjtactile.sensing.settings import FiducialSettings, InverseSettings
 
 KNOWN_MODES = MODES + 2
 """Those of a camera that is not seen, and the picture's middle, u and v."""
-_TURN, _ZOOM, _SIZE, _LEVELS = 5, 6, 7, 8
+_TURN = 5
+_ZOOM = 6
+_SIZE = 7
+_LEVELS = 8
 _AROUND = 24  # points of a circle's outline
 _STEP = 1e-3  # of a mode's sd, for differences
 _ROUNDS = 4

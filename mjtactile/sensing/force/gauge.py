@@ -50,7 +50,8 @@ class GasState:
 
     def volume_at(self, time: float) -> tuple[float, float]:
         """Gas volume, m^3, at `time` s, and what of it is only extrapolated."""
-        (t0, v0), (t1, v1) = self.seen[0], self.seen[-1]
+        t0, v0 = self.seen[0]
+        t1, v1 = self.seen[-1]
         if t1 <= t0:
             return v1, 0.0
         beyond = (v1 - v0) / (t1 - t0) * (time - t1)

@@ -161,7 +161,8 @@ class InverseMembrane(MarkedSheet):
         change = np.empty_like(c)
         traction = np.empty((3, len(self.nodes)))
         unknowns = gain.drift.shape[1]
-        (misfit, noise), drift = np.empty((2, len(gain.half))), np.empty(unknowns)
+        misfit, noise = np.empty((2, len(gain.half)))
+        drift = np.empty(unknowns)
         kernel("inverse_step")(
             *self._sight(gain.stiffness, ids, gain.weights, gain.tilts),
             *self._nodes,

@@ -180,7 +180,8 @@ class _Grid:
     def __init__(self, outline: Array, smoothing: float):
         self.smoothing = smoothing
         self.spacing = smoothing / 2
-        low, high = outline.min(axis=0), outline.max(axis=0)
+        low = outline.min(axis=0)
+        high = outline.max(axis=0)
         self.x, self.y = (
             np.arange(a, b + self.spacing, self.spacing) for a, b in zip(low, high, strict=True)
         )
@@ -195,7 +196,8 @@ class _Grid:
         from scipy.sparse.linalg import splu
 
         given = np.asarray(points, float).reshape(-1, 3)
-        low, last = np.array([self.x[0], self.y[0]]), np.array([self.x[-1], self.y[-1]])
+        low = np.array([self.x[0], self.y[0]])
+        last = np.array([self.x[-1], self.y[-1]])
         on = (given[:, :2] > low) & (given[:, :2] < last)
         given = given[np.isfinite(given).all(axis=1) & on.all(axis=1)]
         if len(given) < _FEWEST:

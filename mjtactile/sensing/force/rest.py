@@ -159,8 +159,8 @@ def _spans(design: SensorDesign, settings: InverseSettings) -> tuple[int, int]:
     if design.frame.outline is None:
         return nx, ny
     along = math.sqrt(nx * ny * design.frame.length / design.frame.width) / 2
-    nx, ny = 2 * round(along), 2 * round(nx * ny / (4 * along))
-    return max(nx, FEWEST_SPANS), max(ny, FEWEST_SPANS)
+    across = nx * ny / (4 * along)
+    return max(2 * round(along), FEWEST_SPANS), max(2 * round(across), FEWEST_SPANS)
 
 
 def darker(markers: Markers, rest: InverseRest) -> Array:

@@ -222,12 +222,15 @@ class Sheet:
         qx, qy = self.weights.shape
         g1, g2 = self._tangents(c)
         S11, S22, S12 = stress * self.weights
-        P1, P2 = S11 * g1 + S12 * g2, S12 * g1 + S22 * g2
+        P1 = S11 * g1 + S12 * g2
+        P2 = S12 * g1 + S22 * g2
         if self._turns is not None:
             xX, xY, yX, yY, _ = self._turns.T.reshape(5, qx, qy)
             P1, P2 = P1 * xX + P2 * xY, P1 * yX + P2 * yY
-        value_x, slope_x = self._up_x[:qx], self._up_x[qx:]
-        value_y, slope_y = self._up_y[:, :qy], self._up_y[:, qy:]
+        value_x = self._up_x[:qx]
+        slope_x = self._up_x[qx:]
+        value_y = self._up_y[:, :qy]
+        slope_y = self._up_y[:, qy:]
         along = slope_x.T @ P1 @ value_y.T
         across = value_x.T @ P2 @ slope_y.T
         return (along + across).reshape(3, self.count)

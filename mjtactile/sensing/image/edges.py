@@ -348,10 +348,9 @@ def _blurred_disc(
     phi = np.zeros_like(A)
     for offset, share in _HERMITE:
         if offset:
-            x, y = (
-                e[0] + (np.float32(offset) * sigma) * d[0],
-                e[1] + (np.float32(offset) * sigma) * d[1],
-            )
+            step = np.float32(offset) * sigma
+            x = e[0] + step * d[0]
+            y = e[1] + step * d[1]
         else:
             x, y = e
         B = x * f[0] + y * f[1]

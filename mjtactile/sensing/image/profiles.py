@@ -41,5 +41,6 @@ def fit(
     kernel("fit_profiles")(
         source, *source.shape, n, center, shape, as_numbers(s), cov, levels, found
     )
-    (inside, outside), (blur, residual, count, lost, motion) = levels, found
+    inside, outside = levels
+    blur, residual, count, lost, motion = found
     return EdgeFit(center, shape, cov, inside, outside, blur, residual, count, lost, motion)

@@ -134,7 +134,8 @@ def _with_more(
 def _new(all_of_them: Candidates, s: ThoroughSettings, larger: float) -> NDArray[np.bool_]:
     """Which (N,) are neither one that came before them, seen again, nor a part of a larger one (up
     to `larger` times)."""
-    center, (xx, xy, yy) = all_of_them.center, ellipse.inverse_shape(all_of_them.shape).T
+    center = all_of_them.center
+    xx, xy, yy = ellipse.inverse_shape(all_of_them.shape).T
     size = np.sqrt(all_of_them.shape[:, 0] * all_of_them.shape[:, 2])
     pairs = KDTree(center).query_pairs(float(size.max(initial=0.0)), output_type="ndarray")
     i, j = np.concatenate([pairs, pairs[:, ::-1]]).T

@@ -24,7 +24,8 @@ class PictureChange:
 
     def undone(self, uv: Array) -> Array:
         """Where places (n, 2) px were before."""
-        cos, sin = math.cos(self.turn), math.sin(self.turn)
+        cos = math.cos(self.turn)
+        sin = math.sin(self.turn)
         away = (uv - self.middle - self.shift) / (1 + self.scale)
         return self.middle + away @ np.array([[cos, -sin], [sin, cos]])
 

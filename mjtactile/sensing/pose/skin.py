@@ -100,7 +100,8 @@ def track_circles(
                 min_radius_px=min_radius_px,
                 settings=settings,
             )
-            ellipses, poses = found.ellipses, found.poses
+            ellipses = found.ellipses
+            poses = found.poses
         ids, skin = _followed(skin, ellipses)
         yield TrackedCircles(ids, ellipses, poses)
 

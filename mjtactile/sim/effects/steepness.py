@@ -23,7 +23,8 @@ def deepest(design: SensorDesign, half_extents: tuple[float, float], force: floa
     Spheres of 4-16 mm up to 1.8 N, 21 to 47 degrees steep in simulation: -4 to +4 degrees. Beside
     the frame's wall more is steeper still.
     """
-    sheet, (a, b) = design.membrane, half_extents
+    sheet = design.membrane
+    a, b = half_extents
     if not math.isfinite(a + b):
         return 0.0
     stiffness = sheet.young * sheet.thickness / (1 - sheet.poisson**2) / 2

@@ -59,7 +59,9 @@ class Light:
         middle, corner = self._irradiance(self._aside(np.array([[0.0, 0.0], [x, y]])), np.zeros(2))
         self._middle = middle
         self._loss = 1 - corner / middle
-        self._bubbles, self._asides = self._bubble(self._xy), self._aside(self._xy)  # of the blocks
+        # of the blocks
+        self._bubbles = self._bubble(self._xy)
+        self._asides = self._aside(self._xy)
 
     def field(self, p_SM: Array) -> Floats:
         """Relative light (H, W) on a membrane with markers at `p_SM` (N, 3)."""

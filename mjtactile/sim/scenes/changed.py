@@ -43,7 +43,8 @@ def _scale(spec: mujoco.MjSpec, size: float) -> None:
     ]:
         thing.pos = size * np.asarray(thing.pos)
     for thing in [*spec.geoms, *spec.sites]:
-        thing.size, thing.fromto = size * np.asarray(thing.size), size * np.asarray(thing.fromto)
+        thing.size = size * np.asarray(thing.size)
+        thing.fromto = size * np.asarray(thing.fromto)
     for body in spec.bodies:
         body.ipos = size * np.asarray(body.ipos)
     for joint in spec.joints:
@@ -54,7 +55,8 @@ def _scale(spec: mujoco.MjSpec, size: float) -> None:
     for mesh in spec.meshes:
         mesh.scale = size * np.asarray(mesh.scale)
     for flex in spec.flexes:
-        flex.vert, flex.node = _times(flex.vert, size), _times(flex.node, size)
+        flex.vert = _times(flex.vert, size)
+        flex.node = _times(flex.node, size)
         flex.radius *= size
 
 

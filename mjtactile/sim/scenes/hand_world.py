@@ -85,10 +85,8 @@ class HandWorld(World):
             _add_table(spec, [*self.start.centre[:2], rig.table_height])
         furnish(spec, self.start)
         super().__init__(spec, attachments, self._place)
-        self._jaws, self._lift = (
-            Jaws(self.model, self.data, rig),
-            make_lift(self.model, self.data, rig, self.start),
-        )
+        self._jaws = Jaws(self.model, self.data, rig)
+        self._lift = make_lift(self.model, self.data, rig, self.start)
         self._kinematics = mujoco.MjData(self.model)
         self._opening_target = self._opening_goal = opening
         self._lift_target = self._lift_goal = 0.0

@@ -154,7 +154,8 @@ class PressWorld(World):
         )
         self._touch_height = 0.0
         self._surface = MarkerInterpolator(self.sensors[0].mesh, _sheet_points(self.design, at))
-        self._shake, self._carrier = shake, self.model.actuator("carrier").id
+        self._shake = shake
+        self._carrier = self.model.actuator("carrier").id
 
     def inflate(self, pressure_gauge: float, *, seal: bool) -> bool:
         """Bring the chamber to `pressure_gauge` Pa, close the valve if `seal`, find first touch;

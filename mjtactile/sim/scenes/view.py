@@ -140,9 +140,11 @@ class SceneView:
         model = self.model
         solid = model.flex_dim[flex] == 3
         if solid:
-            start, count = (model.flex_shelldataadr[flex], model.flex_shellnum[flex])
+            start = model.flex_shelldataadr[flex]
+            count = model.flex_shellnum[flex]
         else:
-            start, count = (model.flex_elemdataadr[flex], model.flex_elemnum[flex])
+            start = model.flex_elemdataadr[flex]
+            count = model.flex_elemnum[flex]
         index = model.flex_shell if solid else model.flex_elem
         if model.flex_dim[flex] < 2:
             return

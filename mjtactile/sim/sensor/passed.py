@@ -68,7 +68,8 @@ class CorePoints:
 def _heights(triangles: Array, places: Array) -> Array:
     """Heights (n,) m of `triangles` (m, 3, 3) m over `places` (n, 2) m; -inf outside of them."""
     a, b, c = triangles.transpose(1, 0, 2)
-    u, v = b - a, c - a
+    u = b - a
+    v = c - a
     twice = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
     twice = np.where(np.abs(twice) > 1e-15, twice, np.inf)
     x, y = (places[:, None, axis] - a[None, :, axis] for axis in range(2))

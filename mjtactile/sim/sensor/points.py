@@ -142,7 +142,8 @@ class ContactPoints:
         self._boxes = model.geom_aabb[block, 3:]
         if self._cores:
             _widen(model, model.geom_bodyid[vertex_geom_ids], self._sizes[0])
-        self._back, self._reach = np.zeros_like(self._places), np.full(len(self._places), _TAKES)
+        self._back = np.zeros_like(self._places)
+        self._reach = np.full(len(self._places), _TAKES)
         self._time = float(data.time)
         self._still = True
         # of the sheet when nothing was near: a tent's slopes say nothing of the sheet

@@ -73,10 +73,12 @@ class Stiction:
         # what all coordinates have moved by since the last look, in steps
         self._travel = np.zeros(model.nv)
         # m that the margin is advanced by
-        self._give, self._goal = np.zeros(self._count), np.zeros(self._count)
+        self._give = np.zeros(self._count)
+        self._goal = np.zeros(self._count)
         # of each vertex: N, friction on it, in S; m that it has moved over what it sticks to since
         # it began to stick
-        self._memory, self._slides = np.zeros((self._count, 6)), np.zeros(self._count, np.uint8)
+        self._memory = np.zeros((self._count, 6))
+        self._slides = np.zeros(self._count, np.uint8)
         self._belt = np.zeros((self._count, 3))
         self._advance = bound(
             "update_stiction",

@@ -68,7 +68,8 @@ class Turning:
 
     def resistance(self, p_SV: Array) -> Array:
         """Q (3, 3) N m in S."""
-        ends, (xx, xy, xz, yy, yz, zz) = self._elements.ends[self._elements.edges], self._rows.T
+        ends = self._elements.ends[self._elements.edges]
+        xx, xy, xz, yy, yz, zz = self._rows.T
         edges = p_SV[ends[..., 1]] - p_SV[ends[..., 0]]  # (m, 3, 3)
         lengths2 = (edges * edges).sum(axis=2)
         a, b, c = (lengths2 - self._free).T

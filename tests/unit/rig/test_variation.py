@@ -31,8 +31,9 @@ from mjtactile.rig.variation import (
     variation_from_table,
 )
 from mjtactile.sensing.image.markers import detect
+from mjtactile.sim.devices import SimGripper
 from mjtactile.sim.picture.renderer import Renderer
-from mjtactile.sim.rig import SimGripper, build_sim_rig
+from mjtactile.sim.rig import build_sim_rig
 from mjtactile.sim.scenes.changed import change
 from mjtactile.sim.scenes.objects import load_object
 from mjtactile.sim.sensor.gas import Gas

@@ -1,0 +1,242 @@
+"""Clock, valves and gripper of a simulated rig. Waiting on its clock is what moves the world."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+
+import numpy as np
+
+from mjtactile.core.calibration import GAUGE_SD
+from mjtactile.core.types import Command, GripperState, ValveState
+from mjtactile.rig.variation import FAULTLESS, RigChange
+from mjtactile.sim.scenes.grasp_world import GraspWorld
+from mjtactile.sim.scenes.world import World
+from mjtactile.sim.sensor.any import AnySensor
+
+_HOSE_TIME = 0.05  # s, time constant of a regulated supply, as the emulated board's
+
+
+class _Later:
+    """Stands in for a Future: what is done when its result is asked for."""
+
+    def __init__(self, do: Callable[[], None]):
+        self.result = do
+
+
+class SimClock:
+    """Simulated time. Between `start` and `wait_until` the world steps in a thread of its own.
+
+    MuJoCo lets go of Python while it computes, so physics and perception use a core each. What is
+    commanded meanwhile takes effect when the time is reached: one camera period of latency, as on a
+    real rig, and the same every run.
+    """
+
+    def __init__(self, world: World):
+        self._world = world
+        # both draw, one steps
+        self._pool: ThreadPoolExecutor | None = ThreadPoolExecutor(2, thread_name_prefix="physics")
+        self._running: Future[None] | _Later | None = None
+        self._pending: list[Callable[[], None]] = []
+        self.on_arrival: list[Callable[[], None]] = []
+        """What to do at the same time when a time given to `start` is reached: draw what the
+        cameras see then."""
+
+    def now(self) -> float:
+        return self._world.time
+
+    def start(self, time: float) -> None:
+        if self._running is None:
+            self._running = self._begin(lambda: self._go(time))
+
+    def wait_until(self, time: float) -> None:
+        """Step the world until `time`, then do what was deferred; a time in the past only does the
+        latter.
+
+        Raises SimulationError when the world diverged.
+        """
+        if self._running is not None:
+            running = self._running
+            self._running = None
+            running.result()
+        self._advance(time)
+        for action in self._pending:
+            action()
+        self._pending.clear()
+
+    def defer(self, action: Callable[[], None]) -> None:
+        """Do `action` now, or when the world has stopped moving."""
+        if self._running is None:
+            action()
+        else:
+            self._pending.append(action)
+
+    def close(self) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def step_in_turn(self) -> None:
+        """From now on, step and draw in the thread that waits, with the same result and a quarter
+        less core time: for whoever has a process for each processor."""
+        self.close()
+        self._pool = None
+
+    def _begin(self, do: Callable[[], None]) -> Future[None] | _Later:
+        return _Later(do) if self._pool is None else self._pool.submit(do)
+
+    def _go(self, time: float) -> None:
+        self._advance(time)
+        first, *others = self.on_arrival or [lambda: None]
+        beside = [self._begin(action) for action in others]
+        first()
+        for action in beside:
+            action.result()
+
+    def _advance(self, time: float) -> None:
+        missing = round((time - self._world.time) / self._world.timestep)
+        if missing > 0:
+            self._world.step(missing)
+
+
+class SimValve:
+    """The valve of one chamber, with the gauge of a valve board: whole pascals, their noise, and
+    `zero` Pa that it shows too much. In a world that moves while it is asked, `defer` puts off
+    what it does, and `move` is called after each step."""
+
+    def __init__(
+        self,
+        sensor: AnySensor,
+        seed: int = 0,
+        zero: float = 0.0,
+        defer: Callable[[Callable[[], None]], None] = lambda act: act(),
+    ):
+        self._sensor = sensor
+        self._zero = zero
+        self._defer = defer
+        # Pa: what the chamber is to be kept at, and where its supply is on the way
+        self._goal: float | None = None
+        self._supply = 0.0
+        self._moved = 0.0  # s, when it was there
+        self.reseed(seed)
+
+    def reseed(self, seed: int) -> None:
+        """Draw the gauge's noise from another generator."""
+        self._rng = np.random.default_rng([seed, 2])
+
+    def state(self) -> ValveState:
+        sensor = self._sensor
+        shown = sensor.pressure_gauge + self._zero + GAUGE_SD * self._rng.standard_normal()
+        age = sensor.time - sensor.gas_time
+        return ValveState(sensor.valve_is_open, float(round(shown)), sensor.gas_time, age)
+
+    def open(self, supply_gauge: float) -> None:
+        self._defer(lambda: self._open(supply_gauge))
+
+    def close(self) -> None:
+        self._defer(self._close)
+
+    def follow(self, pressure_gauge: float | None) -> None:
+        self._defer(lambda: self._follow(pressure_gauge))
+
+    def move(self) -> None:
+        """One step of the world: the supply goes to the goal as through a hose."""
+        if self._goal is None:
+            return
+        elapsed = self._sensor.time - self._moved
+        self._moved = self._sensor.time
+        self._supply += (self._goal - self._supply) * min(1.0, elapsed / _HOSE_TIME)
+        self._sensor.open_valve(self._supply)
+
+    def _open(self, supply_gauge: float) -> None:
+        self._goal = None
+        self._sensor.open_valve(supply_gauge)
+
+    def _close(self) -> None:
+        self._goal = None
+        self._sensor.close_valve()
+
+    def _follow(self, pressure_gauge: float | None) -> None:
+        if pressure_gauge is None:
+            if self._goal is not None:
+                self._close()
+            return
+        if self._goal is None:
+            self._supply = self._sensor.pressure_gauge
+            self._moved = self._sensor.time
+        self._goal = pressure_gauge - self._zero  # it goes by its own gauge
+
+
+class SimGripper:
+    """Jaw servo and lift of the world, with what the gears' play, a slow bus and a noisy current
+    make of them."""
+
+    def __init__(
+        self, world: GraspWorld, clock: SimClock, change: RigChange = FAULTLESS, seed: int = 0
+    ):
+        self._world = world
+        self._clock = clock
+        self._change = change
+        self._asked: GripperState | None = None
+        self.reseed(seed)
+        # m: where the gears' output and the motor are to be
+        self._jaw = self._motor = world.opening
+        self._late: deque[tuple[float, Command]] = deque()
+        if change.delay or change.jitter:
+            world.after_each_stretch(self._apply_late, self._due)
+
+    def reseed(self, seed: int) -> None:
+        """Draw noise and delays from another generator."""
+        self._rng = np.random.default_rng([seed, 1])
+
+    def ask(self) -> None:
+        world = self._world
+        force = world.grip_force + (
+            self._change.force_noise * self._rng.standard_normal()
+            if self._change.force_noise
+            else 0.0
+        )
+        opening = world.opening + self._motor - self._jaw  # servos say where their motors are
+        self._asked = GripperState(
+            opening, world.opening_speed, force, world.lift_height, world.time, 0.0
+        )
+
+    def state(self) -> GripperState:
+        if self._asked is None:
+            self.ask()
+        state = self._asked
+        self._asked = None
+        assert state is not None
+        return state
+
+    def command(self, command: Command) -> Command:
+        """Set the goals of jaw and lift; a force limit of 0 leaves the servo's limit as it was."""
+        self._clock.defer(lambda: self._arrive(command))
+        return command
+
+    def _arrive(self, command: Command) -> None:
+        change = self._change
+        if not (change.delay or change.jitter):
+            self._apply(command)
+            return
+        due = self._world.time + change.delay + change.jitter * self._rng.random()
+        self._late.append((max(due, self._late[-1][0]) if self._late else due, command))
+
+    def _due(self) -> float:
+        """s, when the next command arrives."""
+        return self._late[0][0] if self._late else math.inf
+
+    def _apply_late(self) -> None:
+        while self._late and self._late[0][0] <= self._world.time:
+            self._apply(self._late.popleft()[1])
+
+    def _apply(self, command: Command) -> None:
+        """The jaw follows the motor when the gears' play is used up."""
+        half = self._change.backlash / 2
+        self._motor = min(command.opening, self._world.max_opening)
+        self._jaw = min(max(self._jaw, self._motor - half, 0.0), self._motor + half)
+        self._world.set_finger_target(
+            self._jaw, command.force_limit if command.force_limit > 0 else None
+        )
+        self._world.set_lift_target(command.lift_height)
