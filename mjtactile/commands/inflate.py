@@ -15,7 +15,8 @@ from mjtactile.run.progress import Progress
 
 DESCRIPTION = """\
 Connect the chamber to a supply at each pressure, let the simulated membrane settle, and
-report its height, volume, area and stretch beside the closed form for a clamped rectangle."""
+report its height, volume, area and stretch, and the height that theory gives the same sheet of any
+outline (Ritz's method, docs/equations.md, Eq. M8)."""
 EPILOG = """\
 examples:
   mjtactile inflate --sensor dense --pressure-kPa 1
@@ -23,7 +24,7 @@ examples:
 
 JSON: {"sensor": …, "steps": [{"pressure_kPa", "centre_height_mm", "volume_mL" (gas in
 chamber and bulge), "area_mm2", "max_stretch" (against the free sheet), "theory_height_mm"
-(null outside of the table of closed forms), "converged"}], "flags": {kind of doubt:
+(null where the rubber cannot hold the pressure), "converged"}], "flags": {kind of doubt:
 reason}}
 """
 
@@ -85,7 +86,7 @@ def _draw(figure: Any, result: dict[str, Any]) -> None:
     steps = result["steps"]
     axes = figure.subplots()
     pressures = [s["pressure_kPa"] for s in steps]
-    axes.plot(pressures, [s["theory_height_mm"] for s in steps], "k-", lw=1, label="closed form")
+    axes.plot(pressures, [s["theory_height_mm"] for s in steps], "k-", lw=1, label="theory")
     axes.plot(pressures, [s["centre_height_mm"] for s in steps], "o", ms=5, label="simulated")
     axes.set(
         xlabel="gauge pressure, kPa",

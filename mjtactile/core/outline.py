@@ -99,9 +99,24 @@ class Outline:
         columns = [by_w * d + by_conjugate * np.conj(d) for d in (by_u, by_v)]
         return np.stack([np.stack([z.real, z.imag], -1) for z in columns], -1)
 
+    def disc_jacobian(self, disc: Array) -> Array:
+        """d(x, y)/d(Re w, Im w) (N, 2, 2) m at points (N, 2) of the unit disc."""
+        _, by_w, by_conjugate = self._mapped(disc[:, 0] + 1j * disc[:, 1])
+        columns = [by_w + by_conjugate, 1j * (by_w - by_conjugate)]
+        return np.stack([np.stack([z.real, z.imag], -1) for z in columns], -1)
+
     def square(self, plane: Array) -> Array:
         """Points (N, 2) of the square, for points (N, 2) m of the opening; what is outside of it
         goes to its rim."""
+        return _to_square(self._disc(plane))
+
+    def disc(self, plane: Array) -> Array:
+        """Points (N, 2) of the unit disc, likewise."""
+        w = self._disc(plane)
+        return np.column_stack([w.real, w.imag])
+
+    def _disc(self, plane: Array) -> NDArray:
+        """w (N,) of points (N, 2) m."""
         z = plane[:, 0] + 1j * plane[:, 1]
         # begun where an affine map would have it, which for circles and ellipses it is
         a = self.powers[1]
@@ -119,7 +134,7 @@ class Outline:
             w = w / np.maximum(np.abs(w), 1.0)
             if np.abs(w - before).max(initial=0.0) < _CLOSE:
                 break
-        return _to_square(w)
+        return w
 
     def _mapped(self, w: NDArray) -> tuple[NDArray, NDArray, NDArray]:
         """Complex x + i y m at points `w` (N,) of the disc, and its derivatives by w and its

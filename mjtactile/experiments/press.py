@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.core import theory
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.ritz import GRAVITY, inflated_height
 from mjtactile.core.types import FeltShape, Touch
 from mjtactile.experiments.station import View, take_references
 from mjtactile.run.estimate import press_errors
@@ -50,7 +50,7 @@ def inflate(
                 "volume_mL": 1e6 * sensor.volume,
                 "area_mm2": 1e6 * area,
                 "max_stretch": stretch,
-                "theory_height_mm": 1e3 * theory.bulge_height(design, pressure),
+                "theory_height_mm": 1e3 * inflated_height(design, pressure, gravity=GRAVITY),
                 "converged": converged,
             }
         )

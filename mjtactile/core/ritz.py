@@ -1,0 +1,225 @@
+"""The inflated sheet by Ritz's method: the height, to four digits, that a simulated one is compared
+with. Pure functions, SI units; neither the simulator's triangles nor sensing's splines have a part
+in it.
+
+The displacement of the mounted sheet is a polynomial of the coordinates of a disc (of a square, for
+rectangles) times a bubble, 1 - r^2 or (1 - x^2)(1 - y^2), which vanishes on the rim; the outline's
+map (`mjtactile.core.outline`) carries the disc to the opening. Its coefficients are where the
+virtual work of the stress, of the gas and of the weight vanishes (docs/equations.md, Eq. M8):
+
+    int P : grad v dA = p int (x_1 x x_2) . v dA - g rho h / l^2 int v_z dA,    P = h F S(l^2 F^T F)
+
+The solution is smooth where the outline is, and the error falls by a factor with every degree.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebder, chebvander
+from numpy.polynomial.legendre import leggauss
+
+from mjtactile.core import theory
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.rubber import Law, shear_modulus
+from mjtactile.core.sensor_parts import Membrane
+from mjtactile.core.types import Array
+
+_DEGREE = 5  # of the polynomials in x^2 and y^2
+_DEGREE_POLYGON = 3  # without the symmetry there are four times as many to a degree
+GRAVITY = 9.81
+_SCALE = 1e-3  # m: unknowns of about 1
+_NEWTON = 30
+_THICKNESS_STEPS = 12  # quadratic: enough for the last digit
+_STEPS = (0.3, 1.0)  # shares of the pressure on the way
+_CONVERGED = 1e-8
+_SMALL = 1e-6  # step of a difference
+
+
+def inflated_height(
+    design: SensorDesign, pressure_gauge: float, *, gravity: float = 0.0, degree: int | None = None
+) -> float:
+    """Height of the middle of an inflated sheet.
+
+    Args:
+        design: Its frame and membrane, of any outline and law.
+        pressure_gauge: Pa.
+        gravity: m/s^2, into the chamber.
+        degree: Of the polynomials in x^2 and y^2; 5, of polygons 3.
+
+    Returns:
+        m above the frame; NaN where the rubber cannot hold the pressure, and of frames more than
+        four times as long as wide.
+    """
+    frame = replace(design.frame, shape="ellipse")  # where to begin: a bulge as long and as wide
+    first = theory.bulge_height(replace(design, frame=frame), pressure_gauge)
+    if not np.isfinite(first):
+        return np.nan
+    weight = gravity * design.membrane.density * design.membrane.thickness
+    weight /= design.membrane.pre_stretch**2
+    if degree is None:
+        degree = _DEGREE_POLYGON if design.frame.shape == "polygon" else _DEGREE
+    sheet = _Sheet.of(design, degree)
+    unknown = np.zeros(3 * sheet.count)
+    unknown[2 * sheet.count] = _STEPS[0] ** 0.5 * first / _SCALE
+    for share in _STEPS:
+        found = _root(sheet, unknown, share * pressure_gauge, share * weight)
+        if found is None:
+            return np.nan
+        unknown = found
+    return float(_SCALE * unknown[2 * sheet.count :] @ sheet.middle)
+
+
+def _root(sheet: _Sheet, unknown: Array, pressure: float, weight: float) -> Array | None:
+    """Coefficients (3 k,), _SCALE m, of equilibrium, by Newton's method with differences; None
+    where there is none to be found."""
+    for _ in range(_NEWTON):
+        missing = sheet.residual(unknown, pressure, weight)
+        if not np.isfinite(missing).all():
+            return None
+        moved = unknown + _SMALL * np.eye(len(unknown))
+        slope = np.array([sheet.residual(one, pressure, weight) - missing for one in moved])
+        step = np.linalg.solve(slope.T / _SMALL, -missing)
+        most = float(np.abs(step).max())
+        unknown = unknown + step * min(1.0, 1.0 / most)  # by 1 mm at most
+        if most < _CONVERGED:
+            return unknown
+    return None
+
+
+@dataclass(frozen=True, eq=False)
+class _Sheet:
+    """Values of the trial functions at the places where work is summed.
+
+    Attributes:
+        membrane: The rubber.
+        weights: (q,) m^2 of the mounted sheet.
+        values: (3, k, q) of the functions of u_x, u_y, u_z.
+        slopes: (3, 2, k, q) 1/m, by x and y.
+        middle: (k,) values of u_z's in the middle of the frame.
+    """
+
+    membrane: Membrane
+    weights: Array
+    values: Array
+    slopes: Array
+    middle: Array
+
+    @classmethod
+    def of(cls, design: SensorDesign, degree: int) -> _Sheet:
+        frame = design.frame
+        symmetric = frame.shape != "polygon"
+        disc = frame.outline is not None
+        places, areas = _quarter(2 * degree + 4, disc)
+        if not symmetric:
+            signs = np.array([(1, 1), (-1, 1), (1, -1), (-1, -1)])
+            places = np.concatenate([places * sign for sign in signs])
+            areas = np.tile(areas / 4, 4)
+        if frame.outline is None:
+            jacobian = np.tile(np.diag([frame.length / 2, frame.width / 2]), (len(places), 1, 1))
+        else:
+            jacobian = frame.outline.disc_jacobian(places)
+        bubble, by_place = _bubble(places, disc)
+        values = []
+        slopes = []
+        orders = []
+        for odd in ((1, 0), (0, 1), (0, 0)):
+            orders = _orders(degree, odd, symmetric)
+            f, df = _products(places, orders)
+            values.append(bubble * f)
+            by_own = bubble * df + by_place[:, None] * f  # (2, k, q)
+            slopes.append(np.einsum("ikq,qij->jkq", by_own, np.linalg.inv(jacobian)))
+        weights = areas * np.linalg.det(jacobian)
+        at = np.zeros((1, 2))
+        if frame.outline is not None:
+            at = frame.outline.disc(at)
+        middle = (_bubble(at, disc)[0] * _products(at, orders)[0])[:, 0]
+        return cls(design.membrane, weights, np.array(values), np.array(slopes), middle)
+
+    @property
+    def count(self) -> int:
+        """Functions of each component."""
+        return self.values.shape[1]
+
+    def residual(self, unknown: Array, pressure: float, weight: float) -> Array:
+        """Forces (3 k,), N, that are missing to equilibrium under `pressure` Pa and `weight`
+        N/m^2."""
+        c = _SCALE * unknown.reshape(3, -1)
+        F = np.einsum("dk,dekq->deq", c, self.slopes)
+        F[0, 0] += 1
+        F[1, 1] += 1
+        stress = _stress(F, self.membrane)
+        P = self.membrane.thickness * np.einsum("dfq,feq->deq", F, stress)
+        load = pressure * np.cross(F[:, 0], F[:, 1], axis=0)
+        load[2] -= weight
+        inner = np.einsum("deq,dekq->dk", self.weights * P, self.slopes)
+        return (inner - np.einsum("dq,dkq->dk", self.weights * load, self.values)).ravel()
+
+
+def _stress(F: Array, membrane: Membrane) -> Array:
+    """Second Piola-Kirchhoff stress (2, 2, q) Pa for gradients F (3, 2, q) of the mounted sheet."""
+    C = membrane.pre_stretch**2 * np.einsum("dep,dfp->efp", F, F)
+    trace = C[0, 0] + C[1, 1]
+    unit = np.eye(2)[:, :, None]
+    if membrane.law is Law.STVK:
+        nu = membrane.poisson
+        strain = (C - unit) / 2
+        return membrane.young / (1 - nu**2) * ((1 - nu) * strain + nu * (trace - 2) / 2 * unit)
+    det = C[0, 0] * C[1, 1] - C[0, 1] ** 2
+    half = membrane.poisson / (1 - 2 * membrane.poisson)  # lambda / 2 mu
+    log_c = np.zeros_like(det)
+    for _ in range(_THICKNESS_STEPS):
+        c = np.exp(log_c)
+        log_c = log_c - (c - 1 + half * (log_c + np.log(det))) / (c + half)
+    mu = shear_modulus(membrane.young, membrane.poisson)
+    return mu * (unit - np.exp(log_c) / det * (trace * unit - C))
+
+
+def _quarter(count: int, disc: bool) -> tuple[Array, Array]:
+    """Gauss points (q, 2) of a quarter of the unit disc or square, and four times their areas
+    (q,)."""
+    t, w = leggauss(count)
+    t = (t + 1) / 2
+    w = w / 2
+    first, second = (axis.ravel() for axis in np.meshgrid(t, t, indexing="ij"))
+    areas = 4 * np.outer(w, w).ravel()
+    if not disc:
+        return np.column_stack([first, second]), areas
+    angle = np.pi / 2 * second
+    places = np.column_stack([first * np.cos(angle), first * np.sin(angle)])
+    return places, np.pi / 2 * first * areas
+
+
+def _bubble(places: Array, disc: bool) -> tuple[Array, Array]:
+    """What is 1 in the middle and 0 on the rim, (q,), and its derivatives (2, q)."""
+    x, y = places.T
+    if disc:
+        return 1 - x**2 - y**2, np.array([-2 * x, -2 * y])
+    return (1 - x**2) * (1 - y**2), np.array([-2 * x * (1 - y**2), -2 * y * (1 - x**2)])
+
+
+def _orders(degree: int, odd: tuple[int, int], symmetric: bool) -> list[tuple[int, int]]:
+    """Of the polynomials in x and y: what is symmetric or, where `odd`, antisymmetric; all."""
+    if not symmetric:
+        return [(i, total - i) for total in range(2 * degree + 1) for i in range(total + 1)]
+    return [
+        (2 * i + odd[0], 2 * (total - i) + odd[1])
+        for total in range(degree + 1)
+        for i in range(total + 1)
+    ]
+
+
+def _products(places: Array, orders: list[tuple[int, int]]) -> tuple[Array, Array]:
+    """Chebyshev's T_i(x) T_j(y) (k, q), and its derivatives (2, k, q)."""
+    i, j = np.array(orders).T
+    most = int(max(i.max(), j.max()))
+    (x, by_x), (y, by_y) = (_chebyshev(one, most) for one in places.T)
+    return x[i] * y[j], np.array([by_x[i] * y[j], x[i] * by_y[j]])
+
+
+def _chebyshev(at: Array, most: int) -> tuple[Array, Array]:
+    """T_0 to T_most at places (q,), and their derivatives, both (most + 1, q)."""
+    values = chebvander(at, most)
+    slopes = values[:, : max(most, 1)] @ chebder(np.eye(most + 1), axis=0)
+    return values.T, slopes.T
