@@ -25,6 +25,7 @@ from mjtactile.sim import truth
 
 MARGIN = 1.25  # grip over what holding takes: what the jaws miss their target by
 AHEAD = 0.5  # s: what the jaws need to follow
+FELT_PULL = 0.5  # N, of who takes it: what is held with less is torn out before the pull is felt
 _LOOKS = 26
 _LEAST = 0.15  # N: less is not regulated
 _MOST_LEVER = 3.0  # of a torque about the grip, in the need
@@ -68,10 +69,11 @@ class Oracle(Observer):
             self._up_since = judge.world.time
         time = -1.0 if math.isnan(self._up_since) else judge.world.time - self._up_since
         now = judge.need()
-        plain = self._plain(time)
+        plain = self._plain(time, time)
         if judge.in_the_air() and plain > 0 and now > 0:
             self._lever = min(max(now / plain, 1.0), _MOST_LEVER)
-        ahead = max(self._plain(moment) for moment in np.linspace(time, time + AHEAD, _LOOKS))
+        moments = np.linspace(time, time + AHEAD, _LOOKS)
+        ahead = max(self._plain(moment, time) for moment in moments)
         self.need = max(now, ahead * self._lever)
 
     def step(self, observation: Observation) -> Command:
@@ -81,8 +83,9 @@ class Oracle(Observer):
         command = replace(command, memory={**command.memory, "target": target})
         return self._adaptive.step(replace(observation, command=command))
 
-    def _plain(self, time: float) -> float:
-        """N on each finger, for a grip at the centre of mass, `time` s after the hand was up."""
+    def _plain(self, time: float, now: float) -> float:
+        """N on each finger, for a grip at the centre of mass, `time` s after the hand was up, seen
+        `now` s after it."""
         judge = self._judge
         drawn = self._drawn
         if judge is None or drawn is None:
@@ -94,11 +97,15 @@ class Oracle(Observer):
         for event in drawn.events:
             done = (time - event.begin) / event.last
             if event.kind == "fill" and 0 < done < 1:
-                mass = max(mass, event.values["mass"] * done)
+                since = max(now, event.begin)
+                still = (time - since) / (event.begin + event.last - since)
+                mass += (event.values["mass"] - mass) * still
             elif event.kind == "fill" and done >= 1:
                 mass = event.values["mass"]
             elif event.kind == "shake" and 0 < done < 1:
                 pull += event.values["acceleration"]
             elif event.kind == "push" and 0 < done < 1:
                 push = max(push, event.values["impulse"] / event.last)
+            elif event.kind == "pull" and done > 0:
+                push = max(push, FELT_PULL)
         return (mass * pull + push) / judge.friction_sum()

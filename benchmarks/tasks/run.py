@@ -14,11 +14,14 @@ from typing import Any
 import numpy as np
 
 from benchmarks.tasks import oracle
+from benchmarks.tasks.levels import LEVELS, MESH, agreement, folder_of
 from benchmarks.tasks.picture import draw
+from benchmarks.tasks.shown import CONTROLLERS, SHOWN
+from benchmarks.tasks.tables import table as table
+from mjtactile.core.errors import InputError
 from mjtactile.evaluate.episodes import Episode, run_episode
 from mjtactile.evaluate.statistics import summarise
-from mjtactile.evaluate.store import read_lines
-from mjtactile.evaluate.suite import new_suite, run_suite
+from mjtactile.evaluate.suite import Suite, new_suite, read, rounds, run_round
 from mjtactile.recording.observer import Observer
 from mjtactile.run.cycle import Cycle
 from mjtactile.run.progress import Progress
@@ -26,65 +29,120 @@ from mjtactile.sim import truth
 
 NAME = "v1"
 TASKS = ("weigh", "pour", "shake", "bump", "place", "hand-over")
-CONTROLLERS = ("adaptive", "gentle", "slip_aware", "touchless")
 ORACLE = str(Path(oracle.__file__))
 OBJECTS = ("vial", "egg", "random")
 DEVELOP = 60_000
 SEED = 70_000
 EPISODES = 200
 HARSH = ("weigh", "pour", "bump")
-"""Tasks that are also done in worlds of `--vary harsh`, by `adaptive` and by `touchless`: a quarter
-as many episodes."""
+HARSH_CONTROLLERS = (CONTROLLERS[0], CONTROLLERS[-1])
+"""Tasks that are also done in worlds of `--vary harsh`, and by whom: a quarter as many episodes."""
 QUICK = 3
-_READY = "grip over what holds against the push that was announced, too, median"
+_TURN = 10  # episodes of a task before the next one's turn
 _WEIGHED_FROM = 0.02  # kg
 _WEIGHT_SD = (0.04, 1e-3)  # of the mass, and kg: what was asked
 
 
 def run(
-    out: Path, quick: bool = False, resume: bool = False, episodes: int = EPISODES
+    out: Path,
+    quick: bool = False,
+    resume: bool = False,
+    episodes: int = EPISODES,
+    level: str = MESH,
+    parts: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Evaluate each task; without images, whose errors the markers have drawn in their place.
+    """Evaluate each task; without images, whose errors the markers have drawn in their place, or at
+    a cheaper level.
 
     Args:
-        out: Gets tasks/TASK/episodes.jsonl, tasks/v1.json, tasks_harsh/TASK/episodes.jsonl,
-            what_touch_buys.png.
+        out: Gets tasks_LEVEL/CONTROLLER/TASK/episodes.jsonl, the suite tasks_LEVEL/NAME.json,
+            tasks_LEVEL_harsh/CONTROLLER/TASK/episodes.jsonl, what_touch_buys.png.
         quick: Three episodes each.
         resume: Go on with what is there.
         episodes: Of each task for each controller.
+        level: One of `LEVELS`. Each has folders of its own.
+        parts: Only these controllers run now; what others did before counts, too.
 
     Returns:
-        The summaries by task, of all of them together, those of the harsh worlds, and how well
-        `adaptive` weighs.
+        The summaries by task, of all of them together, those of the harsh worlds, how well
+        `adaptive` weighs, and how far the level agrees with the mesh's lines that lie in `out`.
+
+    Raises:
+        InputError: There is no such level or controller.
     """
+    if level not in LEVELS:
+        raise InputError(f"{level!r} is unknown", field="--level", choices=list(LEVELS))
+    unknown = [name for name in parts if name not in SHOWN]
+    if unknown:
+        raise InputError(f"{unknown[0]!r} is unknown", field="--parts", choices=list(SHOWN))
+    names = parts or SHOWN
     count = QUICK if quick else episodes
-    suite = new_suite(NAME, TASKS, objects=OBJECTS, seed=SEED, develop=DEVELOP)
-    harsh = new_suite(NAME, HARSH, objects=OBJECTS, seed=SEED, develop=DEVELOP, vary="harsh")
-    folder = out / "tasks"
-    for kind, where, who, most in (
-        (suite, folder, (*CONTROLLERS, ORACLE), count),
-        (harsh, out / "tasks_harsh", (CONTROLLERS[0], CONTROLLERS[-1]), max(count // 4, 1)),
-    ):
-        run_suite(
-            kind,
-            where,
-            controllers=who,
-            count=most,
-            resume=resume,
-            say=Progress().message,
-            run_one=run_one,
-        )
-    suite.with_results(folder).write(folder / f"{NAME}.json")
-    result = results(out, count)
+    harsh_count = max(count // 4, 1)
+    harsh_names = [name for name in HARSH_CONTROLLERS if name in names]
+    turns = rounds(count, _TURN)
+    for most in turns:
+        again = resume or most > turns[0]
+        _round(suite_of(level), out / folder_of(level), names, most, again)
+        if most <= harsh_count or most == count:
+            worlds = suite_of(level, harsh=True)
+            _round(
+                worlds, out / folder_of(level, "harsh"), harsh_names, min(most, harsh_count), again
+            )
+    suite = suite_of(level)
+    folder = out / folder_of(level)
+    suite.with_results(*_kept(folder)).write(folder / f"{suite.name}.json")
+    result = results(out, count, level)
     draw(result, out / "what_touch_buys.png")
     return result
 
 
-def results(out: Path, count: int) -> dict[str, Any]:
-    """What lies in `out`: the result of `run`."""
-    lines = {task: read_lines(out / "tasks" / task) for task in TASKS}
-    harsh = {task: read_lines(out / "tasks_harsh" / task) for task in HARSH}
+def suite_of(level: str, *, harsh: bool = False) -> Suite:
+    """The tasks at one level, in `--vary default`'s worlds or in harsh ones."""
+    name = NAME if level == MESH else f"{NAME}-{level}"
+    vary = "harsh" if harsh else "default"
+    tasks = HARSH if harsh else TASKS
+    effects = LEVELS[level].effects
+    return new_suite(
+        name, tasks, objects=OBJECTS, seed=SEED, develop=DEVELOP, vary=vary, effects=effects
+    )
+
+
+def _round(suite: Suite, folder: Path, names: Sequence[str], count: int, resume: bool) -> None:
+    """The first `count` episodes of each task, by each controller in a folder of its own."""
+    for name in names:
+        own = ORACLE if name == "oracle" else name
+        run_round(
+            suite,
+            folder / name,
+            controllers=[own],
+            count=count,
+            resume=resume,
+            say=Progress().message,
+            run_one=run_one,
+        )
+
+
+def _kept(folder: Path) -> list[Path]:
+    """A folder a controller, of those that have one."""
+    return [folder / name for name in SHOWN if (folder / name).exists()]
+
+
+def lines_of(suite: Suite, folder: Path) -> dict[str, list[dict[str, Any]]]:
+    """The lines of every task that lie in `folder`, of this suite and level. Raises InputError
+    where they are of another."""
     return {
+        task: [line for own in _kept(folder) for line in read(suite, own, task)]
+        for task in suite.tasks
+    }
+
+
+def results(out: Path, count: int, level: str) -> dict[str, Any]:
+    """What lies in `out`: the result of `run`."""
+    lines = lines_of(suite_of(level), out / folder_of(level))
+    harsh = lines_of(suite_of(level, harsh=True), out / folder_of(level, "harsh"))
+    full = {} if level == MESH else lines_of(suite_of(MESH), out / folder_of(MESH))
+    return {
+        "level": level,
         "episodes": count,
         "seed": SEED,
         "objects": list(OBJECTS),
@@ -92,6 +150,7 @@ def results(out: Path, count: int) -> dict[str, Any]:
         "together": together(lines),
         "harsh": {task: summarise(own) for task, own in harsh.items()},
         "weighed": weighed(lines["weigh"]),
+        "agreement": {name: agreement(name, full, lines) for name in SHOWN if full},
     }
 
 
@@ -155,79 +214,3 @@ def weighed(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "sd_share": float((error / really).std(ddof=1)),
         "over_asked": float(np.sqrt(np.mean((error / asked) ** 2))),
     }
-
-
-def table(result: Mapping[str, Any]) -> str:
-    """Held and whole, in percent with intervals; then grip over need, and what each task adds."""
-    names = [*CONTROLLERS, "oracle"]
-    head = " | ".join(names)
-    lines = [
-        f"| held and whole | {head} | adaptive less touchless, points |",
-        "|---" * (len(names) + 2) + "|",
-    ]
-    for task, summary in result["tasks"].items():
-        cells = [_share(summary["controllers"].get(name)) for name in names]
-        lines.append(f"| {task} | {' | '.join(cells)} | {_difference(summary)} |")
-    every = result["together"]
-    cells = [_share(every["controllers"].get(name)) for name in names]
-    lines.append(f"| all {len(result['tasks'])} | {' | '.join(cells)} | {_difference(every)} |")
-    for task, summary in result["harsh"].items():
-        cells = [_share(summary["controllers"].get(name)) for name in names]
-        lines.append(f"| {task}, harsh worlds | {' | '.join(cells)} | {_difference(summary)} |")
-    lines += ["", f"| crushed / dropped | {head} |", "|---" * (len(names) + 1) + "|"]
-    for task, summary in result["tasks"].items():
-        cells = [_failures(summary["controllers"].get(name)) for name in names]
-        lines.append(f"| {task} | {' | '.join(cells)} |")
-    lines += ["", f"| grip over need, median | {head} |", "|---" * (len(names) + 1) + "|"]
-    for task, summary in result["tasks"].items():
-        cells = [_value(summary["controllers"].get(name), "margin", "{:.1f}") for name in names]
-        lines.append(f"| {task} | {' | '.join(cells)} |")
-    lines += ["", f"| beside | {head} |", "|---" * (len(names) + 1) + "|"]
-    for task, key, which, label, form in (
-        ("place", "bump_N_s", "median", "bump when placing, N s: median", "{:.4f}"),
-        ("place", "bump_N_s", "p95", "bump when placing, N s: 95 %", "{:.4f}"),
-        ("hand-over", "let_go_s", "median", "let go after, s: median", "{:.2f}"),
-        ("hand-over", "let_go_s", "p95", "let go after, s: 95 %", "{:.2f}"),
-        ("bump", "margin_ready", "median", f"bump: {_READY}", "{:.1f}"),
-        ("hand-over", "margin_ready", "median", f"hand-over: {_READY}", "{:.1f}"),
-        ("", "margin", "median", "grip over need in all tasks, median", "{:.1f}"),
-        ("", "margin", "p95", "grip over need in all tasks, 95 %", "{:.1f}"),
-    ):
-        own = (result["tasks"][task] if task else every)["controllers"]
-        cells = [_value(own.get(name), key, form, which) for name in names]
-        lines.append(f"| {label} | {' | '.join(cells)} |")
-    found = result["weighed"]
-    if found["things"] > 1:
-        lines += [
-            "",
-            f"`adaptive` weighs {found['things']} things of 20 g and more with an error of "
-            f"{100 * found['mean_share']:+.1f} % on the mean and {100 * found['sd_share']:.1f} % "
-            f"sd, {found['over_asked']:.2f} times 4 % + 1 g in the rms.",
-        ]
-    return "\n".join(lines) + "\n"
-
-
-def _share(group: Mapping[str, Any] | None) -> str:
-    if group is None:
-        return ""
-    low, high = group["success_interval"]
-    ended = group["episodes"] - group["error"]
-    return f"{group['held']} of {ended} ({100 * low:.0f}-{100 * high:.0f} %)"
-
-
-def _failures(group: Mapping[str, Any] | None) -> str:
-    return "" if group is None else f"{group['crushed']} / {group['dropped']}"
-
-
-def _difference(summary: Mapping[str, Any]) -> str:
-    """Of the first controller against touchless, in points."""
-    for pair in summary["paired"]:
-        if (pair["first"], pair["second"]) == (CONTROLLERS[0], CONTROLLERS[-1]):
-            low, high = pair["difference_interval"]
-            return f"{0 - 100 * pair['difference']:+.0f} ({-100 * high:+.0f} to {-100 * low:+.0f})"
-    return ""
-
-
-def _value(group: Mapping[str, Any] | None, key: str, form: str, which: str = "median") -> str:
-    value = None if group is None else group[key][which]
-    return "" if value is None else form.format(value)

@@ -112,7 +112,8 @@ OPTIONS = {
         "trust",
         "first_day",
     ),
-    "parts": ("rig", "slip"),
+    "parts": ("rig", "slip", "tasks"),
+    "level": ("tasks",),
     "rate": ("slip",),
     "soak": ("rig",),
     "cases": ("truth",),
@@ -139,7 +140,13 @@ ARGUMENTS = (
         "--parts",
         "A,B,…",
         "rig: only these of loop, bus, fuzz, killed, stopped, stuck, outcomes, faults, soak; "
-        "slip: of passive, tested",
+        "slip: of passive, tested; tasks: of adaptive, gentle, slip_aware, touchless, oracle",
+    ),
+    arg.option(
+        "--level",
+        "NAME",
+        "tasks: mesh (default), film (--effects=-sheet,-images) or drawn (-sheet,-chain), which "
+        "also say how far they agree with what lies of mesh in the same --out",
     ),
     arg.option("--data", "DIR", "bubble, dots: the recordings, which are not in here", type=Path),
     arg.option("--cases", "DIR", "truth: the cases of this folder", type=Path),

@@ -84,9 +84,13 @@ class Suite:
             if letter != _NONE
         ]
 
-    def with_results(self, folder: Path) -> Suite:
-        """This suite with what lies in `folder`, a folder a task, in place of its results."""
-        found = {task: _results(read(self, folder, task)) for task in self.tasks}
+    def with_results(self, *folders: Path) -> Suite:
+        """This suite with what lies in `folders`, in each a folder a task, in place of its
+        results."""
+        found = {
+            task: _results([line for folder in folders for line in read(self, folder, task)])
+            for task in self.tasks
+        }
         return replace(self, results=found)
 
     def write(self, path: Path) -> None:
@@ -165,22 +169,51 @@ def run_suite(
         InputError: As `evaluate` does.
         DeviceError: As `evaluate` does.
     """
-    for most in [*range(_ROUND, count, _ROUND), count]:
-        for task in suite.tasks:
-            known = folder / task / store.MANIFEST
-            there = store.read_manifest(folder / task)["options"]["count"] if known.exists() else 0
-            say(f"{task}: {max(most, there)} episodes")
-            evaluate(
-                folder / task,
-                suite.scenario(task),
-                count=max(most, there),
-                controllers=controllers,
-                objects=suite.objects,
-                workers=workers,
-                resume=resume or most > _ROUND,
-                say=say,
-                run_one=run_one,
-            )
+    for most in rounds(count):
+        run_round(
+            suite,
+            folder,
+            controllers=controllers,
+            count=most,
+            resume=resume or most > _ROUND,
+            workers=workers,
+            say=say,
+            run_one=run_one,
+        )
+
+
+def rounds(count: int, each: int = _ROUND) -> list[int]:
+    """How many episodes of each task are there after each round of `each`, until it is `count`."""
+    return [*range(each, count, each), count]
+
+
+def run_round(
+    suite: Suite,
+    folder: Path,
+    *,
+    controllers: Sequence[str],
+    count: int,
+    resume: bool = False,
+    workers: int | None = None,
+    say: Say = lambda _: None,
+    run_one: RunOne = run_episode,
+) -> None:
+    """Run what is missing of the first `count` episodes of each task; as `run_suite`."""
+    for task in suite.tasks:
+        known = folder / task / store.MANIFEST
+        there = store.read_manifest(folder / task)["options"]["count"] if known.exists() else 0
+        say(f"{task}: {max(count, there)} episodes")
+        evaluate(
+            folder / task,
+            suite.scenario(task),
+            count=max(count, there),
+            controllers=controllers,
+            objects=suite.objects,
+            workers=workers,
+            resume=resume,
+            say=say,
+            run_one=run_one,
+        )
 
 
 def read(suite: Suite, folder: Path, task: str) -> list[dict[str, Any]]:

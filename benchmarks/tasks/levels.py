@@ -1,0 +1,77 @@
+"""Levels of simulation that tasks are run at, and whether episodes end alike at two of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mjtactile.evaluate.wilson import Line, wilson
+
+
+@dataclass(frozen=True)
+class Level:
+    """`effects` as `--effects` takes them, and what the table says of it."""
+
+    effects: str
+    about: str
+
+
+MESH = "mesh"
+LEVELS = {
+    MESH: Level(
+        "-images", "the whole membrane, and the whole sensing chain on markers with drawn errors"
+    ),
+    "film": Level(
+        "-sheet,-images", "a film in place of the mesh, and the whole sensing chain on its markers"
+    ),
+    "drawn": Level(
+        "-sheet,-chain", "a film in place of the mesh, and touch drawn with the chain's errors"
+    ),
+}
+
+
+def folder_of(level: str, worlds: str = "") -> str:
+    """Where a level's lines lie: never two levels in one."""
+    return "_".join(part for part in ("tasks", level, worlds) if part)
+
+
+def agreement(
+    controller: str, full: Mapping[str, Sequence[Line]], cheap: Mapping[str, Sequence[Line]]
+) -> dict[str, Any]:
+    """Compare the episodes of all tasks that one controller ended at both levels.
+
+    Args:
+        controller: Whose.
+        full: By task, the lines of the mesh's level.
+        cheap: Likewise of the other.
+
+    Returns:
+        How many "episodes" there are, how many ended "alike" (held, dropped, crushed, ...) with its
+        95 % interval, and at each of the two levels "held" and the median "margin".
+    """
+    pairs = [
+        (line, other)
+        for task, lines in full.items()
+        for line in lines
+        for other in cheap.get(task, ())
+        if line["controller"] == other["controller"] == controller
+        and line["episode"] == other["episode"]
+        and "error" not in (line["outcome"], other["outcome"])
+    ]
+    alike = sum(one["outcome"] == other["outcome"] for one, other in pairs)
+    sides = list(zip(*pairs, strict=True)) if pairs else [(), ()]
+    return {
+        "episodes": len(pairs),
+        "alike": alike,
+        "alike_interval": list(wilson(alike, len(pairs))) if pairs else [0.0, 1.0],
+        "held": [sum(line["outcome"] == "held" for line in side) for side in sides],
+        "margin": [_median(side) for side in sides],
+    }
+
+
+def _median(lines: Sequence[Line]) -> float | None:
+    known = [line["margin_true"] for line in lines if line.get("margin_true") is not None]
+    return float(np.median(known)) if known else None

@@ -1,0 +1,116 @@
+"""Markdown of `mjtactile bench tasks`: its first line says of which level of simulation all of it
+is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from benchmarks.tasks.levels import LEVELS, MESH
+from benchmarks.tasks.shown import CONTROLLERS, READY, SHOWN
+from mjtactile.evaluate.episodes import STOPPED
+
+
+def table(result: Mapping[str, Any]) -> str:
+    """Held and whole, in percent with intervals; then grip over need, and what each task adds."""
+    names = list(SHOWN)
+    head = " | ".join(names)
+    lines = [
+        f"Level `{result['level']}`: {LEVELS[result['level']].about}.",
+        "",
+        f"| held and whole | {head} | adaptive less touchless, points |",
+        "|---" * (len(names) + 2) + "|",
+    ]
+    for task, summary in result["tasks"].items():
+        cells = [_share(summary["controllers"].get(name)) for name in names]
+        lines.append(f"| {task} | {' | '.join(cells)} | {_difference(summary)} |")
+    every = result["together"]
+    cells = [_share(every["controllers"].get(name)) for name in names]
+    lines.append(f"| all {len(result['tasks'])} | {' | '.join(cells)} | {_difference(every)} |")
+    for task, summary in result["harsh"].items():
+        cells = [_share(summary["controllers"].get(name)) for name in names]
+        lines.append(f"| {task}, harsh worlds | {' | '.join(cells)} | {_difference(summary)} |")
+    lines += ["", f"| crushed / dropped / stopped / simulation failed | {head} |", "|---" * (len(names) + 1) + "|"]
+    for task, summary in result["tasks"].items():
+        cells = [_failures(summary["controllers"].get(name)) for name in names]
+        lines.append(f"| {task} | {' | '.join(cells)} |")
+    lines += ["", f"| grip over need, median | {head} |", "|---" * (len(names) + 1) + "|"]
+    for task, summary in result["tasks"].items():
+        cells = [_value(summary["controllers"].get(name), "margin", "{:.1f}") for name in names]
+        lines.append(f"| {task} | {' | '.join(cells)} |")
+    lines += ["", f"| beside | {head} |", "|---" * (len(names) + 1) + "|"]
+    for task, key, which, label, form in (
+        ("place", "bump_N_s", "median", "bump when placing, N s: median", "{:.4f}"),
+        ("place", "bump_N_s", "p95", "bump when placing, N s: 95 %", "{:.4f}"),
+        ("hand-over", "let_go_s", "median", "let go after, s: median", "{:.2f}"),
+        ("hand-over", "let_go_s", "p95", "let go after, s: 95 %", "{:.2f}"),
+        ("bump", "margin_ready", "median", f"bump: {READY}", "{:.1f}"),
+        ("hand-over", "margin_ready", "median", f"hand-over: {READY}", "{:.1f}"),
+        ("", "margin", "median", "grip over need in all tasks, median", "{:.1f}"),
+        ("", "margin", "p95", "grip over need in all tasks, 95 %", "{:.1f}"),
+    ):
+        own = (result["tasks"][task] if task else every)["controllers"]
+        cells = [_value(own.get(name), key, form, which) for name in names]
+        lines.append(f"| {label} | {' | '.join(cells)} |")
+    found = result["weighed"]
+    if found["things"] > 1:
+        lines += [
+            "",
+            f"`adaptive` weighs {found['things']} things of 20 g and more with an error of "
+            f"{100 * found['mean_share']:+.1f} % on the mean and {100 * found['sd_share']:.1f} % "
+            f"sd, {found['over_asked']:.2f} times 4 % + 1 g in the rms.",
+        ]
+    lines += _agreement(result)
+    return "\n".join(lines) + "\n"
+
+
+def _agreement(result: Mapping[str, Any]) -> list[str]:
+    """How often an episode ended at this level as it does at the mesh's."""
+    found = {name: one for name, one in result["agreement"].items() if one["episodes"]}
+    if not found:
+        return []
+    level = result["level"]
+    lines = [
+        "",
+        f"| the same episodes at both levels | ended alike | held, `{MESH}` / `{level}` | grip over"
+        f" need, median, `{MESH}` / `{level}` |",
+        "|---" * 4 + "|",
+    ]
+    for name, one in found.items():
+        low, high = (100 * bound for bound in one["alike_interval"])
+        held = " / ".join(str(count) for count in one["held"])
+        margin = " / ".join("" if value is None else f"{value:.1f}" for value in one["margin"])
+        lines.append(
+            f"| {name} | {one['alike']} of {one['episodes']} ({low:.0f}-{high:.0f} %) | {held} | "
+            f"{margin} |"
+        )
+    return lines
+
+
+def _share(group: Mapping[str, Any] | None) -> str:
+    if group is None:
+        return ""
+    low, high = group["success_interval"]
+    ended = group["episodes"] - group["error"]
+    return f"{group['held']} of {ended} ({100 * low:.0f}-{100 * high:.0f} %)"
+
+
+def _failures(group: Mapping[str, Any] | None) -> str:
+    if group is None:
+        return ""
+    stopped = sum(group[kind] for kind in STOPPED)
+    return f"{group['crushed']} / {group['dropped']} / {stopped} / {group['error']}"
+
+
+def _difference(summary: Mapping[str, Any]) -> str:
+    """Of the first controller against touchless, in points."""
+    for pair in summary["paired"]:
+        if (pair["first"], pair["second"]) == (CONTROLLERS[0], CONTROLLERS[-1]):
+            low, high = pair["difference_interval"]
+            return f"{0 - 100 * pair['difference']:+.0f} ({-100 * high:+.0f} to {-100 * low:+.0f})"
+    return ""
+
+
+def _value(group: Mapping[str, Any] | None, key: str, form: str, which: str = "median") -> str:
+    value = None if group is None else group[key][which]
+    return "" if value is None else form.format(value)
