@@ -30,7 +30,11 @@ def table(result: Mapping[str, Any]) -> str:
     for task, summary in result["harsh"].items():
         cells = [_share(summary["controllers"].get(name)) for name in names]
         lines.append(f"| {task}, harsh worlds | {' | '.join(cells)} | {_difference(summary)} |")
-    lines += ["", f"| crushed / dropped / stopped / simulation failed | {head} |", "|---" * (len(names) + 1) + "|"]
+    lines += [
+        "",
+        f"| crushed / dropped / stopped / simulation failed | {head} |",
+        "|---" * (len(names) + 1) + "|",
+    ]
     for task, summary in result["tasks"].items():
         cells = [_failures(summary["controllers"].get(name)) for name in names]
         lines.append(f"| {task} | {' | '.join(cells)} |")

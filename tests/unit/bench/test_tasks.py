@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from benchmarks.slip import tested
+from benchmarks.tasks.levels import agreement
 from benchmarks.tasks.picture import draw
-from benchmarks.tasks.run import TASKS, table, together, weighed
+from benchmarks.tasks.run import TASKS, run, suite_of, table, together, weighed
+from mjtactile.core.errors import InputError
 from mjtactile.core.types import Slip, Touch, Traction
 from mjtactile.evaluate.statistics import summarise
 
@@ -34,6 +36,8 @@ def lines(controller, outcomes, **more):
 def test_the_table_says_what_the_lines_say(tmp_path):
     own = lines("adaptive", ["held"] * 8) + lines("touchless", ["held"] * 4 + ["crushed"] * 4)
     result = {
+        "level": "drawn",
+        "agreement": {"adaptive": agreement("adaptive", {"weigh": own}, {"weigh": own[:5]})},
         "episodes": 8,
         "tasks": dict.fromkeys(TASKS, summarise(own)),
         "together": together(dict.fromkeys(TASKS, own)),
@@ -46,9 +50,33 @@ def test_the_table_says_what_the_lines_say(tmp_path):
     assert "| weigh, harsh worlds | 8 of 8 (68-100 %) |  |  |  |  |  |" in text
     assert "| all 6 | 48 of 48 (93-100 %) |  |  | 24 of 48 (36-64 %) |  | +50 (" in text
     assert "| grip over need in all tasks, median | 1.5 |  |  | 1.5 |  |" in text
-    assert "| pour | 0 / 0 |  |  | 4 / 0 |  |" in text
+    assert "| pour | 0 / 0 / 0 / 0 |  |  | 4 / 0 / 0 / 0 |  |" in text
+    assert text.startswith("Level `drawn`: ")
+    # Wilson's interval of 5 of 5 is 56.6 to 100 %
+    assert "| adaptive | 5 of 5 (57-100 %) | 5 / 5 | 1.5 / 1.5 |" in text
     draw(result, tmp_path / "picture.png")
     assert (tmp_path / "picture.png").stat().st_size > 10_000
+
+
+def test_levels_are_compared_over_the_episodes_that_ended_at_both():
+    full = {"weigh": lines("adaptive", ["held", "held", "dropped", "error"])}
+    cheap = {
+        "weigh": lines("adaptive", ["held", "crushed", "dropped", "held", "held"]),
+        "pour": lines("adaptive", ["held"]),  # nobody ran that on the mesh
+    }
+    found = agreement("adaptive", full, cheap)
+    assert (found["episodes"], found["alike"], found["held"]) == (3, 2, [2, 1])
+    assert agreement("gentle", full, cheap)["episodes"] == 0
+
+
+def test_a_level_says_what_it_leaves_out_and_is_a_suite_of_its_own(tmp_path):
+    known = {level: suite_of(level) for level in ("mesh", "film", "drawn")}
+    assert {one.effects for one in known.values()} == {"-images", "-sheet,-images", "-sheet,-chain"}
+    assert len({one.name for one in known.values()}) == 3
+    with pytest.raises(InputError, match=r"'fine' is unknown .valid: mesh, film, drawn"):
+        run(tmp_path, level="fine")
+    with pytest.raises(InputError, match="'nobody' is unknown"):
+        run(tmp_path, parts=("nobody",))
 
 
 def test_weights_are_compared_with_what_was_asked():
