@@ -20,7 +20,7 @@ from mjtactile.run.progress import Progress
 from mjtactile.sim import truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
-SENSORS = ("paper16", "dense", "fine")
+SENSORS = ("paper16", "dense", "fine", "round30", "ellipse")
 MESH = (33, 25)
 BODIES = (("sphere", 7e-3), ("sphere", 14e-3), ("cylinder", 4.5e-3), ("box", 8e-3))
 DEPTHS = (1e-3, 1.5e-3, 2e-3)
@@ -29,7 +29,7 @@ _BALLS = ("sphere",)
 
 
 def run(out: Path, quick: bool = False) -> dict[str, Any]:
-    """Press each body into each sensor; two minutes of a processor.
+    """Press each body into each sensor; four minutes of a processor.
 
     Args:
         out: Not used.

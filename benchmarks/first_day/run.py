@@ -137,7 +137,7 @@ class Day:
             row: dict[str, Any] = {"step": name, **do()}
         except MjtactileError as error:
             row = {"step": name, "failed": str(error)}
-        row["seconds"] = round((time.monotonic() - begin) / pace.slow(), 1)
+        row.setdefault("seconds", _since(begin))
         self.rows = [*(one for one in self.rows if one["step"] != name), row]
         write_json(self._out / "first_day.json", self.told())
         self._say(f"{name}: {row}")
@@ -263,12 +263,16 @@ class Day:
         true = replace(true, camera=nominal.camera, markers=nominal.markers, chamber=chamber)
         folders = []
         for number, (name, pressure) in enumerate((*_PRESSES, ("still", 2000.0))):
+            folders.append(self.folder / name)
+            if folders[-1].exists():  # of a day that was cut off
+                continue
             stage = NOTHING
             if name != "still":
                 stage = Stage("sphere:8", (0.0, 0.0), read_moves("press"))
-            folders.append(self.folder / name)
             header = {"sensor": "dense", "rig": "stage", "design": "dense", "seed": number}
-            with Recorder(folders[-1] / "recording", header) as recorder:
+            part = self.folder / f"{name}.part"
+            shutil.rmtree(part, ignore_errors=True)
+            with Recorder(part / "recording", header) as recorder:
                 record_stage(
                     replace(true, chamber=replace(chamber, supply_gauge=pressure)),
                     stage,
@@ -276,8 +280,10 @@ class Day:
                     seconds=_STILL if name == "still" else 9.0,
                     seed=number,
                 )
+            part.rename(folders[-1])
         out = self._fitted
-        out.parent.mkdir()
+        out.parent.mkdir(exist_ok=True)
+        out.unlink(missing_ok=True)
         code = main(
             ["fit", "--relaxation", str(folders[-1]), "--out", str(out)]
             + [word for folder in folders for word in ("--recording", str(folder))]
@@ -298,25 +304,37 @@ class Day:
 
     def grasps(self, sensor: str, file: Path, seeds: tuple[int, ...]) -> dict[str, Any]:
         """An egg is grasped and held, by each seed: felt less true on each finger, N."""
-        design = load_sensor(sensor)
         errors = []
+        seconds = 0.0
         for seed in seeds:
             where = self.folder / ("before" if file.name == "bare.toml" else "after") / str(seed)
-            shutil.rmtree(where, ignore_errors=True)  # of a day that was cut off
-            header = Scenario(object="egg", sensor=sensor, rig=str(file), seed=seed).header()
-            with self.plugged_in(file, seed) as emulator:
-                rig = build_device_rig(load_rig_file(file), design)
-                try:
-                    errors.append(_held_error(rig, emulator, where, header))
-                finally:
-                    rig.close()
+            kept = where / "felt_less_true.json"
+            if not kept.exists():
+                shutil.rmtree(where, ignore_errors=True)  # of a day that was cut off
+                begin = time.monotonic()
+                found = self._grasp(sensor, file, seed, where)
+                write_json(kept, {"errors_N": found.tolist(), "seconds": _since(begin)})
+            one = read_json(kept)
+            errors.append(np.array(one["errors_N"], float))
+            seconds += one["seconds"]
         mean = np.array([np.nanmean(one, axis=0) for one in errors])
         return {
             "mean_N": mean.tolist(),
             "worst_mean_N": float(np.abs(mean).max()),
             "rms_N": float(np.sqrt(np.nanmean(np.concatenate(errors) ** 2))),
             "worst_N": float(np.nanmax(np.abs(np.concatenate(errors)))),
+            "seconds": round(seconds, 1),
         }
+
+    def _grasp(self, sensor: str, file: Path, seed: int, where: Path) -> np.ndarray:
+        """One grasp, recorded in `where`: felt less true (images, fingers), N."""
+        header = Scenario(object="egg", sensor=sensor, rig=str(file), seed=seed).header()
+        with self.plugged_in(file, seed) as emulator:
+            rig = build_device_rig(load_rig_file(file), load_sensor(sensor))
+            try:
+                return _held_error(rig, emulator, where, header)
+            finally:
+                rig.close()
 
     def shadow(self) -> dict[str, Any]:
         """`mjtactile shadow` of the first grasp after it all."""
@@ -331,7 +349,14 @@ class Day:
         return {"verdict": found["verdict"], "apart": found["apart"]}
 
 
-def _held_error(rig: Any, emulator: EmulatorProcess, where: Path, header: dict[str, Any]) -> Any:
+def _since(begin: float) -> float:
+    """Seconds of the emulated rig's time since `begin`, of the monotonic clock."""
+    return round((time.monotonic() - begin) / pace.slow(), 1)
+
+
+def _held_error(
+    rig: Any, emulator: EmulatorProcess, where: Path, header: dict[str, Any]
+) -> np.ndarray:
     """(images, fingers) Felt less true while an egg is held, N."""
     errors: list[list[float]] = []
     controller = load_controller("gentle")

@@ -35,6 +35,7 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   thin        blades, wires, pins and small faces, at random places and speeds: their force
   shape       what body touches: contact area, kind, radius and edge, from images alone
   sensors     the shipped marker layouts on one membrane: what more markers tell, and their cost
+  outline     round and elliptic sensors: bulge against theory, presses felt less true
   explore     whole objects touched twelve times: how far their surface is from the true one
   fit         sensors that differ from their file, recorded and fitted: each number's error
   truth       the simulation and what is felt, against references from outside of the project
@@ -81,6 +82,7 @@ BENCHMARKS = {
     "thin": "thin.run",
     "shape": "shape.run",
     "sensors": "sensors",
+    "outline": "outline",
     "explore": "explore",
     "fit": "fit",
     "design": "design",

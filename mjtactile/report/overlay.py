@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from mjtactile.core.types import Ellipses, Image, Sighting
 from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
 from mjtactile.sensing.image.fit import as_ellipses
-from mjtactile.sensing.image.markers import detect
+from mjtactile.sensing.image.markers import detect, grey_image, search
 from mjtactile.sensing.image.tracking import Tracks
 
 # blue, green, red
@@ -17,13 +17,26 @@ TRUSTED = (83, 211, 57)
 FLAGGED = (60, 60, 230)
 _PAPER = 190  # grey level where there is no image
 _NO_PIXELS = (480, 640)
+# of so many circles one this much larger than the median is no marker: those of one sensor are
+# alike, and the camera sees the nearest of a bulge less than twice as large as the farthest
+_FEWEST = 4
+_TOO_LARGE = 3.0
 
 
 def find_ellipses(image: Image) -> Ellipses:
-    """Those in the image, or those that stand for it."""
+    """Those in the image, or those that stand for it; without a round frame's own edge, which is
+    a circle around all of them."""
     if isinstance(image, Sighting) and image.ellipses is not None:
         return image.ellipses
-    return detect(image)
+    found = detect(image)
+    if len(found) < _FEWEST:
+        return found
+    radii = np.sqrt(found.semi_axes_px.prod(axis=1))
+    largest = _TOO_LARGE * float(np.median(radii))
+    if radii.max() < largest:
+        return found
+    # once more, for what touches the edge has been doubted
+    return as_ellipses(*search(grey_image(image), max_radius_px=largest))
 
 
 def followed(image: Image, tracks: Tracks | None) -> Ellipses | None:

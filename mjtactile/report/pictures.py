@@ -15,8 +15,9 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.optics import Camera
 from mjtactile.core.types import CirclePoses, Ellipses, Image
+from mjtactile.report.overlay import find_ellipses
 from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
-from mjtactile.sensing.image.markers import detect, grey_image
+from mjtactile.sensing.image.markers import grey_image
 from mjtactile.sensing.pose.circles import estimate_poses
 from mjtactile.sensing.pose.locate import IMAGE_SUFFIXES, load_image
 
@@ -95,7 +96,7 @@ def to_image(frame: Frame, design: SensorDesign) -> Image | str:
 
 def marker_overlay(image: Image, camera: Camera, design: SensorDesign) -> NDArray[np.uint8]:
     """`overlay` of the markers that are found in an image of a sensor."""
-    ellipses = detect(image)
+    ellipses = find_ellipses(image)
     return overlay(image.pixels, ellipses, estimate_poses(ellipses, camera, design.markers.radius))
 
 

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.errors import MjtactileError
-from mjtactile.core.types import Array, Ellipses, Felt, FeltShape, Image, Sighting, Surface, Touch
+from mjtactile.core.types import Array, Ellipses, Felt, FeltShape, Image, Surface, Touch
 from mjtactile.recording.columns import CycleLike
 from mjtactile.recording.reader import Recording
 from mjtactile.report.body_lines import lines_of, true_lines, words_of
+from mjtactile.report.overlay import find_ellipses
 from mjtactile.report.scene_picture import View, draw_scene
 from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
-from mjtactile.sensing.image.markers import detect
 
 PHASE_COLOURS = {
     "approach": "#e8eef5",
@@ -89,11 +89,8 @@ def write_figure(
             if isinstance(image, Felt):
                 _draw_felt(figure.add_subplot(grid[:, column]), snapshot.touch[finger], name)
                 continue
-            if not isinstance(image, Sighting) or image.ellipses is None:
-                found = detect(image)
-            else:
-                found = image.ellipses
-            _draw_image(figure.add_subplot(grid[0, column]), image, found, f"camera of {name}")
+            axes = figure.add_subplot(grid[0, column])
+            _draw_image(axes, image, find_ellipses(image), f"camera of {name}")
             touch = snapshot.touch[finger]
             axes = figure.add_subplot(grid[1, column], projection="3d", computed_zorder=False)
             draw_surface(axes, touch, unit)

@@ -16,8 +16,9 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.outline import Outline
 from mjtactile.core.ritz import inflated_height
 from mjtactile.core.rubber import Law
-from mjtactile.core.types import Markers
+from mjtactile.core.types import Image, Markers
 from mjtactile.experiments.press import PressPlan, press
+from mjtactile.report.overlay import find_ellipses
 from mjtactile.sensing.chain import Chain
 from mjtactile.sensing.force.inverse import InverseMembrane
 from mjtactile.sensing.force.sheet import Gas, Sheet
@@ -336,3 +337,5 @@ def test_the_edge_of_a_round_frame_is_no_marker():
     assert Chain(load_sensor("dense")).sight._largest_px == np.inf
     fit, status = markers.search(picture, max_radius_px=43.2)
     assert (status == "ok").all() and len(fit.center) == 5
+    shown = find_ellipses(Image(picture))  # in summaries, films and pages
+    assert len(shown) == 5 and (shown.status == "ok").all()
