@@ -12,7 +12,7 @@ from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.film import bodies
-from mjtactile.film.batch import begin, new_batch, share_out
+from mjtactile.film.batch import at_once, new_batch
 from mjtactile.film.bodies import Obstacle
 from mjtactile.film.derivatives import FilmDerivatives, Shape, changed_bodies, gathered
 from mjtactile.film.inflating import inflate
@@ -204,14 +204,11 @@ class Film:
         threads = max(1, min(threads, count))
         self._rooms += [np.empty_like(self._room) for _ in range(len(self._rooms), threads)]
 
-        def solve(number: int, part: slice) -> None:
-            begin(made, batch, self.rest, part)
-            ends = (part.start, part.stop)
-            assert made.trend is not None
-            fields = (made.x, made.force, made.trend, made.found)
-            self._run(settings, rows, pool, fields, room=self._rooms[number], part=ends)
-
-        share_out(count, threads, solve)
+        start = (None,) * 4 if batch is None else (batch.x, batch.force, batch.trend, batch.found)
+        pooled, taken = 0 if pool is None else pool.size, np.zeros(1, np.int64)
+        given = (count, taken, settings, len(rows) // count, rows, pooled, pool, *start)
+        share, fields = kernel("film_share"), (made.x, made.force, made.trend, made.found)
+        at_once(threads, lambda k: share(*self._fixed(self._rooms[k]), *given, *fields))
         return made
 
     def derivatives(
@@ -309,24 +306,11 @@ class Film:
         return heights
 
     def _run(
-        self,
-        settings: Array,
-        rows: Array,
-        pool: Array | None,
-        fields: tuple[Array, Array, Array, Array],
-        *,
-        room: Array | None = None,
-        part: tuple[int, int] = (0, 1),
+        self, settings: Array, rows: Array, pool: Array | None, fields: tuple[Array, ...]
     ) -> None:
-        """The kernel, on displacements, forces, trend and what is found: of one environment alone,
-        or, in `room`, of (n, ...) fields on environments `part` of them."""
+        """The kernel on one film's displacements, forces, trend and what is found."""
         pooled = 0 if pool is None else pool.size
-        if room is None:
-            self._solve_one(settings, len(rows), rows, pooled, pool, *fields)
-            return
-        count = len(settings)
-        given = (count, *part, settings, len(rows) // count, rows, pooled, pool)
-        kernel("film_solve")(*self._fixed(room), *given, *fields)
+        self._solve_one(settings, len(rows), rows, pooled, pool, *fields)
 
     def _fixed(self, room: Array) -> tuple[Any, ...]:
         kept = (self._kept.size, self._kept)

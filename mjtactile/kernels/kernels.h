@@ -241,6 +241,19 @@ int64_t film_solve(const double *numbers /* 17 */, const double *law /* 11 */, i
                    const double *body /* environments, bodies, 20 */, int64_t pooled, const double *pool /* pooled or NULL */,
                    double *x /* environments, 3, columns, rows */, double *force /* environments, columns, rows */,
                    double *trend /* environments, 4, columns, rows */, double *found /* environments, 14 */);
+/* The same of as many `environments` as nobody has taken yet, whose number `next` counts for all threads, each with a room of its own:
+   where they begin is `from_...`, or at rest where that is none, or has found no rest. */
+int64_t film_share(const double *numbers /* 17 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
+                   const float *kept /* keeping */, const double *rest /* 3, columns, rows */, int64_t roomy,
+                   double *room /* roomy */, int64_t environments, int64_t *next /* 1 */,
+                   const double *settings /* environments, 6 */, int64_t bodies, const double *body /* environments, bodies, 20 */,
+                   int64_t pooled, const double *pool /* pooled or NULL */,
+                   const double *from_x /* environments, 3, columns, rows or NULL */,
+                   const double *from_force /* environments, columns, rows or NULL */,
+                   const double *from_trend /* environments, 4, columns, rows or NULL */,
+                   const double *from_found /* environments, 14 or NULL */, double *x /* environments, 3, columns, rows */,
+                   double *force /* environments, columns, rows */, double *trend /* environments, 4, columns, rows */,
+                   double *found /* environments, 14 */);
 /* sim/sensor/film_sensor.py: a film in a scene that moves. `given` and `memory`: see film_hold.c. From the poses of MuJoCo's bodies and
    geoms: `body` in the frame of the body `carrier`, the film at rest on them as film_solve has it (or, where they hardly went, as
    a spring), what sticks and slides. `touched`: nodes in the grip, and at the last solution; `before`: x and y then, and room. */
