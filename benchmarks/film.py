@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import film_fineness
 from mjtactile import Film, FilmState, Obstacle, load_sensor
 from mjtactile.core.types import Array
 from mjtactile.report.figures import new_figure
@@ -36,6 +37,11 @@ BURSTS, BURSTS_QUICK = 20, 2
 AT_ONCE = 64
 _SECONDS = 1.0  # of two processes at once
 _STEPS = 10  # of a burst, each 0.05 mm deeper
+_TIMES = {
+    "a step of 0.05 mm after another": "step_us",
+    "the same without what came before": "alone_us",
+    "six derivatives": "derivatives_us",
+}
 _MARKERS = np.stack(
     np.meshgrid(np.linspace(-0.016, 0.016, 9), np.linspace(-0.012, 0.012, 9), indexing="ij"), -1
 ).reshape(-1, 2)
@@ -65,9 +71,11 @@ def run(out: Path, *, quick: bool = False, say: Say | None = None) -> dict[str, 
     places = [
         {"grid": list(grid), **_scatter(grid, PLACES_QUICK if quick else PLACES)} for grid in PLACED
     ]
+    narrow = film_fineness.run(GRIDS, quick)
     times = [_times(grid, BURSTS_QUICK if quick else BURSTS) for grid in TIMED]
     _draw(out / "film.png", references["profiles"])
-    return {"rows": rows, "sticking": sticking, "places": places, "times": times}
+    found = {"rows": rows, "sticking": sticking, "places": places}
+    return found | {"narrow": narrow, "times": times}
 
 
 def _is_usual(case: dict[str, Any]) -> bool:
@@ -375,17 +383,12 @@ def table(result: dict[str, Any]) -> str:
     ]
     for name in result["places"][0]:
         if name != "grid":
-            cells = (_cell(p[name]) for p in result["places"])
-            lines.append(f"| {name} | {' | '.join(cells)} |")
+            lines.append(f"| {name} | {' | '.join(_cell(p[name]) for p in result['places'])} |")
+    lines += film_fineness.table(result["narrow"])
     times = result["times"]
     names = " | ".join("{} x {}".format(*t["grid"]) for t in times)
     lines += ["", f"| time | {names} |", "|---" * (len(times) + 1) + "|"]
-    kinds = (
-        ("a step of 0.05 mm after another", "step_us"),
-        ("the same without what came before", "alone_us"),
-        ("six derivatives", "derivatives_us"),
-    )
-    for name, key in kinds:
+    for name, key in _TIMES.items():
         lines.append(f"| {name}, us | {' | '.join(f'{t[key]:.0f}' for t in times)} |")
     for size in (1, 8, 64, 256):
         each = (f"{1e6 / t['batch_per_s'][f'{size}, 1']:.0f}" for t in times)

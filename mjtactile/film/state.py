@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -9,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
+from mjtactile.film.bodies import Obstacle
+from mjtactile.film.fineness import doubt, doubt_of_few
 
 
 class Status(IntEnum):
@@ -42,12 +45,14 @@ class FilmState:
         found: What the kernel adds up; all are kept for a start from here.
         trend: (4, nx, ny) m and N, how `x` and `force` changed on the way here; a start goes on
             with it as far as the bodies that touch did. None: it begins where this ends.
+        pressed_by: The grid's wider spacing, m, and the bodies; of a batch, none.
     """
 
     x: Array
     force: Array
     found: Array
     trend: Array | None = None
+    pressed_by: tuple[float, Sequence[Obstacle]] = (0.0, ())
 
     @property
     def status(self) -> Status:
@@ -69,6 +74,15 @@ class FilmState:
     def force_normal(self) -> float:
         """Force, N, that presses into the sensor: -z of the wrench."""
         return -self._number(2)
+
+    @property
+    def doubt(self) -> float:
+        """Share of the force within which 9 of 10 presses are, because bodies or the contact are
+        narrow for the grid (`Film.doubt`, `Film.fine_enough`); 0 where nothing touches."""
+        if not self.force_normal > 0:
+            return 0.0 if self.converged else float("nan")
+        spacing, bodies = self.pressed_by
+        return max(doubt(bodies, spacing), doubt_of_few(int(np.count_nonzero(self.force > 0))))
 
     @property
     def wrench(self) -> Array:
