@@ -20,7 +20,8 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.experiments.stage import NOTHING, record_stage
-from mjtactile.fit.run import FitResult, fit_recordings
+from mjtactile.fit.result import FitResult
+from mjtactile.fit.run import fit_recordings
 from mjtactile.recording.files import write_json
 from mjtactile.recording.stage import Stage, read_moves
 from mjtactile.recording.writer import Recorder

@@ -87,7 +87,8 @@ ARGUMENTS = (
 def run(options: argparse.Namespace) -> int:
     from mjtactile.fit.relaxation import fit_relaxation
     from mjtactile.fit.report import draw, text_of
-    from mjtactile.fit.run import fit_recordings, to_table
+    from mjtactile.fit.result import to_table
+    from mjtactile.fit.run import fit_recordings
 
     if options.out.suffix != ".toml":
         raise InputError("is not NAME.toml", source=options.out, field="--out")

@@ -27,8 +27,9 @@ from mjtactile.core.calibration_parts import (
     now,
 )
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.entries import Texts
 from mjtactile.core.errors import InputError
-from mjtactile.core.fields import Texts, entry, read, read_fields, text, write
+from mjtactile.core.fields import entry, read, read_fields, text, write
 from mjtactile.core.toml import Section, read_json
 from mjtactile.core.types import PressureReading, ValveState
 

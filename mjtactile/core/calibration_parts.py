@@ -16,7 +16,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.fields import KPA, MM, NumberArray, Table, entry, given, number, part, text
+from mjtactile.core.entries import NumberArray, Table
+from mjtactile.core.fields import KPA, MM, entry, given, number, part, text
 from mjtactile.core.sensor_parts import Pinhole
 from mjtactile.core.toml import Section
 from mjtactile.core.types import Array, FiducialsSeen, Markers, Traction

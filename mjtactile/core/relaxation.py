@@ -25,7 +25,8 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.core.fields import KPA, Pairs, entry, number
+from mjtactile.core.entries import Pairs
+from mjtactile.core.fields import KPA, entry, number
 from mjtactile.core.toml import Section
 from mjtactile.core.types import Array
 

@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
+from mjtactile.core.entries import Pairs
 from mjtactile.core.fields import (
     KPA,
     ML,
     ML_S_KPA,
     MM,
-    Pairs,
     entry,
     number,
     numbers,

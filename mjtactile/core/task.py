@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core import resources
+from mjtactile.core.entries import Numbers
 from mjtactile.core.fields import (
     DEGREE,
     MM,
-    Numbers,
     entries,
     flag,
     from_table,

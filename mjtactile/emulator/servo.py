@@ -8,27 +8,18 @@ reported. The tables: `mjtactile.emulator.control_table`.
 from __future__ import annotations
 
 import math
-import threading
 
 from mjtactile.core import pace
-from mjtactile.devices.dynamixel.tables import MODELS
 from mjtactile.emulator import control_table as ct
-from mjtactile.emulator.motion import FAR, Drive, Path
-from mjtactile.emulator.registers import (
-    INSTRUCTION_ERROR,
-    RANGE_ERROR,
-    RESULT_FAIL,
-    TRIPPED,
-    Registers,
-)
+from mjtactile.emulator.motion import FAR, Drive
+from mjtactile.emulator.registers import RANGE_ERROR, RESULT_FAIL, TRIPPED
+from mjtactile.emulator.servo_registers import ServoRegisters
 
-_TICKS_PER_RAD = 4096 / (2 * math.pi)
 _RPM_UNIT = 0.229 * 2 * math.pi / 60  # rad/s
 _ACCELERATION_UNIT = 214.577 * 2 * math.pi / 3600  # rad/s^2: "Profile Acceleration(108)", rev/min^2
 _PWM_FULL = 885
 _OVERHEATING = 0x04
 _OVERLOAD = 0x20
-_FIRMWARE = {330: 52, 430: 46, 540: 46}
 _REBOOT_TIME = 0.3  # s of silence
 _NO_LOAD_SPEED = 6.0  # rad/s of a shaft that nothing holds, about 60 rev/min
 # C; K of final rise at the largest current; s
@@ -45,7 +36,7 @@ servo that is free in all of them."""
 _FREE_MODES = (0, 16)
 
 
-class EmulatedServo(Registers):
+class EmulatedServo(ServoRegisters):
     """`angle` rad it wakes up at; `torque_share` more torque per ampere than the data sheet says;
     `firmware` None: the newest; `trip` one of `TRIPS`. Times are monotonic s. Thread-safe."""
 
@@ -60,92 +51,21 @@ class EmulatedServo(Registers):
         firmware: int | None = None,
         trip: str = "brake",
     ):
-        super().__init__(model)
-        self.model = MODELS[model]
+        super().__init__(model, angle, firmware)
         self._current_max = self._table.fields["Current Limit"].default * self.model.ampere_per_unit
         self._torque_per_A = (1 + torque_share) * self.model.torque_per_A  # N m/A, really
-        self._firmware = _FIRMWARE[self._table.size] if firmware is None else firmware
         self._trip = trip
-        self._backup: dict[str, int] = {}
-        self._lock = threading.RLock()
-        self._lost_turns = 0.0  # rad that the encoder forgot at power-up
         self._temperature = _AMBIENT
         self._overload_time = 0.0
         self._silent_until = 0.0
-        self.angle = angle
         self.speed = 0.0
         self.current = 0.0
-        self._path = Path(angle)
-        self._registered: tuple[int, bytes] | None = None
-        self.last_packet = pace.monotonic()
         self.stop_time: float | None = None
         """When the bus watchdog tripped (monotonic s), None if it did not."""
         self._defaults(True)
         self.set("ID", servo_id)
         self.set("Baud Rate", ct.BAUDS.index(baud))
         self._power_up()
-
-    # -- registers
-    # --------------------------------------------------------------------------------
-
-    def read(self, address: int, size: int) -> tuple[int, bytes]:
-        with self._lock:
-            self._publish()
-            return super().read(address, size)
-
-    def write(self, address: int, data: bytes, *, ram_only: bool = False) -> int:
-        with self._lock:
-            return super().write(address, data, ram_only=ram_only)
-
-    def register(self, address: int, data: bytes) -> int:
-        """Keep a write until `act` (Protocol 2.0, "Reg Write")."""
-        with self._lock:
-            _, error = self._checked(address, data)
-            if not error:
-                self._registered = address, data
-                self.set("Registered Instruction", 1)
-            return error
-
-    def act(self) -> int:
-        """Carry out what was registered; "Action has been used without Reg Write" is an instruction
-        error."""
-        with self._lock:
-            if self._registered is None:
-                return INSTRUCTION_ERROR
-            address, data = self._registered
-            self._registered = None
-            self.set("Registered Instruction", 0)
-            return self.write(address, data)
-
-    def _apply(self, name: str, value: int) -> None:
-        before = self.get(name)
-        self.set(name, value)
-        if name == "Operating Mode":
-            self._mode_defaults()
-        elif name == "Torque Enable" and value and not before:
-            self._torque_on()
-        elif name in ct.GOALS and self.get("Drive Mode") & 0x08 and not self.get("Torque Enable"):
-            self.set("Torque Enable", 1)  # "Torque On by Goal Update", Drive Mode(10)
-        elif name == "Bus Watchdog":
-            self.last_packet = pace.monotonic()
-
-    def _torque_on(self) -> None:
-        if self.get("Operating Mode") == 3:
-            # "When torque is turned on in Position Control Mode", Present Position(132)
-            self._forget_turns()
-        self._path.start(self.angle)
-        self.set("Goal Position", self._ticks())
-
-    # -- values
-    # --------------------------------------------------------------------------------
-
-    def _defaults(self, eeprom: bool, keep: tuple[str, ...] = ()) -> None:
-        for field in self._table.fields.values():
-            if (field.address < ct.EEPROM_END) == eeprom and field.name not in keep:
-                self.set(field.name, field.default)
-        if eeprom:
-            self.set("Model Number", self.model.number)
-            self.set("Firmware Version", self._firmware)
 
     def _power_up(self) -> None:
         """RAM to its defaults, turns forgotten, torque off; unless "Startup Configuration(60)" says
@@ -163,46 +83,6 @@ class EmulatedServo(Registers):
         if startup & 0x01:
             self.set("Torque Enable", 1)
         self._publish()
-
-    def _mode_defaults(self) -> None:
-        """ "Switching Operating Mode will reset gains … profile generator and limits will also be
-        reset", Operating Mode(11)."""
-        for name in ct.BACKED_UP:
-            self.set(name, self._table.fields[name].default)
-        self.set("Goal PWM", self.get("PWM Limit"))
-        self.set("Goal Current", self.get("Current Limit"))
-        self.set("Goal Velocity", 0)
-        if self.get("Operating Mode") == 3:
-            self._forget_turns()
-        self._path.start(self.angle)
-        self.set("Goal Position", self._ticks())
-
-    def _forget_turns(self) -> None:
-        self._lost_turns = (
-            math.floor(self._direction * self.angle * _TICKS_PER_RAD / 4096) * 2 * math.pi
-        )
-
-    @property
-    def _direction(self) -> int:
-        """ "Normal/Reverse Mode", Drive Mode(10)."""
-        return -1 if self.get("Drive Mode") & 0x01 else 1
-
-    @property
-    def _homing(self) -> int:
-        """ticks that are added to the actual position (Homing Offset(20)); too large ones count for
-        nothing in mode 3."""
-        offset = self.get_signed("Homing Offset")
-        if self.get("Operating Mode") == 3 and abs(offset) > ct.HOMING_JOINT_MAX:
-            return 0
-        return offset
-
-    def _ticks(self, angle: float | None = None) -> int:
-        """Position of the shaft as its registers say it."""
-        angle = self.angle if angle is None else angle
-        return round((self._direction * angle - self._lost_turns) * _TICKS_PER_RAD) + self._homing
-
-    def _angle(self, ticks: int) -> float:
-        return self._direction * ((ticks - self._homing) / _TICKS_PER_RAD + self._lost_turns)
 
     # -- instructions
     # --------------------------------------------------------------------------------
@@ -259,19 +139,6 @@ class EmulatedServo(Registers):
                 self._restore(ram=False)
                 self.reboot(now)
             return 0
-
-    def _is_backed_up(self, field: ct.Field) -> bool:
-        return (
-            field.writable
-            and field.address < ct.EEPROM_END
-            or field.name in ct.BACKED_UP
-            or field.name.startswith("Indirect Address")
-        )
-
-    def _restore(self, *, ram: bool) -> None:
-        for name, value in self._backup.items():
-            if (self._table.fields[name].address >= ct.EEPROM_END) == ram:
-                self.set(name, value)
 
     # -- life
     # --------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.fit.run import FitResult
+from mjtactile.fit.result import FitResult
 from mjtactile.fit.words import NOT_FITTED, SD95, Number, digits
 
 

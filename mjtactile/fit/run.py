@@ -7,70 +7,29 @@ import math
 import time as wall
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from mjtactile.core import resources
 from mjtactile.core.design import SensorDesign, load_sensor, sensor_from_table
 from mjtactile.core.errors import InputError
-from mjtactile.core.fields import scalars
 from mjtactile.core.types import Array
 from mjtactile.fit.evidence import Evidence, read_evidence
 from mjtactile.fit.gas import GasFit, fit_gas, predict, sealed_runs
-from mjtactile.fit.picture import PictureFit, fit_picture
+from mjtactile.fit.picture import fit_picture
+from mjtactile.fit.result import FIELD, SI, FitResult, HeldOut, covariance_of, numbers_of
 from mjtactile.fit.statics import SheetFit, fit_sheet, replay, simulate
 from mjtactile.fit.toml import rewrite
-from mjtactile.fit.words import ABOUT, GAS_SHARE, Number, correlations, judge, missing
+from mjtactile.fit.words import ABOUT, GAS_SHARE, correlations
 from mjtactile.recording.reader import load_recording
 
 TOUCH_SD = 5e-5  # m: how well a person finds first touch
-_UNKNOWN_SHARE = 0.3  # of the thickness, before somebody measured it
 # of what cannot be told: what is nearest to what was to be built, first
 _HELD_FIRST = ("friction", "pre_stretch", "young")
-_SI = {
-    label: (section, attribute, number.unit)
-    for label, section, attribute, number in scalars(SensorDesign)
-}
-"""Field of the sensor file to section, attribute and SI units in its unit."""
-_FIELD = {(section, attribute): field for field, (section, attribute, _) in _SI.items()}
 
 Say = Callable[[str], None]
-
-
-@dataclass(frozen=True, eq=False)
-class HeldOut:
-    """A hold of a recording that was kept aside: how far its markers are from the simulated ones,
-    `rms` m; the stage's force as simulated and as a load cell showed it, N (NaN: it had none)."""
-
-    recording: str
-    depth: float
-    shear: float
-    pressure: float
-    rms: float
-    force: float
-    force_measured: float
-
-
-@dataclass(frozen=True, eq=False)
-class FitResult:
-    """All that was found; `design` is the fitted sensor, `text` its file."""
-
-    design: SensorDesign
-    text: str
-    numbers: tuple[Number, ...]
-    correlations: tuple[str, ...]
-    evidence: tuple[Evidence, ...]
-    sheet: SheetFit
-    gas: GasFit | None
-    picture: PictureFit
-    held_out: tuple[HeldOut, ...]
-    seconds: float
-
-    def number(self, field: str) -> Number:
-        return next(number for number in self.numbers if number.field == field)
 
 
 def fit_recordings(
@@ -100,8 +59,8 @@ def fit_recordings(
     picture = fit_picture(design, evidence[0].flat)
     free, sheet = _sheet(design, evidence, by_hand["membrane"], touch_sd, mesh, say)
     gas = _gas(sheet, evidence, by_hand["chamber"], mesh, say)
-    numbers = tuple(_numbers(nominal, known, evidence, sheet, gas, picture))
-    names, cov = _covariance(free, gas, "membrane.thickness_mm" in known)
+    numbers = tuple(numbers_of(nominal, known, evidence, sheet, gas, picture))
+    names, cov = covariance_of(free, gas, "membrane.thickness_mm" in known)
     sentences = correlations(names, cov, {number.field: number.state for number in numbers})
     found = rewrite(
         text, numbers, f"Fitted by `mjtactile fit` to {', '.join(e.name for e in evidence)}."
@@ -146,13 +105,13 @@ def _with_known(
     design: SensorDesign, known: Mapping[str, float]
 ) -> tuple[SensorDesign, dict[str, dict[str, float]]]:
     """The design with the values that are known, and these by section and attribute, SI."""
-    by_section: dict[str, dict[str, float]] = {section: {} for section, *_ in _SI.values()}
+    by_section: dict[str, dict[str, float]] = {section: {} for section, *_ in SI.values()}
     for field, value in known.items():
-        if field not in _SI:
+        if field not in SI:
             raise InputError(
-                f"{field!r} is no field of a sensor file", field="--known", choices=sorted(_SI)
+                f"{field!r} is no field of a sensor file", field="--known", choices=sorted(SI)
             )
-        section, attribute, scale = _SI[field]
+        section, attribute, scale = SI[field]
         by_section[section][attribute] = value * scale
     parts = {
         section: replace(getattr(design, section), **values)
@@ -194,9 +153,9 @@ def _untold(
     for name in order:
         if name not in values:
             continue
-        field = _FIELD[section, name]
+        field = FIELD[section, name]
         sd = math.sqrt(cov[names.index(name)][names.index(name)])
-        if not ABOUT[field].is_known(values[name] / _SI[field][2], sd / _SI[field][2]):
+        if not ABOUT[field].is_known(values[name] / SI[field][2], sd / SI[field][2]):
             return name
     return None
 
@@ -285,79 +244,6 @@ def _replayed(
     return lambda design, run: replay(design, evidence, offset, mesh)
 
 
-def _numbers(
-    nominal: SensorDesign,
-    known: Mapping[str, float],
-    evidence: Sequence[Evidence],
-    sheet: SheetFit,
-    gas: GasFit | None,
-    picture: PictureFit,
-) -> list[Number]:
-    source = ", ".join(e.name for e in evidence)
-    numbers = {}
-    pressed = [
-        ("membrane", name, value, sheet.cov[sheet.names.index(name)][sheet.names.index(name)])
-        for name, value in sheet.values.items()
-    ]
-    if gas is None:
-        filled = []
-    else:
-        filled = [
-            ("chamber", name, gas.values[name], gas.cov[i][i]) for i, name in enumerate(gas.names)
-        ]
-    for section, attribute, value, variance in [*pressed, *filled]:
-        field = _FIELD[section, attribute]
-        scale = _SI[field][2]
-        numbers[field] = judge(
-            field,
-            value / scale,
-            math.sqrt(variance) / scale,
-            _before(nominal, field),
-            source,
-            gas_mL=nominal.chamber_volume_flat / 1e-6,
-        )
-    for field, (value, sd) in picture.values.items():
-        numbers[field] = judge(
-            field, value, sd, _before(nominal, field), f"{evidence[0].name}, flat"
-        )
-    numbers |= {
-        field: Number(field, value, 0.0, "known", "measured by hand", _before(nominal, field))
-        for field, value in known.items()
-    }
-    return [
-        numbers.get(field) or missing(field, _before(nominal, field))
-        for field in dict.fromkeys([*ABOUT, *known])
-    ]
-
-
-def _before(design: SensorDesign, field: str) -> float:
-    section, attribute, scale = _SI[field]
-    return getattr(getattr(design, section), attribute) / scale
-
-
-def _covariance(
-    sheet: SheetFit, gas: GasFit | None, thickness_known: bool
-) -> tuple[list[str], Array]:
-    """Of membrane and gas together, by field. Statics knows of the sheet's thickness times its
-    modulus alone: what nobody knows of the one nobody knows of the other."""
-    names = [_FIELD.get(("membrane", name), name) for name in sheet.names]
-    n = len(names)
-    m = 0 if gas is None else len(gas.names)
-    cov = np.zeros((n + m + 1, n + m + 1))
-    cov[:n, :n] = sheet.cov
-    if gas is not None:
-        cov[n : n + m, n : n + m] = gas.cov
-        names += [_FIELD["chamber", name] for name in gas.names]
-    if "young" not in sheet.names or thickness_known:
-        return names, cov[:-1, :-1]
-    i = sheet.names.index("young")
-    sheet_design = sheet.design.membrane
-    slope = np.zeros(len(cov))
-    slope[i] = -sheet_design.young
-    slope[-1] = sheet_design.thickness
-    return [*names, "membrane.thickness_mm"], cov + _UNKNOWN_SHARE**2 * np.outer(slope, slope)
-
-
 def _check(design: SensorDesign, evidence: Evidence, mesh: tuple[int, int] | None) -> list[HeldOut]:
     rows = []
     for hold, found in zip(
@@ -376,45 +262,3 @@ def _check(design: SensorDesign, evidence: Evidence, mesh: tuple[int, int] | Non
             )
         )
     return rows
-
-
-def to_table(result: FitResult) -> dict[str, Any]:
-    """The JSON of `mjtactile fit`."""
-    pressure_rms = {}
-    if result.gas is not None:
-        for run, fitted in zip(result.gas.runs, result.gas.fitted, strict=True):
-            pressure_rms[run.name] = float(np.sqrt(np.mean((fitted - run.pressure) ** 2)))
-    return {
-        "sensor": result.design.name,
-        "seconds": result.seconds,
-        "recordings": [e.name for e in result.evidence],
-        "numbers": [
-            {
-                "field": n.field,
-                "value": n.value,
-                "sd": n.sd,
-                "interval_95": n.interval,
-                "state": n.state,
-                "before": n.before,
-                "source": n.source,
-                "comment": n.comment,
-            }
-            for n in result.numbers
-        ],
-        "correlations": result.correlations,
-        "markers_rms_um": 1e6 * result.sheet.rms,
-        "first_touch_um": [1e6 * x for x in result.sheet.offsets],
-        "pressure_rms_Pa": pressure_rms,
-        "held_out": [
-            {
-                "recording": h.recording,
-                "depth_mm": 1e3 * h.depth,
-                "shear_mm": 1e3 * h.shear,
-                "pressure_kPa": 1e-3 * h.pressure,
-                "markers_rms_um": 1e6 * h.rms,
-                "force_N": h.force,
-                "force_measured_N": h.force_measured,
-            }
-            for h in result.held_out
-        ],
-    }

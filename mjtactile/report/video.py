@@ -10,15 +10,14 @@ from __future__ import annotations
 
 import bisect
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from mjtactile.core.errors import InputError, MjtactileError
+from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, Image
 from mjtactile.recording.reader import Recording
 from mjtactile.report.body_lines import recorded_shape, true_lines
@@ -26,8 +25,8 @@ from mjtactile.report.body_section import draw_section
 from mjtactile.report.overlay import with_ellipses
 from mjtactile.report.scene_picture import View, picture_of
 from mjtactile.report.summary_figure import FINGER_COLOURS, PHASE_COLOURS
+from mjtactile.report.video_file import NOTE, Pixels, Writer, write_frames
 
-Pixels = NDArray[np.uint8]
 FORMATS = {".mp4": (30.0, 1.0), ".gif": (10.0, 0.5), ".webp": (15.0, 0.5)}
 """Suffix to images a second and size."""
 # px: height of the pictures and of the curve, widths of scene and camera
@@ -41,7 +40,6 @@ _INK = (40, 40, 40)
 _GRID = (225, 225, 225)
 _PAPER = (255, 255, 255)
 _SAME = 0.05  # s between a scene and a cycle, that still show the same
-_NOTE = "written by mjtactile, whose next film of that name may replace it"
 
 
 def write_video(
@@ -79,7 +77,7 @@ def write_video(
         )
     part = path.with_name(path.name + ".part")
     size = (0, 0)
-    with _Writer(part, path.suffix, rate) as write:
+    with Writer(part, path.suffix, rate) as write:
         for k, time in enumerate(times):
             frame = film.frame(float(time))
             if scale != 1:
@@ -105,7 +103,7 @@ def is_own(path: Path) -> bool:
         import av
 
         with av.open(str(path)) as file:
-            return file.metadata.get("comment") == _NOTE
+            return file.metadata.get("comment") == NOTE
     except (ImportError, OSError, ValueError, EOFError):  # no film at all
         return False
 
@@ -198,10 +196,10 @@ class _Film:
             felt = f"force unknown: {status}"
         slip = columns["slip_state"][row][finger] if "slip_state" in columns else "unknown"
         colour = _bgr(FINGER_COLOURS[finger % len(FINGER_COLOURS)])
-        _write(
+        write_frames(
             panel, f"{self._recording.fingers[finger]}: {felt}", (12, height + 32), 0.8, colour, 2
         )
-        _write(
+        write_frames(
             panel,
             f"{slip}" + ("" if status == "ok" else f"; {status}"),
             (12, height + 64),
@@ -242,13 +240,13 @@ class _Curve:
             self._line(time, felt[:, finger], colour, 2)
             self._line(time, true[:, finger], tuple(int(0.55 * c) for c in colour), 1)
         known = "felt, 2 sd" + ("; true (thin)" if np.isfinite(true).any() else "")
-        _write(self._picture, f"normal force, N: {known}", (_MARGIN + 6, 16), 0.45, _INK)
+        write_frames(self._picture, f"normal force, N: {known}", (_MARGIN + 6, 16), 0.45, _INK)
 
     def at(self, time: float) -> Pixels:
         picture = self._picture.copy()
         x = int(self._x(np.array([time]))[0])
         cv2.line(picture, (x, 22), (x, _CURVE - 24), _INK, 1)
-        _write(
+        write_frames(
             picture,
             f"{time - self._start:.1f} s",
             (min(x + 4, self._width - 52), _CURVE - 28),
@@ -276,14 +274,14 @@ class _Curve:
                 -1,
             )
             if right - left > 9 * len(name):
-                _write(self._picture, name, (left + 4, _CURVE - 8), 0.45, _INK)
+                write_frames(self._picture, name, (left + 4, _CURVE - 8), 0.45, _INK)
 
     def _scale(self) -> None:
         step = next(s for s in (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 1e9) if self._top / s <= 5)
         for value in np.arange(0.0, self._top, step):
             y = int(self._y(np.array([value]))[0])
             cv2.line(self._picture, (_MARGIN, y), (self._width - 12, y), _GRID, 1)
-            _write(self._picture, f"{value:g}", (10, y + 5), 0.45, _INK)
+            write_frames(self._picture, f"{value:g}", (10, y + 5), 0.45, _INK)
 
     def _band(self, time: Array, force: Array, half: Array, colour: tuple[int, ...]) -> None:
         known = np.isfinite(force) & np.isfinite(half)
@@ -310,92 +308,6 @@ class _Curve:
         ):
             if len(run) and np.isfinite(force[run[0]]):
                 cv2.polylines(self._picture, [points[run]], False, colour, width, cv2.LINE_AA)
-
-
-class _Writer:
-    """`with _Writer(path, suffix, rate) as write: write(bgr)`: images through PyAV."""
-
-    _CODECS: Mapping[str, tuple[str, str, str, dict[str, str]]] = {
-        ".mp4": ("libx264", "mp4", "yuv420p", {"crf": "20", "preset": "veryfast"}),
-        ".gif": ("gif", "gif", "pal8", {}),
-        ".webp": ("libwebp_anim", "webp", "yuv420p", {"quality": "70", "loop": "0"}),
-    }
-
-    def __init__(self, path: Path, suffix: str, rate: float):
-        try:
-            import av
-        except ImportError as error:
-            raise MjtactileError("PyAV is not installed: pip install 'mjtactile[video]'") from error
-        self._av = av
-        self._path = path
-        self._suffix = suffix
-        self._rate = round(rate)
-        self._frames: list[Any] = []
-        self._stream: Any = None
-
-    def __enter__(self) -> Callable[[Pixels], None]:
-        self._file = self._av.open(str(self._path), "w", format=self._CODECS[self._suffix][1])
-        self._file.metadata["comment"] = _NOTE
-        return self._write
-
-    def _write(self, bgr: Pixels) -> None:
-        frame = self._av.VideoFrame.from_ndarray(bgr, format="bgr24")
-        if self._stream is None:
-            codec, _, pixels, options = self._CODECS[self._suffix]
-            self._stream = self._file.add_stream(codec, rate=self._rate, options=options)
-            self._stream.width = frame.width
-            self._stream.height = frame.height
-            self._stream.pix_fmt = pixels
-        if self._suffix == ".gif":
-            self._frames.append(frame)
-        else:
-            self._file.mux(self._stream.encode(frame))
-
-    def __exit__(self, kind: object, *rest: object) -> None:
-        if kind is None:
-            for frame in self._paletted():
-                self._file.mux(self._stream.encode(frame))
-            self._file.mux(self._stream.encode())
-        self._file.close()
-        if kind is not None:
-            self._path.unlink(missing_ok=True)
-
-    def _paletted(self) -> Iterator[Any]:
-        """Frames in 256 colours chosen for all of them."""
-        if not self._frames:
-            return
-        graph = self._av.filter.Graph()
-        first = self._frames[0]
-        source = graph.add_buffer(
-            width=first.width, height=first.height, format=first.format, time_base=f"1/{self._rate}"
-        )
-        split = graph.add("split")
-        choose = graph.add("palettegen", "max_colors=64")
-        use = graph.add("paletteuse", "dither=none")
-        sink = graph.add("buffersink")
-        source.link_to(split)
-        split.link_to(use, 0, 0)
-        split.link_to(choose, 1, 0)
-        choose.link_to(use, 0, 1)
-        use.link_to(sink)
-        graph.configure()
-        for k, frame in enumerate(self._frames):
-            frame.pts = k
-            source.push(frame)
-        source.push(None)
-        for _ in self._frames:
-            yield sink.pull()
-
-
-def _write(
-    picture: Pixels,
-    text: str,
-    at: tuple[int, int],
-    size: float,
-    colour: tuple[int, ...],
-    width: int = 1,
-) -> None:
-    cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, size, colour, width, cv2.LINE_AA)
 
 
 def _bgr(colour: str) -> tuple[int, int, int]:

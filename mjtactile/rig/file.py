@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile.core import resources
+from mjtactile.core.entries import Pairs
 from mjtactile.core.errors import InputError
 from mjtactile.core.fields import (
     DEGREE,
@@ -20,7 +21,6 @@ from mjtactile.core.fields import (
     MM,
     MS,
     PERCENT,
-    Pairs,
     entry,
     file_path,
     flag,

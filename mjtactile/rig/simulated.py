@@ -13,13 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.entries import FilePath, Span, Texts
 from mjtactile.core.fields import (
     DEGREE,
     KPA,
     MM,
-    FilePath,
-    Span,
-    Texts,
     entry,
     file_path,
     flag,

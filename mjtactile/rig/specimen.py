@@ -13,17 +13,8 @@ import numpy as np
 
 from mjtactile.core import geometry
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.fields import (
-    DEGREE,
-    ML_S_KPA,
-    MM,
-    PERCENT,
-    Numbers,
-    entry,
-    number,
-    numbers,
-    part,
-)
+from mjtactile.core.entries import Numbers
+from mjtactile.core.fields import DEGREE, ML_S_KPA, MM, PERCENT, entry, number, numbers, part
 from mjtactile.core.relaxation import Relaxation, decades
 from mjtactile.core.types import Array
 from mjtactile.rig.troubles import UNTROUBLED, CameraTroubles

@@ -21,19 +21,9 @@ import numpy as np
 
 from mjtactile.core import resources
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.entries import Number, Numbers
 from mjtactile.core.errors import InputError
-from mjtactile.core.fields import (
-    DEGREE,
-    MM,
-    MS,
-    PERCENT,
-    Number,
-    Numbers,
-    entries,
-    from_table,
-    number,
-    numbers,
-)
+from mjtactile.core.fields import DEGREE, MM, MS, PERCENT, entries, from_table, number, numbers
 from mjtactile.core.toml import Section, read_toml
 from mjtactile.rig.simulated import SimRigFile
 from mjtactile.rig.specimen import SpecimenConfig

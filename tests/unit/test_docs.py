@@ -14,8 +14,9 @@ import mkdocs_hooks
 from benchmarks import numbers
 from mjtactile.commands import COMMANDS
 from mjtactile.core.design import SensorDesign, load_sensor
+from mjtactile.core.entries import Number, Text
 from mjtactile.core.errors import InputError
-from mjtactile.core.fields import Number, Part, Text, default_of, entries
+from mjtactile.core.fields import Part, default_of, entries
 from mjtactile.core.types import Command, GripperState, Observation, Slip, Touch, ValveState
 from mjtactile.recording.columns import SENSED, TRUE
 from mjtactile.run.controller import load_controller

@@ -21,20 +21,13 @@ import termios
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import serial
-from dynamixel_sdk import (
-    COMM_RX_CORRUPT,
-    COMM_RX_TIMEOUT,
-    COMM_SUCCESS,
-    PortHandler,
-    Protocol2PacketHandler,
-)
+from dynamixel_sdk import COMM_RX_CORRUPT, COMM_RX_TIMEOUT, COMM_SUCCESS
 
 from mjtactile.core import pace
 from mjtactile.core.errors import DeviceError
-from mjtactile.devices.port import write
+from mjtactile.devices.dynamixel.port import PacketHandler, Port
 
 # places in a status packet
 _ID = 4
@@ -43,8 +36,6 @@ _ERROR = 8
 _PARAMETERS = 9
 _OVERHEAD = 11  # bytes of a status packet around its parameters
 ALERT = 0x80
-_BABBLE = 5  # times the time-out
-_WRITE_TIME = 0.5  # s: pySerial counts what the computer stood still, also when all was written
 _DRAIN_MAX = 0.05  # s of babble that are thrown away
 _LOST = (serial.SerialException, OSError, termios.error, TypeError)
 """What pyserial raises on a port that has gone: termios.error is no OSError, and a closed port is a
@@ -83,89 +74,6 @@ class Reply:
         return int.from_bytes(self.data[offset : offset + size], "little")
 
 
-class _Port(PortHandler):
-    """The SDK's port: exclusive, on the monotonic clock, with its own time-out, waiting without
-    spinning."""
-
-    def __init__(self, name: str, reply_timeout: float):
-        super().__init__(name)
-        self._reply_timeout_ms = 1e3 * reply_timeout
-
-    def setupPort(self, cflag_baud: int) -> bool:
-        self.ser = serial.Serial(
-            port=self.port_name,
-            baudrate=cflag_baud,
-            timeout=0,
-            write_timeout=pace.wall(_WRITE_TIME),
-            exclusive=True,
-        )
-        with contextlib.suppress(OSError, ValueError, NotImplementedError):
-            # FTDI's 16 ms latency timer to 1 ms; a pty has none
-            self.ser.set_low_latency_mode(True)
-        self.is_open = True
-        self.ser.reset_input_buffer()
-        self.tx_time_per_byte = 10 * 1e3 / cflag_baud
-        return True
-
-    def readPort(self, length: int) -> Any:
-        data = self.ser.read(length)
-        if not data and length > 0:
-            # short, so that the time-out is still looked at
-            select.select([self.ser.fileno()], [], [], 5e-4)
-            data = self.ser.read(length)
-        return data
-
-    def writePort(self, packet: Any) -> int:
-        return write(self.ser, bytes(packet))
-
-    def getCurrentTime(self) -> float:
-        return 1e3 * pace.monotonic()
-
-    def isPacketTimeout(self) -> bool:
-        """Late only when nothing is waiting to be read: it may be this thread that was late. A
-        babbler gets no more time."""
-        passed = self.getTimeSinceStart()
-        return passed > self.packet_timeout and (
-            self.ser.in_waiting == 0 or passed > _BABBLE * self.packet_timeout
-        )
-
-    def setPacketTimeout(self, packet_length: int) -> None:
-        self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + self._reply_timeout_ms)
-
-
-class _PacketHandler(Protocol2PacketHandler):
-    """The SDK's packets, with byte stuffing that works in place and for more than one place in a
-    packet."""
-
-    def addStuffing(self, packet: list[int]) -> list[int]:
-        length = packet[5] | packet[6] << 8
-        head = packet[:7]
-        body = packet[7 : 7 + length - 2]
-        stuffed: list[int] = []
-        last = packet[5:7]
-        for byte in body:
-            stuffed.append(byte)
-            if byte == 0xFD and last[-2:] == [0xFF, 0xFF]:
-                stuffed.append(0xFD)
-            last = [*last[-1:], byte]
-        new_length = len(stuffed) + 2
-        packet[:] = [*head[:5], new_length & 0xFF, new_length >> 8, *stuffed, 0, 0]
-        return packet
-
-    def removeStuffing(self, packet: list[int]) -> list[int]:
-        length = packet[5] | packet[6] << 8
-        body = bytes(packet[7 : 7 + length - 2]).replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
-        new_length = len(body) + 2
-        packet[:] = [
-            *packet[:5],
-            new_length & 0xFF,
-            new_length >> 8,
-            *body,
-            *packet[7 + length - 2 : 7 + length],
-        ]
-        return packet
-
-
 class DynamixelBus:
     """A bus at `port`; safe to use from several threads. Raises DeviceError when the port is not
     there or taken."""
@@ -175,8 +83,8 @@ class DynamixelBus:
         and return delay."""
         self.name = port
         self._lock = threading.RLock()
-        self._port = _Port(port, reply_timeout)
-        self._packets = _PacketHandler()
+        self._port = Port(port, reply_timeout)
+        self._packets = PacketHandler()
         self._port.baudrate = baud
         self._dirty = False
         self._quiet = reply_timeout  # s to wait for a straggler: as long again as a reply may take

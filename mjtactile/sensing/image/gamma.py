@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array, Ellipses
-from mjtactile.sensing.image import edges, ellipse
+from mjtactile.sensing.image import edge_model, edges, ellipse
 from mjtactile.sensing.image.bands import Around, Pixels
 from mjtactile.sensing.settings import DEFAULTS, GammaSettings, Settings
 
@@ -146,7 +146,7 @@ def _levels(pixels: Pixels, theta: Array, gamma: float) -> tuple[NDArray, NDArra
     linear = theta.copy()
     linear[:, 5:7] = edge**gamma
     J = np.empty((edges.PARAMETERS, len(pixels.x)), np.float32)
-    light = edges.model(pixels, linear, J, small=True)
+    light = edge_model.model(pixels, linear, J, small=True)
     light = np.maximum(light, _DARKEST).astype(np.float32)
     level = light ** np.float32(1 / gamma)
     J *= np.float32(_MIDDLE / gamma) * level / light

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.core.fields import Number, Numbers, entries, entry
+from mjtactile.core.entries import Number, Numbers
+from mjtactile.core.fields import entries, entry
 from mjtactile.core.toml import Section
 
 TRIED = "tried: docs/settings.md has what half and twice of it do"

@@ -15,58 +15,21 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from mjtactile.core import resources, theory
+from mjtactile.core import resources
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
-from mjtactile.sim.effects import steepness
+from mjtactile.sim.effects import gates, steepness
 from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR
+from mjtactile.sim.effects.gates import Gate, Scene
 from mjtactile.sim.scenes.objects import ObjectModel, read_spec
 from mjtactile.sim.sensor import features
 from mjtactile.sim.sensor.switches import Effect
-
-GRAVITY = 9.81
-_CONTACT_SPEED = 0.01  # m/s of the membrane while an object is touched gently
-_EXPOSURE = 0.008  # s
-_HELD = 0.6  # N: a usual grasp
-# of the force, over the slope's tangent squared: what shading moves in the middle, measured
-# (docs/effects.md)
-_SHADED = 0.06
-
-
-@dataclass(frozen=True)
-class Scene:
-    """What the gates look at. `feature` m: the object's smallest radius; `sharp`: it has edges;
-    `half_extents` m: half its size along and across a membrane that closes on it."""
-
-    design: SensorDesign
-    grasped: ObjectModel | None
-    force_error: float
-    feature: float
-    sharp: bool
-    half_extents: tuple[float, float] = (math.inf, math.inf)
-
-    @property
-    def bulge(self) -> float:
-        """Height of the free bulge at the supply's pressure, m; an estimate outside of the theory's
-        table."""
-        height = theory.bulge_height(self.design, self.design.chamber.supply_gauge)
-        if math.isfinite(height):
-            return abs(height)
-        return 0.1 * min(self.design.frame.length, self.design.frame.width)
-
-    @property
-    def half_width(self) -> float:
-        return min(self.design.frame.length, self.design.frame.width) / 2
-
-
-Gate = Callable[[Scene], tuple[bool, str]]
 
 
 @dataclass(frozen=True)
@@ -194,198 +157,31 @@ def _with_what_goes_along(forced: dict[Effect, bool]) -> dict[Effect, bool]:
     return forced | {Effect.IMAGES: False}
 
 
-# -- gates: (needed, why)
-# --------------------------------------------------------------------------------
-
-
-def _gas(s: Scene) -> tuple[bool, str]:
-    volume = s.design.chamber_volume_flat
-    stiffness = (
-        s.design.chamber.heat_ratio * s.design.chamber.ambient * s.design.frame.area**2 / volume
-    )
-    return True, (
-        f"the chamber is sealed in a grasp: {1e-3 * stiffness:.1f} N/mm against piston motion"
-    )
-
-
-def _large_deflection(s: Scene) -> tuple[bool, str]:
-    sheet = s.design.membrane
-    frame = s.design.frame
-    c1, c2 = theory.rectangle_coefficients(
-        max(frame.length, frame.width) / (2 * s.half_width), sheet.poisson
-    )
-    tension = max(sheet.pretension, 1e-9)
-    share = c2 / c1 * sheet.young * sheet.thickness / tension * (s.bulge / s.half_width) ** 2
-    return _over(share, 0.01, "cubic share of the stiffness")
-
-
-def _bending(s: Scene) -> tuple[bool, str]:
-    limit = 5 * s.design.membrane.thickness
-    if s.feature < limit:
-        return True, (
-            f"a feature of {1e3 * s.feature:.2g} mm is below five thicknesses "
-            f"({1e3 * limit:.2g} mm)"
-        )
-    if s.sharp and s.force_error < 0.005:
-        return True, "the object has sharp edges, and less than 5 mN is asked for"
-    return False, "no feature below five thicknesses" + (
-        "; edges count below 5 mN" if s.sharp else ""
-    )
-
-
-def _friction(s: Scene) -> tuple[bool, str]:
-    if s.grasped is None:
-        return True, "shear may be applied"
-    return True, f"carries the object's weight of {GRAVITY * s.grasped.mass:.2f} N"
-
-
-def _gravity(s: Scene) -> tuple[bool, str]:
-    sheet = s.design.membrane
-    frame = s.design.frame
-    weight = sheet.density * sheet.thickness * frame.area * GRAVITY / sheet.pre_stretch**2
-    return _over(
-        weight / s.force_error,
-        0.1,
-        f"the sheet's weight of {1e3 * weight:.1f} mN over the force error asked for",
-    )
-
-
-def _follower(s: Scene) -> tuple[bool, str]:
-    sheet = s.design.membrane
-    # a grasp raises it by 1-2 kPa
-    pressure = max(abs(s.design.chamber.supply_gauge), 0.02 * s.design.chamber.ambient)
-    return _over(pressure * s.half_width / (sheet.young * sheet.thickness), 1e-2, "p a / E h")
-
-
-def _hyperelastic(s: Scene) -> tuple[bool, str]:
-    lower = theory.stvk_height_error(s.design, s.design.chamber.supply_gauge)
-    share = f"by {lower:.0%}" if math.isfinite(lower) else "by an unknown share"
-    return True, (
-        f"rubber softens as it stretches: without, it bulges less {share} at the supply's pressure"
-    )
-
-
-def _heat(s: Scene) -> tuple[bool, str]:
-    chamber = s.design.chamber
-    on = math.isfinite(chamber.heat_exchange) and chamber.heat_ratio > 1
-    if on:
-        return True, f"{chamber.heat_exchange:g} s is within a grasp's time"
-    return False, "the sensor's gas keeps one exponent"
-
-
-def _valve(s: Scene) -> tuple[bool, str]:
-    chamber = s.design.chamber
-    on = math.isfinite(chamber.valve_conductance) or chamber.leak_conductance > 0
-    if on:
-        return True, "the sensor's valve or leak has a conductance"
-    return False, "the sensor's valve is ideal and nothing leaks"
-
-
-def _relaxation(s: Scene) -> tuple[bool, str]:
-    relaxation = s.design.relaxation
-    if relaxation is None:
-        return False, "the sensor's file has no rubber that relaxes"
-    if not relaxation.terms:
-        return True, f"the first cycles take {relaxation.softening:.0%} of the stress"
-    slowest = float(relaxation.times.max())
-    faded = relaxation.quick - 1
-    return True, f"{faded:.0%} more than the lasting stress at first, faded after {slowest:g} s"
-
-
-def _servo(s: Scene) -> tuple[bool, str]:
-    period = 1 / s.design.camera.rate
-    return period < 0.02, f"the controller acts every {1e3 * period:.0f} ms, a servo's lag is 20 ms"
-
-
-def _motion_blur(s: Scene) -> tuple[bool, str]:
-    camera = s.design.camera
-    pixels = camera.fx * s.half_width / camera.distance**2 * _CONTACT_SPEED * _EXPOSURE
-    return _over(pixels, 0.5, "px of motion within an exposure at 10 mm/s")
-
-
-def _latency(s: Scene) -> tuple[bool, str]:
-    return False, "the control loop acts one image late already"
-
-
-def _has(value: float, what: str) -> tuple[bool, str]:
-    return (
-        value > 0,
-        f"the camera's file has {what}" if value > 0 else f"the camera's file has no {what}",
-    )
-
-
-def _shadows(s: Scene) -> tuple[bool, str]:
-    """The sheet's deepest slope at a usual grasp, against the LEDs' lowest ray, and by what slopes
-    alone do to force."""
-    leds = s.design.leds
-    frame = s.design.frame
-    if not leds.count * leds.falloff:
-        return False, "no LEDs that fall off: light from everywhere"
-    if leds.ring_radius > s.half_width:
-        return True, "the frame's wall stands between the LEDs and the membrane"
-    lowest = math.atan2(
-        s.design.camera.distance, math.hypot(frame.length, frame.width) / 2 + leds.ring_radius
-    )
-    slope = steepness.deepest(s.design, s.half_extents, _HELD)
-    shaded = _SHADED * _HELD * math.tan(min(slope, lowest)) ** 2
-    angles = (
-        f"slopes of {math.degrees(slope):.0f} deg at {_HELD:g} N, LEDs from "
-        f"{math.degrees(lowest):.0f} deg up"
-    )
-    if slope > lowest:
-        return True, f"{angles}: dents are in their own light"
-    return shaded > s.force_error, f"{angles}: no shadow; shading moves {1e3 * shaded:.1f} mN"
-
-
-def _material(name: str) -> Gate:
-    def gate(s: Scene) -> tuple[bool, str]:
-        found = s.grasped is not None and s.grasped.material == name
-        return found, f"the object is {name}: in its own file" if found else f"no {name} object"
-
-    return gate
-
-
-def _over(value: float, limit: float, what: str) -> tuple[bool, str]:
-    return value > limit, f"{what}: {value:.2g} {'>' if value > limit else '<='} {limit:g}"
-
-
 EFFECTS: tuple[Entry, ...] = (
     Entry(
         Effect.SHEET,
         "physics",
         lambda s: (True, "without, a film lies on what touches, beside MuJoCo's model"),
     ),
-    Entry(Effect.GAS, "physics", _gas),
-    Entry(Effect.LARGE_DEFLECTION, "the membrane's elements", _large_deflection, fixed=True),
-    Entry(Effect.BENDING, "physics", _bending),
-    Entry(Effect.FRICTION, "physics", _friction),
-    Entry(Effect.GRAVITY, "physics", _gravity),
-    Entry(Effect.FOLLOWER_PRESSURE, "physics", _follower),
-    Entry(Effect.HYPERELASTICITY, "membrane", _hyperelastic),
-    Entry(Effect.HEAT_EXCHANGE, "chamber", _heat),
-    Entry(Effect.VALVE_FLOW, "chamber", _valve),
-    Entry(Effect.RELAXATION, "membrane", _relaxation),
-    Entry(Effect.SERVO_DYNAMICS, "rig", _servo),
-    Entry(Effect.CAMERA_NOISE, "camera", lambda s: _has(s.design.camera.noise_dn, "noise")),
-    Entry(Effect.BLUR, "camera", lambda s: _has(s.design.camera.blur_px, "blur")),
-    Entry(Effect.MOTION_BLUR, "camera", _motion_blur),
-    Entry(
-        Effect.DISTORTION,
-        "camera",
-        lambda s: _has(float(np.abs(s.design.camera.distortion).max()), "distortion"),
-    ),
-    Entry(
-        Effect.REFRACTION,
-        "camera",
-        lambda s: _has(s.design.glass.thickness * (s.design.glass.refractive_index - 1), "glass"),
-    ),
-    Entry(
-        Effect.LED_SHADING,
-        "camera",
-        lambda s: _has(s.design.leds.count * s.design.leds.falloff, "LEDs that fall off"),
-    ),
-    Entry(Effect.SHADOWS, "camera", _shadows),
-    Entry(Effect.LATENCY, "camera", _latency),
+    Entry(Effect.GAS, "physics", gates.gas),
+    Entry(Effect.LARGE_DEFLECTION, "the membrane's elements", gates.large_deflection, fixed=True),
+    Entry(Effect.BENDING, "physics", gates.bending),
+    Entry(Effect.FRICTION, "physics", gates.friction),
+    Entry(Effect.GRAVITY, "physics", gates.gravity),
+    Entry(Effect.FOLLOWER_PRESSURE, "physics", gates.follower),
+    Entry(Effect.HYPERELASTICITY, "membrane", gates.hyperelastic),
+    Entry(Effect.HEAT_EXCHANGE, "chamber", gates.heat),
+    Entry(Effect.VALVE_FLOW, "chamber", gates.valve),
+    Entry(Effect.RELAXATION, "membrane", gates.relaxation),
+    Entry(Effect.SERVO_DYNAMICS, "rig", gates.servo),
+    Entry(Effect.CAMERA_NOISE, "camera", lambda s: gates.has(s.design.camera.noise_dn, "noise")),
+    Entry(Effect.BLUR, "camera", lambda s: gates.has(s.design.camera.blur_px, "blur")),
+    Entry(Effect.MOTION_BLUR, "camera", gates.motion_blur),
+    Entry(Effect.DISTORTION, "camera", gates.distortion),
+    Entry(Effect.REFRACTION, "camera", gates.refraction),
+    Entry(Effect.LED_SHADING, "camera", gates.led_shading),
+    Entry(Effect.SHADOWS, "camera", gates.shadows),
+    Entry(Effect.LATENCY, "camera", gates.latency),
     Entry(
         Effect.IMAGES,
         "camera",
@@ -399,13 +195,13 @@ EFFECTS: tuple[Entry, ...] = (
     Entry(
         Effect.PLASTICITY,
         "the object's own file (docs/objects.md)",
-        _material("amorphous"),
+        gates.material("amorphous"),
         built=False,
     ),
     Entry(
         Effect.VOLUMETRIC_SOFTNESS,
         "the object's own file (docs/objects.md)",
-        _material("soft"),
+        gates.material("soft"),
         built=False,
     ),
 )

@@ -6,14 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from mjtactile.core.entries import NumberArray, Pairs, Span, Texts
 from mjtactile.core.errors import InputError
 from mjtactile.core.fields import (
     DEGREE,
     MM,
-    NumberArray,
-    Pairs,
-    Span,
-    Texts,
     entry,
     file_path,
     flag,

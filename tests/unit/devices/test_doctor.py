@@ -6,7 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from mjtactile.devices.doctor import _check_host_loss, _check_servo, _check_torques, _plugged_in
+from mjtactile.devices.doctor import _check_host_loss, _check_torques, _plugged_in
+from mjtactile.devices.doctor.servos import check_servo
 from mjtactile.devices.dynamixel.bus import DynamixelBus
 from mjtactile.devices.listing import serial_ports
 from mjtactile.rig.file import load_rig_file
@@ -18,7 +19,7 @@ def findings(**kind):
         bench.servos[2].set("Homing Offset", -300)
         bench.servos[2].set("Startup Configuration", 1)
         with contextlib.closing(DynamixelBus(bench.bus.path, reply_timeout=1.0)) as bus:
-            return [list(_check_servo(bus, servo, "XL330-M288")) for servo in (1, 2)]
+            return [list(check_servo(bus, servo, "XL330-M288")) for servo in (1, 2)]
 
 
 @pytest.mark.clock

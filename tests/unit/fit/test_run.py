@@ -5,7 +5,8 @@ import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
-from mjtactile.fit.run import _HELD_FIRST, _covariance, _untold, _with_known
+from mjtactile.fit.result import covariance_of
+from mjtactile.fit.run import _HELD_FIRST, _untold, _with_known
 from mjtactile.fit.statics import SheetFit
 
 DENSE = load_sensor("dense")
@@ -27,11 +28,11 @@ def test_what_is_not_known_is_held_pre_stretch_first(sd, held):
 def test_thickness_and_modulus_are_one_number():
     """var(log E) = var(log E h) + var(log h), cov(log E, log h) = -var(log h): with 0.3 unknown of
     h and 0.01 of E h the correlation is -0.3 / sqrt(0.3^2 + 0.01^2)."""
-    names, cov = _covariance(sheet_of(np.diag([1e4**2, 1e-3**2])), None, thickness_known=False)
+    names, cov = covariance_of(sheet_of(np.diag([1e4**2, 1e-3**2])), None, thickness_known=False)
     assert names == ["membrane.young_MPa", "membrane.pre_stretch", "membrane.thickness_mm"]
     rho = cov[0, 2] / np.sqrt(cov[0, 0] * cov[2, 2])
     assert rho == pytest.approx(-0.3 / np.hypot(0.3, 0.01))
-    names, cov = _covariance(sheet_of(np.diag([1e4**2, 1e-3**2])), None, thickness_known=True)
+    names, cov = covariance_of(sheet_of(np.diag([1e4**2, 1e-3**2])), None, thickness_known=True)
     assert len(names) == 2 and cov[0, 0] == 1e8
 
 

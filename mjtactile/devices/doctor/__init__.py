@@ -1,0 +1,165 @@
+"""What `mjtactile doctor` looks at. Each check returns findings in plain words with a remedy; none
+moves anything."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterable, Iterator
+
+from mjtactile.core.design import SensorDesign, load_sensor
+from mjtactile.core.errors import DeviceError
+from mjtactile.core.types import Image
+from mjtactile.devices.camera.v4l2 import video_devices
+from mjtactile.devices.doctor.cameras import Look, check_camera
+from mjtactile.devices.doctor.ports import check_port
+from mjtactile.devices.doctor.servos import check_servos
+from mjtactile.devices.dynamixel.tables import MODELS
+from mjtactile.devices.listing import serial_ports
+from mjtactile.devices.valve.driver import connect_valves
+from mjtactile.rig.file import RigFile, load_rig_file
+from mjtactile.rig.finding import Finding
+from mjtactile.rig.sensors import calibration_findings, finger_design
+
+# times the data sheet's torque per ampere; gears' friction takes up to 20 % of it
+_TORQUE_OFF_MOST = 1.5
+_MAY_FALL = "what is held in the air falls when the host is lost: servos that brake, or a cup"
+
+
+def _look_at_nothing(what: str, design: SensorDesign, image: Image) -> Iterable[Finding]:
+    return ()
+
+
+def examine(
+    rig: str | None, *, sensor: str = "dense", fix: bool = False, look: Look = _look_at_nothing
+) -> list[Finding]:
+    """All findings; `sensor` is on fingers of which the rig file does not say it, and `look` what
+    is asked of a picture of each. Raises InputError for a rig file that is wrong itself."""
+    findings = [*_plugged_in()]
+    if rig is None:
+        return findings
+    rig_file = load_rig_file(rig)
+    findings += calibration_findings(rig_file, load_sensor(sensor))
+    findings += _check_torques(rig_file)
+    findings += _check_host_loss(rig_file)
+    if rig_file.emulator is not None:
+        return [
+            *findings,
+            Finding(
+                "ok",
+                rig_file.name,
+                "is emulated: nothing to be plugged in",
+                "`mjtactile emulate --out FILE.toml` starts it; then "
+                "`mjtactile doctor --rig FILE.toml`",
+            ),
+        ]
+    ports = [*check_port("servo bus", rig_file.bus.port, fix=fix)]
+    findings += ports if _has_bad(ports) else [*ports, *check_servos(rig_file)]
+    ports = []
+    for port in dict.fromkeys(valve.port for valve in rig_file.valves):
+        ports += check_port("valve board", port, fix=fix)
+    findings += ports if _has_bad(ports) else [*ports, *_check_valves(rig_file)]
+    for camera in rig_file.cameras:
+        design = finger_design(camera, load_sensor(sensor))
+        findings += check_camera(camera, design, look)
+    return findings
+
+
+def _check_torques(rig_file: RigFile) -> Iterator[Finding]:
+    """Torque per ampere that no specimen of the model can have: forces would be off by as much."""
+    for servo in rig_file.gripper.servos:
+        model = MODELS.get(servo.model)
+        if model is None or servo.torque_per_A is None:
+            continue
+        ratio = servo.torque_per_A / model.torque_per_A
+        if not 1 / _TORQUE_OFF_MOST <= ratio <= _TORQUE_OFF_MOST:
+            yield Finding(
+                "bad",
+                f"servo {servo.id}",
+                f"torque_Nm_per_A = {servo.torque_per_A:g}, but the data sheet of the "
+                f"{servo.model} says {model.torque_per_A:g}: forces are {ratio:.2g} times what "
+                "they should be",
+                "leave the line out, or measure it: mjtactile calibrate gripper",
+            )
+
+
+def _check_host_loss(rig_file: RigFile) -> Iterator[Finding]:
+    """What becomes of what is held when the host is late or gone."""
+    what = "lost host"
+    heartbeat = min((valve.heartbeat for valve in rig_file.valves), default=0.0)
+    chambers = f"chambers vent {1e3 * heartbeat:.0f} ms after the last line"
+    if not rig_file.valves:
+        chambers = "chambers stay as they are: no valve board"
+    elif rig_file.hold:
+        chambers = f"chambers stay sealed for {rig_file.hold:g} s, then vent slowly"
+    text = f'on_host_loss = "{rig_file.on_host_loss}": {chambers}'
+    if rig_file.emulator is not None and rig_file.emulator.watchdog == "limp":
+        yield Finding("warn", what, f"{text}; the servos go limp and hold nothing", _MAY_FALL)
+    elif rig_file.lift.kind == "servo":
+        remedy = "a lift that must not fall needs a brake or a counterweight"
+        yield Finding("ok", what, f"{text}; jaws and lift stay as each servo does, below", remedy)
+    else:
+        yield Finding("ok", what, f"{text}; jaws stay as each servo does, below")
+
+
+def _has_bad(findings: list[Finding]) -> bool:
+    return any(finding.level == "bad" for finding in findings)
+
+
+def _plugged_in() -> Iterator[Finding]:
+    """The same ports and cameras that `mjtactile devices` lists; nobody is asked."""
+    ports = serial_ports(ask=False)
+    for port in ports:
+        yield Finding("ok", "serial port", f"{port.path} ({port.description})")
+    cameras = video_devices()
+    for camera in cameras:
+        yield Finding("ok", "camera", f"{camera.path} ({camera.name})")
+    if not ports:
+        yield Finding(
+            "warn",
+            "serial ports",
+            "none found",
+            "plug the adapters in; in a container, pass their devices through",
+        )
+    if not cameras:
+        yield Finding(
+            "warn",
+            "cameras",
+            "none found",
+            "plug them in; in a container, pass their devices through",
+        )
+
+
+def _check_valves(rig_file: RigFile) -> Iterator[Finding]:
+    """Handshake, limits and a reading of each; connecting sets limits and heartbeat, and leaves
+    every valve vented."""
+    if not rig_file.valves:
+        return
+    try:
+        boards, valves = connect_valves(rig_file.valves, rig_file.hold)
+    except DeviceError as error:
+        yield Finding(
+            "bad",
+            "valve board",
+            str(error),
+            "port and baud in the rig file; is firmware/valve on the board? "
+            "another program on the port?",
+        )
+        return
+    try:
+        for valve in valves:
+            what = f"valve {valve.config.finger}"
+            try:
+                state = valve.state()
+            except DeviceError as error:
+                yield Finding("bad", what, str(error))
+                continue
+            if state.pressure_gauge is None:
+                pressure = "no pressure sensor"
+            else:
+                pressure = f"{state.pressure_gauge:.0f} Pa"
+            board = f"firmware {valve.board.firmware}"
+            yield Finding("ok", what, f"{board}, channel {valve.config.channel}, {pressure}")
+    finally:
+        for board in boards:
+            with contextlib.suppress(DeviceError):
+                board.close()

@@ -1,0 +1,109 @@
+"""Cameras: settings, rate, age, and light."""
+
+from __future__ import annotations
+
+import os
+import statistics
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+from mjtactile.core import pace
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import DeviceError
+from mjtactile.core.types import Image
+from mjtactile.devices.camera.opencv import OpenCvCamera
+from mjtactile.devices.doctor.ports import group_of
+from mjtactile.rig.file import CameraConfig
+from mjtactile.rig.finding import Finding
+
+_CAMERA_TIME = 2.0  # s that pictures of a camera are counted
+
+
+Look = Callable[[str, SensorDesign, Image], Iterable[Finding]]
+"""What is found in a picture of the camera of that name, with that sensor before it."""
+
+
+def check_camera(config: CameraConfig, design: SensorDesign, look: Look) -> Iterator[Finding]:
+    """Settings by read-back, then rate, age and jitter over two seconds, then what a picture
+    shows."""
+    what = f"camera {config.finger}"
+    try:
+        camera = OpenCvCamera(config)
+    except DeviceError as error:
+        yield Finding("bad", what, str(error), _camera_remedy(config))
+        return
+    try:
+        ages = []
+        end = pace.monotonic() + _CAMERA_TIME
+        last = 0.0
+        while pace.monotonic() < end:
+            if camera.wait_newer(last, 0.5):
+                image = camera.read()
+                last = image.time
+                ages.append(pace.monotonic() - last)
+        yield _rate_finding(what, camera, ages)
+        yield _light_finding(what, camera)
+        yield from look(what, design, camera.read())
+    except DeviceError as error:
+        yield Finding("bad", what, str(error))
+    finally:
+        camera.close()
+
+
+def _rate_finding(what: str, camera: OpenCvCamera, ages: list[float]) -> Finding:
+    counters = camera.counters
+    config = camera.config
+    if len(counters.intervals) < 3:
+        return Finding(
+            "bad",
+            what,
+            f"{counters.pictures} pictures in {_CAMERA_TIME:g} s",
+            "another cable or USB port",
+        )
+    rate = 1 / statistics.mean(counters.intervals)
+    jitter = statistics.pstdev(counters.intervals)
+    text = (
+        f"{rate:.1f} pictures a second, jitter {1e3 * jitter:.1f} ms, age "
+        f"{1e3 * statistics.median(ages):.1f} ms, "
+        f"{counters.dropped} lost, {counters.duplicates} twice"
+    )
+    if rate < 0.9 * config.rate:
+        return Finding(
+            "bad",
+            what,
+            f"{text}: the rig file says {config.rate:g}",
+            "a shorter exposure (it must fit into the period), MJPG, or its own USB controller",
+        )
+    return Finding("warn" if counters.duplicates else "ok", what, text)
+
+
+def _light_finding(what: str, camera: OpenCvCamera) -> Finding:
+    pixels = camera.read().pixels
+    mean = float(pixels.mean())
+    white = float((pixels >= 254).mean())
+    if mean < 20:
+        return Finding(
+            "bad",
+            what,
+            f"dark: mean grey level {mean:.0f}",
+            "are the LEDs on? raise exposure_100us",
+        )
+    if white > 0.05:
+        return Finding(
+            "bad",
+            what,
+            f"{100 * white:.0f} % of the picture is saturated",
+            "lower exposure_100us or gain",
+        )
+    return Finding("ok", what, f"mean grey level {mean:.0f}, {100 * white:.1f} % saturated")
+
+
+def _camera_remedy(config: CameraConfig) -> str:
+    if config.source.startswith("/dev") and not Path(config.source).exists():
+        return (
+            "`ls -l /dev/v4l/by-id` shows the names that stay the same; write one of them into "
+            "the rig file"
+        )
+    if config.source.startswith("/dev") and not os.access(config.source, os.R_OK | os.W_OK):
+        return f"sudo usermod -aG {group_of(config.source)} $USER, then log in again"
+    return "`v4l2-ctl -d DEVICE --list-formats-ext --list-ctrls` shows what it can do"

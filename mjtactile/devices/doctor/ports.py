@@ -1,0 +1,68 @@
+"""A serial port: whether it is there, may be used, and is quick."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from mjtactile.rig.finding import Finding
+
+
+def check_port(what: str, path: str, *, fix: bool) -> Iterator[Finding]:
+    """That the port is there, may be used, and does not wait 16 ms to hand over what it
+    received."""
+    if "://" in path:
+        return
+    if not Path(path).exists():
+        yield Finding(
+            "bad",
+            what,
+            f"{path} is not there",
+            "is it plugged in? `ls -l /dev/serial/by-id` shows the names that stay the same; write "
+            "one of them into the rig file",
+        )
+        return
+    if not os.access(path, os.R_OK | os.W_OK):
+        group = group_of(path)
+        yield Finding(
+            "bad",
+            what,
+            f"{path} may not be used by this user",
+            f"sudo usermod -aG {group} $USER, then log in again",
+        )
+        return
+    timer = Path("/sys/bus/usb-serial/devices") / Path(path).resolve().name / "latency_timer"
+    if timer.is_file():
+        yield from _check_latency(what, timer, fix=fix)
+
+
+def _check_latency(what: str, timer: Path, *, fix: bool) -> Iterator[Finding]:
+    value = timer.read_text().strip()
+    if value == "1":
+        yield Finding("ok", what, "latency timer 1 ms")
+        return
+    if fix:
+        with contextlib.suppress(OSError):
+            timer.write_text("1")
+            yield Finding(
+                "ok", what, f"latency timer was {value} ms, is 1 ms until it is unplugged"
+            )
+            return
+    yield Finding(
+        "warn",
+        what,
+        f"latency timer is {value} ms: each reading takes that long",
+        'for good: a udev rule ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", '
+        'ATTR{latency_timer}="1" in /etc/udev/rules.d/99-latency.rules; for '
+        "now: --fix as root",
+    )
+
+
+def group_of(path: str) -> str:
+    with contextlib.suppress(KeyError, OSError, ImportError):
+        import grp
+
+        return grp.getgrgid(Path(path).stat().st_gid).gr_name
+    return "dialout"

@@ -1,0 +1,170 @@
+"""Servos against what the rig file says, and their bus."""
+
+from __future__ import annotations
+
+import contextlib
+import statistics
+import time
+from collections.abc import Iterator
+
+from mjtactile.core.errors import DeviceError
+from mjtactile.devices.dynamixel.bus import BusError, DynamixelBus
+from mjtactile.devices.dynamixel.servo import REQUIRED, ServoReport, read_report
+from mjtactile.devices.dynamixel.tables import MODELS, NO_CURRENT_CONTROL
+from mjtactile.devices.listing import BAUDS, servos_at
+from mjtactile.rig.file import BusConfig, RigFile
+from mjtactile.rig.finding import Finding
+
+# s for three servos at 1 Mbaud with latency_timer = 1; 16 ms is the driver's default timer
+_ROUND_TRIP_GOOD = 4e-3
+
+
+_HOT = 60.0  # degrees C; X series shut down at 70
+
+
+def check_servos(rig_file: RigFile) -> Iterator[Finding]:
+    config = rig_file.bus
+    try:
+        bus = DynamixelBus(config.port, config.baud, reply_timeout=config.reply_timeout)
+    except DeviceError as error:
+        yield Finding(
+            "bad",
+            "servo bus",
+            str(error),
+            "close the program that uses it (Dynamixel Wizard, another run)",
+        )
+        return
+    wanted = {servo.id: servo.model for servo in rig_file.gripper.servos}
+    if rig_file.lift.kind == "servo":
+        wanted[rig_file.lift.id] = rig_file.lift.model
+    try:
+        answering = []
+        for servo, model in wanted.items():
+            findings = list(check_servo(bus, servo, model))
+            yield from findings
+            if not any("does not answer" in f.text for f in findings):
+                answering.append(servo)
+        if answering:
+            yield _round_trip(bus, answering, config)
+    finally:
+        bus.close()
+    if not answering:
+        yield from _search_servos(config)
+
+
+def check_servo(bus: DynamixelBus, servo: int, model: str) -> Iterator[Finding]:
+    """One servo against what the file says."""
+    what = f"servo {servo}"
+    try:
+        number, _ = bus.ping(servo)
+        report = read_report(bus, servo)
+    except BusError as error:
+        yield Finding(
+            "bad",
+            what,
+            f"does not answer ({error.reason})",
+            "power, cable, id and baud rate: see the search below",
+        )
+        return
+    yield _identity(what, number, report, model)
+    for name, wanted, meaning in REQUIRED:
+        if report.settings.get(name, wanted) != wanted:
+            yield Finding(
+                "bad",
+                what,
+                f"{name} is {report.settings[name]}, must be {wanted}: {meaning}",
+                "set it with Dynamixel Wizard",
+            )
+    if report.model in MODELS and not MODELS[report.model].watchdog_stops(report.firmware):
+        yield Finding(
+            "warn",
+            what,
+            f"firmware {report.firmware}: its bus watchdog notes a dead host, and stops nothing",
+            "update the firmware with Dynamixel Wizard; until then a dead host "
+            "leaves it at its last goal and force",
+        )
+    if report.hardware_error:
+        yield Finding(
+            "bad",
+            what,
+            f"has latched {report.hardware_error}",
+            "find the cause, take its power off and on",
+        )
+    if report.temperature >= _HOT:
+        yield Finding(
+            "warn", what, f"is hot: {report.temperature:.0f} C", "let it cool; lower force_max_N"
+        )
+
+
+def _identity(what: str, number: int, report: ServoReport, model: str) -> Finding:
+    """Which servo answers, against the `model` that the file says."""
+    text = (
+        f"{report.model}, firmware {report.firmware}, mode {report.operating_mode}, "
+        f"{report.voltage:.1f} V, "
+        f"{report.temperature:.0f} C, torque {'on' if report.torque_on else 'off'}"
+    )
+    if report.model in MODELS:
+        stops = MODELS[report.model].watchdog_stops(report.firmware)
+        text += f", without a host it {'holds its place' if stops else 'goes on to its last goal'}"
+    if number in NO_CURRENT_CONTROL:
+        return Finding(
+            "bad", what, f"{text}: it cannot limit its force", f"use one of {', '.join(MODELS)}"
+        )
+    if report.model != model:
+        return Finding(
+            "bad",
+            what,
+            f"{text}: the rig file says {model}",
+            "write the right model into the rig file, or mend the ids",
+        )
+    return Finding("ok", what, text)
+
+
+def _round_trip(bus: DynamixelBus, servos: list[int], config: BusConfig) -> Finding:
+    times = []
+    lost = 0
+    for _ in range(100):
+        start = time.perf_counter()
+        _, failures = bus.read_many(servos, 126, 21, fast=config.fast_sync)
+        times.append(time.perf_counter() - start)
+        lost += bool(failures)
+    median = statistics.median(times)
+    worst = max(times)
+    text = (
+        f"reading {len(servos)} servos takes {1e3 * median:.1f} ms (worst {1e3 * worst:.1f} "
+        f"ms), {lost} of 100 replies lost"
+    )
+    if lost:
+        return Finding(
+            "warn",
+            "servo bus",
+            text,
+            "shorter cable, termination, a good ground; or a longer reply_timeout_ms",
+        )
+    if median > _ROUND_TRIP_GOOD:
+        return Finding(
+            "warn", "servo bus", text, "baud 1000000 and latency timer 1 ms make it 1 to 3 ms"
+        )
+    return Finding("ok", "servo bus", text)
+
+
+def _search_servos(config: BusConfig) -> Iterator[Finding]:
+    """Nobody answered: look for servos with other ids and baud rates. Takes some seconds; pings
+    change nothing."""
+    bauds = (config.baud, *(baud for baud in BAUDS if baud != config.baud))
+    with contextlib.suppress(DeviceError):
+        baud, found = servos_at(config.port, bauds, reply_time=config.reply_timeout)
+        if found:
+            yield Finding(
+                "warn",
+                "servo bus",
+                f"servos {list(found)} answer at {baud} baud",
+                "write these into the rig file, or change the servos with Dynamixel Wizard",
+            )
+            return
+    yield Finding(
+        "bad",
+        "servo bus",
+        "no servo answers at any baud rate (ids 0 to 20)",
+        "is their power on? USB powers none",
+    )

@@ -1,0 +1,175 @@
+"""What a fit has found, and its numbers with their intervals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.fields import scalars
+from mjtactile.core.types import Array
+from mjtactile.fit.evidence import Evidence
+from mjtactile.fit.gas import GasFit
+from mjtactile.fit.picture import PictureFit
+from mjtactile.fit.statics import SheetFit
+from mjtactile.fit.words import ABOUT, Number, judge, missing
+
+_UNKNOWN_SHARE = 0.3  # of the thickness, before somebody measured it
+SI = {
+    label: (section, attribute, number.unit)
+    for label, section, attribute, number in scalars(SensorDesign)
+}
+"""Field of the sensor file to section, attribute and SI units in its unit."""
+FIELD = {(section, attribute): field for field, (section, attribute, _) in SI.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """A hold of a recording that was kept aside: how far its markers are from the simulated ones,
+    `rms` m; the stage's force as simulated and as a load cell showed it, N (NaN: it had none)."""
+
+    recording: str
+    depth: float
+    shear: float
+    pressure: float
+    rms: float
+    force: float
+    force_measured: float
+
+
+@dataclass(frozen=True, eq=False)
+class FitResult:
+    """All that was found; `design` is the fitted sensor, `text` its file."""
+
+    design: SensorDesign
+    text: str
+    numbers: tuple[Number, ...]
+    correlations: tuple[str, ...]
+    evidence: tuple[Evidence, ...]
+    sheet: SheetFit
+    gas: GasFit | None
+    picture: PictureFit
+    held_out: tuple[HeldOut, ...]
+    seconds: float
+
+    def number(self, field: str) -> Number:
+        return next(number for number in self.numbers if number.field == field)
+
+
+def numbers_of(
+    nominal: SensorDesign,
+    known: Mapping[str, float],
+    evidence: Sequence[Evidence],
+    sheet: SheetFit,
+    gas: GasFit | None,
+    picture: PictureFit,
+) -> list[Number]:
+    source = ", ".join(e.name for e in evidence)
+    numbers = {}
+    pressed = [
+        ("membrane", name, value, sheet.cov[sheet.names.index(name)][sheet.names.index(name)])
+        for name, value in sheet.values.items()
+    ]
+    if gas is None:
+        filled = []
+    else:
+        filled = [
+            ("chamber", name, gas.values[name], gas.cov[i][i]) for i, name in enumerate(gas.names)
+        ]
+    for section, attribute, value, variance in [*pressed, *filled]:
+        field = FIELD[section, attribute]
+        scale = SI[field][2]
+        numbers[field] = judge(
+            field,
+            value / scale,
+            math.sqrt(variance) / scale,
+            value_before(nominal, field),
+            source,
+            gas_mL=nominal.chamber_volume_flat / 1e-6,
+        )
+    for field, (value, sd) in picture.values.items():
+        numbers[field] = judge(
+            field, value, sd, value_before(nominal, field), f"{evidence[0].name}, flat"
+        )
+    numbers |= {
+        field: Number(field, value, 0.0, "known", "measured by hand", value_before(nominal, field))
+        for field, value in known.items()
+    }
+    return [
+        numbers.get(field) or missing(field, value_before(nominal, field))
+        for field in dict.fromkeys([*ABOUT, *known])
+    ]
+
+
+def value_before(design: SensorDesign, field: str) -> float:
+    section, attribute, scale = SI[field]
+    return getattr(getattr(design, section), attribute) / scale
+
+
+def covariance_of(
+    sheet: SheetFit, gas: GasFit | None, thickness_known: bool
+) -> tuple[list[str], Array]:
+    """Of membrane and gas together, by field. Statics knows of the sheet's thickness times its
+    modulus alone: what nobody knows of the one nobody knows of the other."""
+    names = [FIELD.get(("membrane", name), name) for name in sheet.names]
+    n = len(names)
+    m = 0 if gas is None else len(gas.names)
+    cov = np.zeros((n + m + 1, n + m + 1))
+    cov[:n, :n] = sheet.cov
+    if gas is not None:
+        cov[n : n + m, n : n + m] = gas.cov
+        names += [FIELD["chamber", name] for name in gas.names]
+    if "young" not in sheet.names or thickness_known:
+        return names, cov[:-1, :-1]
+    i = sheet.names.index("young")
+    sheet_design = sheet.design.membrane
+    slope = np.zeros(len(cov))
+    slope[i] = -sheet_design.young
+    slope[-1] = sheet_design.thickness
+    return [*names, "membrane.thickness_mm"], cov + _UNKNOWN_SHARE**2 * np.outer(slope, slope)
+
+
+def to_table(result: FitResult) -> dict[str, Any]:
+    """The JSON of `mjtactile fit`."""
+    pressure_rms = {}
+    if result.gas is not None:
+        for run, fitted in zip(result.gas.runs, result.gas.fitted, strict=True):
+            pressure_rms[run.name] = float(np.sqrt(np.mean((fitted - run.pressure) ** 2)))
+    return {
+        "sensor": result.design.name,
+        "seconds": result.seconds,
+        "recordings": [e.name for e in result.evidence],
+        "numbers": [
+            {
+                "field": n.field,
+                "value": n.value,
+                "sd": n.sd,
+                "interval_95": n.interval,
+                "state": n.state,
+                "before": n.before,
+                "source": n.source,
+                "comment": n.comment,
+            }
+            for n in result.numbers
+        ],
+        "correlations": result.correlations,
+        "markers_rms_um": 1e6 * result.sheet.rms,
+        "first_touch_um": [1e6 * x for x in result.sheet.offsets],
+        "pressure_rms_Pa": pressure_rms,
+        "held_out": [
+            {
+                "recording": h.recording,
+                "depth_mm": 1e3 * h.depth,
+                "shear_mm": 1e3 * h.shear,
+                "pressure_kPa": 1e-3 * h.pressure,
+                "markers_rms_um": 1e6 * h.rms,
+                "force_N": h.force,
+                "force_measured_N": h.force_measured,
+            }
+            for h in result.held_out
+        ],
+    }

@@ -1,0 +1,224 @@
+"""When each effect is needed: a gate looks at a scene, and says whether, and why."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjtactile.core import theory
+from mjtactile.core.design import SensorDesign
+from mjtactile.sim.effects import steepness
+from mjtactile.sim.scenes.objects import ObjectModel
+
+GRAVITY = 9.81
+
+
+_CONTACT_SPEED = 0.01  # m/s of the membrane while an object is touched gently
+
+
+_EXPOSURE = 0.008  # s
+
+
+_HELD = 0.6  # N: a usual grasp
+
+
+# of the force, over the slope's tangent squared: what shading moves in the middle, measured
+# (docs/effects.md)
+_SHADED = 0.06
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What the gates look at. `feature` m: the object's smallest radius; `sharp`: it has edges;
+    `half_extents` m: half its size along and across a membrane that closes on it."""
+
+    design: SensorDesign
+    grasped: ObjectModel | None
+    force_error: float
+    feature: float
+    sharp: bool
+    half_extents: tuple[float, float] = (math.inf, math.inf)
+
+    @property
+    def bulge(self) -> float:
+        """Height of the free bulge at the supply's pressure, m; an estimate outside of the theory's
+        table."""
+        height = theory.bulge_height(self.design, self.design.chamber.supply_gauge)
+        if math.isfinite(height):
+            return abs(height)
+        return 0.1 * min(self.design.frame.length, self.design.frame.width)
+
+    @property
+    def half_width(self) -> float:
+        return min(self.design.frame.length, self.design.frame.width) / 2
+
+
+Gate = Callable[[Scene], tuple[bool, str]]
+
+
+def gas(s: Scene) -> tuple[bool, str]:
+    volume = s.design.chamber_volume_flat
+    stiffness = (
+        s.design.chamber.heat_ratio * s.design.chamber.ambient * s.design.frame.area**2 / volume
+    )
+    return True, (
+        f"the chamber is sealed in a grasp: {1e-3 * stiffness:.1f} N/mm against piston motion"
+    )
+
+
+def large_deflection(s: Scene) -> tuple[bool, str]:
+    sheet = s.design.membrane
+    frame = s.design.frame
+    c1, c2 = theory.rectangle_coefficients(
+        max(frame.length, frame.width) / (2 * s.half_width), sheet.poisson
+    )
+    tension = max(sheet.pretension, 1e-9)
+    share = c2 / c1 * sheet.young * sheet.thickness / tension * (s.bulge / s.half_width) ** 2
+    return _over(share, 0.01, "cubic share of the stiffness")
+
+
+def bending(s: Scene) -> tuple[bool, str]:
+    limit = 5 * s.design.membrane.thickness
+    if s.feature < limit:
+        return True, (
+            f"a feature of {1e3 * s.feature:.2g} mm is below five thicknesses "
+            f"({1e3 * limit:.2g} mm)"
+        )
+    if s.sharp and s.force_error < 0.005:
+        return True, "the object has sharp edges, and less than 5 mN is asked for"
+    return False, "no feature below five thicknesses" + (
+        "; edges count below 5 mN" if s.sharp else ""
+    )
+
+
+def friction(s: Scene) -> tuple[bool, str]:
+    if s.grasped is None:
+        return True, "shear may be applied"
+    return True, f"carries the object's weight of {GRAVITY * s.grasped.mass:.2f} N"
+
+
+def gravity(s: Scene) -> tuple[bool, str]:
+    sheet = s.design.membrane
+    frame = s.design.frame
+    weight = sheet.density * sheet.thickness * frame.area * GRAVITY / sheet.pre_stretch**2
+    return _over(
+        weight / s.force_error,
+        0.1,
+        f"the sheet's weight of {1e3 * weight:.1f} mN over the force error asked for",
+    )
+
+
+def follower(s: Scene) -> tuple[bool, str]:
+    sheet = s.design.membrane
+    # a grasp raises it by 1-2 kPa
+    pressure = max(abs(s.design.chamber.supply_gauge), 0.02 * s.design.chamber.ambient)
+    return _over(pressure * s.half_width / (sheet.young * sheet.thickness), 1e-2, "p a / E h")
+
+
+def hyperelastic(s: Scene) -> tuple[bool, str]:
+    lower = theory.stvk_height_error(s.design, s.design.chamber.supply_gauge)
+    share = f"by {lower:.0%}" if math.isfinite(lower) else "by an unknown share"
+    return True, (
+        f"rubber softens as it stretches: without, it bulges less {share} at the supply's pressure"
+    )
+
+
+def heat(s: Scene) -> tuple[bool, str]:
+    chamber = s.design.chamber
+    on = math.isfinite(chamber.heat_exchange) and chamber.heat_ratio > 1
+    if on:
+        return True, f"{chamber.heat_exchange:g} s is within a grasp's time"
+    return False, "the sensor's gas keeps one exponent"
+
+
+def valve(s: Scene) -> tuple[bool, str]:
+    chamber = s.design.chamber
+    on = math.isfinite(chamber.valve_conductance) or chamber.leak_conductance > 0
+    if on:
+        return True, "the sensor's valve or leak has a conductance"
+    return False, "the sensor's valve is ideal and nothing leaks"
+
+
+def relaxation(s: Scene) -> tuple[bool, str]:
+    relaxation = s.design.relaxation
+    if relaxation is None:
+        return False, "the sensor's file has no rubber that relaxes"
+    if not relaxation.terms:
+        return True, f"the first cycles take {relaxation.softening:.0%} of the stress"
+    slowest = float(relaxation.times.max())
+    faded = relaxation.quick - 1
+    return True, f"{faded:.0%} more than the lasting stress at first, faded after {slowest:g} s"
+
+
+def servo(s: Scene) -> tuple[bool, str]:
+    period = 1 / s.design.camera.rate
+    return period < 0.02, f"the controller acts every {1e3 * period:.0f} ms, a servo's lag is 20 ms"
+
+
+def motion_blur(s: Scene) -> tuple[bool, str]:
+    camera = s.design.camera
+    pixels = camera.fx * s.half_width / camera.distance**2 * _CONTACT_SPEED * _EXPOSURE
+    return _over(pixels, 0.5, "px of motion within an exposure at 10 mm/s")
+
+
+def latency(s: Scene) -> tuple[bool, str]:
+    return False, "the control loop acts one image late already"
+
+
+def has(value: float, what: str) -> tuple[bool, str]:
+    return (
+        value > 0,
+        f"the camera's file has {what}" if value > 0 else f"the camera's file has no {what}",
+    )
+
+
+def distortion(s: Scene) -> tuple[bool, str]:
+    return has(float(np.abs(s.design.camera.distortion).max()), "distortion")
+
+
+def refraction(s: Scene) -> tuple[bool, str]:
+    glass = s.design.glass
+    return has(glass.thickness * (glass.refractive_index - 1), "glass")
+
+
+def led_shading(s: Scene) -> tuple[bool, str]:
+    leds = s.design.leds
+    return has(leds.count * leds.falloff, "LEDs that fall off")
+
+
+def shadows(s: Scene) -> tuple[bool, str]:
+    """The sheet's deepest slope at a usual grasp, against the LEDs' lowest ray, and by what slopes
+    alone do to force."""
+    leds = s.design.leds
+    frame = s.design.frame
+    if not leds.count * leds.falloff:
+        return False, "no LEDs that fall off: light from everywhere"
+    if leds.ring_radius > s.half_width:
+        return True, "the frame's wall stands between the LEDs and the membrane"
+    lowest = math.atan2(
+        s.design.camera.distance, math.hypot(frame.length, frame.width) / 2 + leds.ring_radius
+    )
+    slope = steepness.deepest(s.design, s.half_extents, _HELD)
+    shaded = _SHADED * _HELD * math.tan(min(slope, lowest)) ** 2
+    angles = (
+        f"slopes of {math.degrees(slope):.0f} deg at {_HELD:g} N, LEDs from "
+        f"{math.degrees(lowest):.0f} deg up"
+    )
+    if slope > lowest:
+        return True, f"{angles}: dents are in their own light"
+    return shaded > s.force_error, f"{angles}: no shadow; shading moves {1e3 * shaded:.1f} mN"
+
+
+def material(name: str) -> Gate:
+    def gate(s: Scene) -> tuple[bool, str]:
+        found = s.grasped is not None and s.grasped.material == name
+        return found, f"the object is {name}: in its own file" if found else f"no {name} object"
+
+    return gate
+
+
+def _over(value: float, limit: float, what: str) -> tuple[bool, str]:
+    return value > limit, f"{what}: {value:.2g} {'>' if value > limit else '<='} {limit:g}"
