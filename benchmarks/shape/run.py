@@ -30,7 +30,7 @@ from mjtactile.sim import truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 __all__ = ["run", "table"]
-FIRST_SEED = 1030  # those from 1000 on have been looked at
+FIRST_SEED = 1060  # those from 1000 on have been looked at
 BODIES, BODIES_QUICK = 18, 2
 MESH = (33, 25)
 _DEPTHS = np.array([0.4, 0.8, 1.2, 1.7, 2.3, 3.0]) * 1e-3

@@ -24,13 +24,11 @@ _NORMAL = 2
 class Borne:
     """What a body that was found takes to be so deep in the sheet: normal force, N, and torques
     about x and y of where it presses, N m, `load` (3,) with covariance `cov`; they are the numbers
-    `rows` (3, 6) of a wrench. `unseen` (6, 6) is the
-    covariance of shear there that the nodal estimate misses."""
+    `rows` (3, 6) of a wrench."""
 
     load: Array
     cov: Array
     rows: Array
-    unseen: Array
 
 
 def borne(forward: Forward, press: Press, wrench: Array, noise: float, s: BodySettings) -> Borne:
@@ -67,12 +65,7 @@ def borne(forward: Forward, press: Press, wrench: Array, noise: float, s: BodySe
     by_numbers = more**2 * rows @ found.sums_cov_with(noise)[:6, :6] @ rows.T
     off = load - rows @ wrench
     doubt = 1 - float(press.probabilities[0])
-    # of where it presses: t_x = y f_z, t_y = -x f_z
-    x = load[2] / -load[0]
-    y = load[1] / load[0]
-    shear = np.array([[1, 0, 0, 0, height, -y], [0, 1, 0, -height, 0, x]])
-    unseen = (s.tip_shear * pointed * load[0]) ** 2 * shear.T @ shear
-    return Borne(load, model + by_numbers + doubt * np.outer(off, off), rows, unseen)
+    return Borne(load, model + by_numbers + doubt * np.outer(off, off), rows)
 
 
 def _pointed(found: Fit, noise: float, s: BodySettings) -> float:
@@ -122,7 +115,7 @@ def with_load(touch: Touch, known: Borne) -> Touch:
     gain = np.linalg.solve(H @ P @ H.T + known.cov, H @ P).T
     wrench = traction.wrench + gain @ (known.load - H @ traction.wrench)
     left = np.eye(6) - gain @ H
-    cov = left @ P @ left.T + gain @ known.cov @ gain.T + known.unseen
+    cov = left @ P @ left.T + gain @ known.cov @ gain.T
     shift = wrench[_NORMAL] - traction.wrench[_NORMAL]
     return replace(
         touch,

@@ -119,17 +119,10 @@ class BodySettings:
     )
     torque_sd: float = number(1.5e-5, "N m, of its torque", _PRESSED_SHAPES)
     tip_curvature: float = number(
-        190.0,
-        "1/m; what is more curved both ways may be a corner that catches the sheet",
-        _PRESSED_SHAPES,
+        190.0, "1/m; what is more curved both ways may be a corner", _PRESSED_SHAPES
     )
     tip_light: float = number(
         0.2, "N; below it corners seem blunter, with the root of the force", _PRESSED_SHAPES
-    )
-    tip_shear: float = number(
-        0.25,
-        "of the force of such a one: shear that the nodal estimate does not see, as sd",
-        _PRESSED_SHAPES,
     )
     tip_share: float = number(0.07, "of its force, that film and friction leave", _PRESSED_SHAPES)
     motion_time: float = number(0.25, "s, over which its motion is told", "seven images at 30 Hz")

@@ -64,6 +64,8 @@ _APART = 0.15  # cells between points inside of what is thin
 _BLUNT = 0.3
 # cells, by which a sphere stands before a flat end at most; chosen by pins of 1 and 1.5 mm radius
 _FORWARD = 0.1
+_RESTED = 0.1  # s that something sharp has not moved, from where on what touches it sticks to it
+_STAYS = 0.03  # cells: so little is no move
 _HALF = 0.5  # of a thin thing's half width, within which a sphere's feet stand on it
 
 
@@ -146,6 +148,9 @@ class ContactPoints:
         self._reach = np.full(len(self._places), _TAKES)
         self._time = float(data.time)
         self._still = True
+        self._goal = np.zeros_like(self._places)
+        self._poses: dict[int, Array] = {}
+        self._since = float(data.time)
         # of the sheet when nothing was near: a tent's slopes say nothing of the sheet
         self._upright = self._normals(mesh.p_SV)
 
@@ -166,6 +171,10 @@ class ContactPoints:
             self._upright = self._normals(p_SV)
             if self._still:
                 return
+        if self._rested(time) > _RESTED:  # what touches stays where it does
+            kept = self._touching() & ~blunt
+            goal = np.where(kept[:, None], self._goal, goal)
+        self._goal = goal
         self._reach = np.where(goal.any(axis=1), REACH, _TAKES)
         moves = min(abs(elapsed) / SETTLE, 1.0) * (back - self._back)
         if self._cores:
@@ -176,6 +185,36 @@ class ContactPoints:
         if self._still:
             self._back[:] = 0.0
         self._places[:] = goal + self._back
+
+    def _rested(self, time: float) -> float:
+        """For how long, s, nothing sharp has gone from where it was over the sensor.
+
+        Where nothing moves, the sheet sticks to an edge or a tip. Spheres that are put back onto
+        it every 10 ms have their vertices go to and fro for ever, and the shear by half of the
+        normal force with them.
+        """
+        least = _STAYS * float(self._sizes[0])
+        R_WS = self._data.xmat[self._body].reshape(3, 3)
+        poses = {geom: self._pose(geom, R_WS) for geom in self._shapes}
+        off = (np.abs(pose - self._poses.get(geom, np.inf)).max() for geom, pose in poses.items())
+        if max(off, default=0.0) < least:
+            return max(time - self._since, 0.0)
+        self._poses = poses
+        self._since = time
+        return 0.0
+
+    def _pose(self, geom: int, R_WS: Array) -> Array:
+        """Place (3,) m of a geom over the sensor, and its axes, as long as it reaches: (3, 4)."""
+        axes = R_WS.T @ self._data.geom_xmat[geom].reshape(3, 3)
+        place = self._in_sensor(self._data.geom_xpos[geom])
+        return np.column_stack([place, self._model.geom_rbound[geom] * axes])
+
+    def _touching(self) -> NDArray[np.bool_]:
+        """Which vertices touch something, (k,)."""
+        numbers = self._data.contact.geom - self._first
+        touching = np.zeros(len(self._sizes), dtype=bool)
+        touching[numbers[(numbers >= 0) & (numbers < len(self._sizes))]] = True
+        return touching
 
     def _goals(
         self, p_SV: Array, tensions: Callable[[], Array], pressure_gauge: float
