@@ -55,10 +55,15 @@ def source(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def wheel(source, tmp_path_factory):
-    """Built of the source distribution, not of the checkout."""
+    """Built of the source distribution, not of the checkout. The library that this processor runs
+    is the checkout's, which its set-up compiled of the same sources by the same command (its name
+    has their hash); the others are compiled here."""
     folder = tmp_path_factory.mktemp("wheel")
+    cache = tmp_path_factory.mktemp("cache")
+    (cache / "mjtactile").mkdir()
+    shutil.copy(build.library(), cache / "mjtactile")
     pip = (sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation")
-    run(*pip, "--wheel-dir", folder, source)
+    run(*pip, "--wheel-dir", folder, source, variables={"XDG_CACHE_HOME": str(cache)})
     (made,) = folder.iterdir()
     return made
 
@@ -146,15 +151,15 @@ def test_the_wheel_grasps_an_egg_in_a_fresh_environment(wheel, tmp_path):
     mjtactile = fresh / "bin" / "mjtactile"
     work = tmp_path / "work"
     work.mkdir()
-    run(sys.executable, "-m", "venv", fresh)
-    pip = (python, "-m", "pip", "--quiet", "--disable-pip-version-check", "install")
+    run(sys.executable, "-m", "venv", "--without-pip", fresh)
+    pip = (sys.executable, "-m", "pip", "--python", python)
+    install = (*pip, "--quiet", "--disable-pip-version-check", "install", "--no-deps")
     locked = [
         line
         for line in (CHECKOUT / "requirements.lock").read_text().splitlines()
         if not line.startswith(("#", *BUILD_ONLY))
     ]
-    run(*pip, "--no-compile", "--no-deps", *locked)
-    run(*pip, "--no-deps", wheel, cwd=work)
+    run(*install, "--no-compile", *locked, wheel, cwd=work)
     where, _ = run(python, "-c", "import mjtactile; print(mjtactile.__file__)", cwd=work)
     assert Path(where.strip()).is_relative_to(fresh)
     pages = json.loads(run(mjtactile, "docs", "--json", cwd=work)[0])
