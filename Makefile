@@ -4,7 +4,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help venv grasp bench film docs test test-all slow lint types contracts pytest sanitize wheels lock clean
+.PHONY: help venv grasp bench film docs first test test-all slow lint types contracts pytest sanitize wheels lock clean
 
 # The first of these that is Python 3.11 or newer; override with `make PYTHON=/path/to/python`.
 PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11 python; do \
@@ -12,6 +12,7 @@ PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11 p
 VENV := .venv
 BIN := $(VENV)/bin
 export OPENBLAS_NUM_THREADS ?= 1
+PYRIGHT = $(BIN)/pyright --warnings --level error --threads 2
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 OUT ?= runs/grasp
 ARGS ?=
@@ -38,32 +39,40 @@ docs: $(VENV)/.docs-ready  ## the documentation as a site, build/site/index.html
 # The tests are in two tiers. The first says within five minutes whether what users do works; the second has what takes long
 # to say, marked `slow`: a test that takes more than about 3 s, of a processor or of waiting, where a quicker one would notice
 # if the thing did not work at all. `clock` are those of emulated devices, which mostly wait: more of them at a time than there
-# are processors, and nothing that computes beside them, not even at the lowest priority: valves then answer late. A browser without
-# a graphics card wants two processors for itself.
+# are processors, and nothing that computes beside them, not even at the lowest priority: valves then answer late. So few of
+# the first tier's compute that they go eight at a time; whole rigs among them, seven. A browser without a graphics card wants
+# two processors for itself.
 # Each worker reads all files that it is given: those that have the mark are enough.
-FIRST = -m 'not slow and not clock and not browser'
-FIRST_CLOCK = -m 'clock and not slow and not browser' $(call marked,clock)
-SECOND = -m 'slow and not clock and not browser' $(call marked,slow)
-SECOND_CLOCK = -m 'slow and clock and not browser' $(call marked,clock)
+FIRST = -n 2 -m 'not slow and not clock and not browser'
+FIRST_CLOCK = -n 8 --dist loadgroup -m 'clock and not slow and not browser' $(call marked,clock)
+SECOND = -n 2 --dist loadgroup -m 'slow and not clock and not browser' $(call marked,slow)
+SECOND_CLOCK = -n 6 --dist loadgroup -m 'slow and clock and not browser' $(call marked,clock)
+BOTH_CLOCK = -n 7 --dist loadgroup -m 'clock and not browser' $(call marked,clock)
 marked = $(shell grep -rl --include='test_*.py' 'pytest\.mark\.$(1)' tests | sort)
 
-test: lint types contracts  ## lint, types, import contracts, and the tests of what users do (below 5 minutes)
-	$(BIN)/pytest -n 2 $(FIRST)
-	$(BIN)/pytest -n 6 --dist loadgroup $(FIRST_CLOCK)
+test: first  ## lint, types, import contracts, and the tests of what users do (below 5 minutes)
+	$(BIN)/pytest $(FIRST_CLOCK)
 	$(BIN)/pytest -n 0 tests/browser
 
-test-all: test slow  ## all that CI runs: `make test`, then the other tests (below 10 minutes)
+test-all: first  ## all that CI runs: `make test`, and the tests marked `slow` (below 10 minutes)
+	$(BIN)/pytest $(SECOND)
+	$(BIN)/pytest $(BOTH_CLOCK)
+	$(BIN)/pytest -n 0 tests/browser
 
 slow: $(VENV)/.test-ready  ## the tests that `make test` leaves out: long ones, and whole rigs of emulated hardware
-	$(BIN)/pytest -n 2 --dist loadgroup $(SECOND)
-	$(BIN)/pytest -n 6 --dist loadgroup $(SECOND_CLOCK)
+	$(BIN)/pytest $(SECOND)
+	$(BIN)/pytest $(SECOND_CLOCK)
+
+# Types beside the tests: pyright has one processor busy while it begins, pytest while it collects.
+first: lint contracts
+	$(PYRIGHT) & types=$$!; $(BIN)/pytest $(FIRST) || { kill $$types; exit 1; }; wait $$types
 
 lint: $(VENV)/.test-ready  ## style and likely bugs (ruff)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check --quiet . || { $(BIN)/ruff format --diff . | head -50; exit 1; }
 
 types: $(VENV)/.test-ready  ## types (pyright)
-	$(BIN)/pyright --warnings --level error --threads 2
+	$(PYRIGHT)
 
 contracts: $(VENV)/.test-ready  ## who may import whom (import-linter)
 	$(BIN)/lint-imports --no-cache

@@ -33,9 +33,9 @@ def pytest_addoption(parser):
 
 
 def seconds(item):
-    """About how long a test takes, if its mark says so: `slow(60)`."""
-    mark = item.get_closest_marker("slow")
-    return mark.args[0] if mark and mark.args else 0
+    """About how long a test takes, if one of its marks says so: `slow(60)`, `clock(10)`."""
+    marks = [item.get_closest_marker(name) for name in ("slow", "clock")]
+    return max(mark.args[0] if mark and mark.args else 0 for mark in marks)
 
 
 def longest_first(items, workers):

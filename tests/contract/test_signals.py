@@ -192,6 +192,7 @@ def test_a_host_that_stood_still_finds_what_it_held_and_sets_it_down(emulator, t
         assert running.recording().columns["state"][-1] == "latched"
 
 
+@pytest.mark.clock(15)
 def test_a_killed_host_leaves_it_to_the_watchdogs(emulator, tmp_path):
     (tmp_path / "rig.toml").write_text(rig_text(emulator))
     process = subprocess.Popen(

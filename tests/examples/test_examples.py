@@ -190,7 +190,7 @@ def test_calibrate_and_use_a_finger(capsys):
     assert np.nanmax(example.true) > 0.3 and "left finger calibrated" in capsys.readouterr().out
 
 
-@pytest.mark.clock
+@pytest.mark.clock(20)
 def test_my_camera_class_is_found_by_its_entry_point_and_drives_a_rig(tmp_path):
     """A package with nothing but the example and its entry point, installed into a folder of its
     own."""

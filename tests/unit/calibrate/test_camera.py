@@ -181,7 +181,7 @@ def test_live_views_are_taken_when_the_board_rests_somewhere_new():
     assert len(said) == 2
 
 
-@pytest.mark.clock
+@pytest.mark.clock(9)
 def test_live_through_a_stream(photos, tmp_path, capsys):
     """The driver of a network camera, the stream's JPEG, the guided choice of views: the same
     camera."""

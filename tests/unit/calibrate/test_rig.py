@@ -202,7 +202,7 @@ def hurry(monkeypatch):
         monkeypatch.setattr(live, name, value)
 
 
-@pytest.mark.clock
+@pytest.mark.clock(7)
 def test_backlash_and_zero_of_jaws_on_a_bus(hurry):
     with (
         servo_bench() as bench,
@@ -221,7 +221,7 @@ def test_backlash_and_zero_of_jaws_on_a_bus(hurry):
     assert not fit.reasons
 
 
-@pytest.mark.clock
+@pytest.mark.clock(7)
 def test_current_to_force_of_jaws_on_a_bus(hurry):
     with (
         servo_bench() as bench,
@@ -305,7 +305,7 @@ def test_recorded_step_through_the_command(tmp_path, capsys):
     assert "valid: vent, open, closed" in capsys.readouterr().err
 
 
-@pytest.mark.clock
+@pytest.mark.clock(12)
 def test_a_valve_on_a_pty(hurry):
     with valve_bench() as (port, _, _, chambers):
         boards, valves = connect_valves(valve_configs(port.path))

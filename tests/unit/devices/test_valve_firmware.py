@@ -163,6 +163,7 @@ def test_a_dead_host_and_a_second_one(host):
         assert is_near(host, 0.0)
 
 
+@pytest.mark.clock(13)
 def test_a_host_that_is_late_finds_its_chamber_sealed_and_one_that_is_gone_leaves_it_to_vent(host):
     board = ValveBoard([ValveConfig("left", host.path, heartbeat=0.2)], hold=1.5)
     board.set(1, 1000.0)
