@@ -13,12 +13,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.errors import InputError
 from mjtactile.core.sensor_parts import FrameShape
 from mjtactile.make import hardware as hw
 from mjtactile.make.hardware import BOLTS, PORTS, Bolt, Hardware, Port
 from mjtactile.make.limits import MM, Limit, check_all, limits_of
 
+_FLAT = 0.5  # mm of a wall beside the port's bore
 _SMALL = 25.0  # mm: openings below it get the smaller bolts
 
 
@@ -33,13 +33,6 @@ class Layout:
     @classmethod
     def of(cls, design: SensorDesign, hardware: Hardware, source: str) -> Layout:
         """Raises InputError naming the number that cannot be built and its limit."""
-        if design.frame.shape == FrameShape.POLYGON:
-            raise InputError(
-                "'polygon' can be simulated and felt with, but `mjtactile make` has no part for it",
-                source=source,
-                field="frame.shape",
-                choices=[str(shape) for shape in FrameShape if shape != FrameShape.POLYGON],
-            )
         check_all(limits_of(design, hardware), source)
         layout = cls(design, hardware)
         check_all(layout.limits(), source)
@@ -68,6 +61,16 @@ class Layout:
             f"pulls at each of {len(self.bolts)} bolts with more than {hw.BOLT_LOAD:g} N",
             high=1e-3 * hw.BOLT_LOAD * len(self.bolts) / self.design.frame.area,
         )
+
+    @property
+    def is_traced(self) -> bool:
+        """Whether the opening is drawn as a polygon of many corners."""
+        return self.design.frame.shape not in (FrameShape.RECTANGLE, FrameShape.ROUNDED)
+
+    @property
+    def flat(self) -> float:
+        """Half the width of the chamber's straight wall on the +x side, for the port."""
+        return self.port.radius + _FLAT
 
     @property
     def open_x(self) -> float:

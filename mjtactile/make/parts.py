@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 
+from mjtactile.core.sensor_parts import FrameShape
 from mjtactile.make import hardware as hw
 from mjtactile.make.layout import Layout
 from mjtactile.make.limits import MM
@@ -16,8 +17,8 @@ _LIGHT = (0.55, 0.60, 0.66)
 PEG = 1.25  # mm, radius of the stretching jig's pegs
 _JIG = 5.0
 _PEG_HEIGHT = 5.0
+_BACK = 0.01  # mm, of a chamber's wall with a flat behind the mouth: contours must not touch
 _PEG_SPACING = 9.0
-_FLAT = 0.5  # mm of a round opening's flat beside the port
 JAW_HOLE = 1.7  # mm, radius: M3
 CAMERA_HOLE = 1.1  # M2, clear
 
@@ -50,9 +51,15 @@ def flange(layout: Layout) -> Contour:
     return Contour(layout.outer_x, layout.outer_y, layout.bolt.head + 1)
 
 
+def mouth(layout: Layout) -> Contour:
+    """The membrane's outline, within the rim."""
+    return _outline(layout, 0.0)
+
+
 def opening(layout: Layout) -> Contour:
-    """The membrane's outline; where it is round, with a flat on the +x side for the port."""
-    return _outline(layout, 0.0, layout.port.radius + _FLAT)
+    """The chamber's wall behind the rim: the same, but where its +x side is not straight, with a
+    flat there for the port."""
+    return _outline(layout, _BACK, layout.flat) if layout.is_traced else mouth(layout)
 
 
 def rim_outer(layout: Layout, more: float = 0.0) -> Contour:
@@ -64,9 +71,9 @@ def rim_outer(layout: Layout, more: float = 0.0) -> Contour:
 def _outline(layout: Layout, by: float, flat: float = 0.0) -> Contour:
     """The contour `by` mm outside of the opening's outline."""
     frame = layout.design.frame
-    if frame.outline is not None and not frame.has_corners:
+    if layout.is_traced and frame.outline is not None:
         return Traced.around(frame.outline, by, flat)
-    radius = MM * frame.corner_radius if frame.has_corners else 0.0
+    radius = MM * frame.corner_radius if frame.shape == FrameShape.ROUNDED else 0.0
     return Contour(layout.open_x + by, layout.open_y + by, radius + by)
 
 
@@ -136,10 +143,11 @@ def _frame(layout: Layout) -> Part:
 def _frame_layer(layout: Layout, low: float, high: float) -> Layer:
     inner = opening(layout)
     groove = layout.groove
-    if groove is not None and groove[0] <= low and high <= groove[1]:
+    grooved = groove is not None and groove[0] <= low and high <= groove[1]
+    if grooved and groove is not None:
         inner = groove_outline(layout, groove[2])
     if high > layout.z_flange:
-        return plate(low, high, rim_outer(layout), [inner])
+        return plate(low, high, rim_outer(layout), [inner if grooved else mouth(layout)])
     return plate(low, high, flange(layout), [inner, *bolt_holes(layout)])
 
 

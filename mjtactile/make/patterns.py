@@ -15,7 +15,16 @@ from mjtactile.calibrate.camera import Board
 from mjtactile.core.design import SensorDesign
 from mjtactile.make.layout import Layout
 from mjtactile.make.limits import MM, marker_shrink
-from mjtactile.make.parts import PEG, bolt_holes, flange, groove_outline, led_places, opening, pegs
+from mjtactile.make.parts import (
+    PEG,
+    bolt_holes,
+    flange,
+    groove_outline,
+    led_places,
+    mouth,
+    opening,
+    pegs,
+)
 from mjtactile.make.sheets import Shape, Sheet, cross, line, page
 from mjtactile.make.solid import Contour, circle
 
@@ -74,7 +83,7 @@ def marker_pages(layout: Layout) -> list[Sheet]:
     check = [
         *(Shape("mark", "markers", contour=disc) for disc in markers(layout, mounted=True)),
         *_register(layout, 1.0),
-        Shape("mark", "frame", contour=opening(layout)),
+        Shape("mark", "frame", contour=mouth(layout)),
         Shape("faint", "flange", contour=flange(layout)),
     ]
     name = design.name
@@ -152,7 +161,7 @@ def fiducial_page(layout: Layout) -> Sheet | None:
         note = "white matte film: cut along red, in strips, glue to the rim's inner face"
         outlines = [
             Shape("cut", "lip", contour=groove_outline(layout, groove[2] - _FILM_PLAY)),
-            Shape("cut", "lip", contour=opening(layout)),
+            Shape("cut", "lip", contour=mouth(layout)),
         ]
     return page(
         f"{layout.design.name}: fiducials",

@@ -20,6 +20,7 @@ from mjtactile.core.outline import Outline
 from mjtactile.core.types import Array
 
 _APART = 1e-3  # mm
+_STRAIGHT = 5e-3  # mm: what an outline's harmonics leave of a straight side
 _CORNERS = 240  # of a polygon for an outline: 1 um off a circle of 30 mm
 
 
@@ -37,6 +38,11 @@ class Contour:
     @property
     def area(self) -> float:
         return 4 * self.hx * self.hy - (4 - math.pi) * self.r**2
+
+    @property
+    def east(self) -> tuple[float, float]:
+        """Its farthest point along x."""
+        return self.x + self.hx, self.y
 
     @property
     def is_circle(self) -> bool:
@@ -91,8 +97,8 @@ class Contour:
 
 @dataclass(frozen=True)
 class Traced(Contour):
-    """A convex polygon about the origin, counter-clockwise, in place of an outline that is neither
-    rectangle nor circle; its farthest points along x are on the axis.
+    """A convex polygon around the origin, counter-clockwise, in place of an outline that is no
+    rectangle; `x`, `y`, `hx`, `hy` are those of the box around it.
 
     Attributes:
         points: (x, y) of each corner, mm.
@@ -108,18 +114,34 @@ class Traced(Contour):
         along = np.roll(at, -1, axis=0) - np.roll(at, 1, axis=0)
         along /= np.linalg.norm(along, axis=1, keepdims=True)
         at = at + by * np.column_stack([along[:, 1], -along[:, 0]])
-        half = np.abs(at).max(axis=0)
         if flat:
-            ends = [(half[0], -flat), (half[0], flat)]
-            at = np.concatenate([at, ends])
-            at = at[ConvexHull(at).vertices]  # counter-clockwise
-            at = at[np.hypot(*(at - [half[0], 0.0]).T) > 1e-9]
-        return cls(*half.tolist(), points=tuple((float(x), float(y)) for x, y in at))
+            end = at[:, 0].max()
+            on_side = at[:, 0] > end - _STRAIGHT
+            y = [*at[on_side, 1], -flat, flat]
+            at = np.concatenate([at[~on_side], [(end, min(y)), (end, max(y))]])
+        at = at[ConvexHull(at).vertices]  # counter-clockwise
+        low, high = at.min(axis=0), at.max(axis=0)
+        middle = (low + high) / 2
+        half = (high - low) / 2
+        return cls(
+            hx=float(half[0]),
+            hy=float(half[1]),
+            x=float(middle[0]),
+            y=float(middle[1]),
+            points=tuple((float(x), float(y)) for x, y in at),
+        )
 
     @property
     def area(self) -> float:
         x, y = np.array(self.points).T
         return float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
+
+    @property
+    def east(self) -> tuple[float, float]:
+        """Of a straight side there its middle."""
+        at = np.array(self.points)
+        x = at[:, 0].max()
+        return float(x), float(at[at[:, 0] == x, 1].mean())
 
     @property
     def is_circle(self) -> bool:

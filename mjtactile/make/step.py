@@ -204,15 +204,15 @@ def _differences(solid: Layer | None, free: Layer | None) -> list[tuple[Contour,
     bounds = dict.fromkeys(contour for contour, _ in only_mine + only_theirs)
 
     def covered(contour: Contour, inward: float) -> bool:
-        x = contour.x + contour.hx - inward
-        y = contour.y
+        x, y = contour.east
+        x -= inward
         return solid.holds(x, y) and not (free is not None and free.holds(x, y))
 
     sides = {contour: (covered(contour, _NUDGE), covered(contour, -_NUDGE)) for contour in bounds}
     outers = [contour for contour, (inside, outside) in sides.items() if inside and not outside]
     faces: dict[Contour, list[Contour]] = {outer: [] for outer in outers}
     for hole in (contour for contour, (inside, outside) in sides.items() if outside and not inside):
-        around = [outer for outer in outers if outer.distance(hole.x + hole.hx, hole.y) < 0]
+        around = [outer for outer in outers if outer.distance(*hole.east) < 0]
         faces[min(around, key=lambda outer: outer.area)].append(hole)
     return list(faces.items())
 
