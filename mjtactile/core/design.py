@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -108,9 +109,9 @@ class SensorDesign:
         """Depth by which the glass brings the scene nearer on the camera's axis, t (1 - 1/n), m."""
         return self.glass.thickness * (1 - 1 / self.glass.refractive_index)
 
-    @property
+    @cached_property
     def chamber_volume_flat(self) -> float:
-        """Gas volume with a flat membrane, m^3."""
+        """Gas volume with a flat membrane, m^3; asked several times an image."""
         volume = self.frame.area * self.chamber.depth + self.chamber.extra_volume
         return volume if self.fiducials is None else volume + self.fiducials.volume(self)
 

@@ -9,6 +9,7 @@ first, the markers are taken back by their mean, and what is left in doubt are t
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,10 +92,11 @@ class CameraFinder:
         turn = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False)
         ring = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(_AROUND)])
         self._ring = fiducials.radius * ring
+        self._unmoved = self._outlines(np.eye(3), np.zeros(3))
         self._modes = self._responses()
         # from the picture's middle, px
-        nothing = self._outlines(np.eye(3), np.zeros(3))
-        self._far = float(np.hypot(nothing[:, 0] - camera.cx, nothing[:, 1] - camera.cy).mean())
+        away = self._unmoved[:, :2] - [camera.cx, camera.cy]
+        self._far = float(np.hypot(away[:, 0], away[:, 1]).mean())
 
     def find(self, now: FiducialsSeen, rest: FiducialsSeen) -> CameraSeen | None:
         """What has changed since `rest`.
@@ -108,17 +110,19 @@ class CameraFinder:
         """
         if np.array_equal(now.ids, rest.ids):  # nearly always, and it costs a tenth
             ids = now.ids
-            here = there = np.arange(len(ids))
+            here: Array | slice = slice(None)
+            there: Array | slice = slice(None)
         else:
             ids, here, there = np.intersect1d(
                 now.ids, rest.ids, assume_unique=True, return_indices=True
             )
         if len(ids) < self._own.fewest:
             return None
-        shown = np.column_stack([now.center_px, now.radius_px])[here]
-        before = np.column_stack([rest.center_px, rest.radius_px])[there]
-        darker = np.nan_to_num(np.log(now.inside[here] / now.outside[here]))
-        darker -= np.nan_to_num(np.log(rest.inside[there] / rest.outside[there]))
+        shown = np.concatenate([now.center_px, now.radius_px[:, None]], axis=1)[here]
+        before = np.concatenate([rest.center_px, rest.radius_px[:, None]], axis=1)[there]
+        then = rest.inside[there] / rest.outside[there]
+        darker = np.log(now.inside[here] / now.outside[here] / then)
+        darker[~np.isfinite(darker)] = 0.0
         rows = self._modes[ids].copy()
         rows[:, 2, _LEVELS] = self._s.drift_levels * darker
         # place and size of a circle are independent, nearly
@@ -129,23 +133,22 @@ class CameraFinder:
         px = _middle(np.hypot(moved[:, 0], moved[:, 1]))
         likely = self._likely(px)
         outlier = self._own.outlier
-        mean, root, misfit = _solve(weighted, weight * moved, likely, outlier)
+        mean, covariance, misfit = _solve(weighted, weight * moved, likely, outlier)
         if px > _LINEAR_PX:
             moved = self._left(mean, ids, shown, before, rows) + rows @ mean
-            mean, root, misfit = _solve(weighted, weight * moved, likely, outlier)
-        root = self._by_curve(mean, root, float(np.abs(darker).mean()))
+            mean, covariance, misfit = _solve(weighted, weight * moved, likely, outlier)
+        covariance[_SIZE, _SIZE] += self._by_curve(mean, float(np.abs(darker).mean())) ** 2
+        root = np.linalg.cholesky(covariance)
         return CameraSeen(mean, root, self._change(mean, now, rest, here, there, misfit))
 
-    def _by_curve(self, mean: Array, root: Array, darker: float) -> Array:
-        """The same factor `root` (K, K) where circles grew as levels changed, by `darker` on the
-        average: markers have other levels and another blur, and grew by a part of it more or
-        less."""
+    def _by_curve(self, mean: Array, darker: float) -> float:
+        """Sd of the circles' growth, in its mode's, where they grew as levels changed, by `darker`
+        on the average: markers have other levels and another blur, and grew by a part of it more
+        or less."""
         s = self._s
         grown = s.drift_size * float(mean[_SIZE])
         by_levels = s.drift_levels * float(mean[_LEVELS]) * darker
-        doubt = np.zeros((len(root), 1))
-        doubt[_SIZE] = self._own.curve_share * np.hypot(grown, by_levels) / s.drift_size
-        return np.linalg.cholesky(root @ root.T + doubt @ doubt.T)
+        return self._own.curve_share * math.hypot(grown, by_levels) / s.drift_size
 
     def picture(self, mean: Array) -> PictureChange:
         """What of a camera's change `mean` (K,) is one of its picture."""
@@ -179,8 +182,7 @@ class CameraFinder:
         """What `mean` leaves unexplained of circles (n, 3) px that are `shown` and were `before`,
         without any linearisation but that of levels."""
         picture = self.picture(mean)
-        nothing = self._outlines(np.eye(3), np.zeros(3))
-        then = before + (self._outlines(*self._motion(mean)) - nothing)[ids]
+        then = before + (self._outlines(*self._motion(mean)) - self._unmoved)[ids]
         levels = rows[:, 2, _LEVELS] * mean[_LEVELS]
         radius = (shown[:, 2] - levels - picture.grown) / (1 + picture.scale)
         return np.column_stack([picture.undone(shown[:, :2]), radius]) - then
@@ -206,7 +208,7 @@ class CameraFinder:
         s = self._s
         size = s.drift_size
         found = np.zeros((len(self._p_CF), 3, KNOWN_MODES))
-        nothing = self._outlines(np.eye(3), np.zeros(3))
+        nothing = self._unmoved
         for k, axis in enumerate(np.eye(3)):
             aside = self._outlines(np.eye(3), _STEP * s.knock_place * axis)
             turned = self._outlines(
@@ -235,8 +237,8 @@ class CameraFinder:
         mean: Array,
         now: FiducialsSeen,
         rest: FiducialsSeen,
-        here: Array,
-        there: Array,
+        here: Array | slice,
+        there: Array | slice,
         misfit: float,
     ) -> CameraChange:
         s = self._s
@@ -260,33 +262,35 @@ class CameraFinder:
             gamma=tone.gamma,
             black=tone.black,
             blur_px=float(np.copysign(np.sqrt(abs(more)), more)),
-            seen=len(here),
+            seen=len(blur),
             misfit=misfit,
         )
 
 
 def _solve(rows: Array, moved: Array, likely: Array, outlier: float) -> tuple[Array, Array, float]:
-    """Mean, lower factor of the covariance, and misfit of modes with weighted `rows` (n, 3, K) and
+    """Mean, covariance, and misfit of modes with weighted `rows` (n, 3, K) and
     sds `likely` (K,) that explain `moved` (n, 3), robustly: a fiducial `outlier` times farther off
     than the others counts for little."""
     n, _, K = rows.shape
-    turned = rows.transpose(0, 2, 1)
-    of_each = (turned @ rows).reshape(n, -1)
-    seen_each = (turned @ moved[:, :, None])[..., 0]
-    prior = np.diag(likely**-2)
+    flat = rows.reshape(-1, K)
+    moves = moved.ravel()
     weight = np.ones(n)
+    covariance = np.diag(likely**2)
     for _ in range(_ROUNDS):
-        normal = (weight @ of_each).reshape(K, K) + prior
-        mean = np.linalg.solve(normal, weight @ seen_each)
-        left = moved - rows @ mean
-        square = (left * left).sum(axis=1) / 3
+        weighted = flat * np.repeat(weight, 3)[:, None]
+        normal = weighted.T @ flat
+        normal.ravel()[:: K + 1] += likely**-2
+        covariance = np.linalg.inv(normal)
+        mean = covariance @ (moves @ weighted)
+        left = moves - flat @ mean
+        square = np.square(left).reshape(n, 3).sum(axis=1) / 3
         usual = max(_middle(square), 1.0)
         if square.max() < _BELONGS * outlier * usual and weight.min() > _BELONGS:
             break
         weight = 1 / (1 + np.square(square / (outlier * usual)))
     misfit = float(weight @ square / weight.sum())
-    covariance = np.linalg.inv(normal) * max(misfit, 1.0)
-    return mean, np.linalg.cholesky(covariance), misfit
+    covariance *= max(misfit, 1.0)
+    return mean, covariance, misfit
 
 
 def _middle(values: Array) -> float:
