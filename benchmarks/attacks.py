@@ -113,10 +113,14 @@ KINDS = (
         ("tests/unit/devices/test_camera_driver.py",),
     ),
     Kind(
-        "signals, a host that is killed or stands still, a stopped terminal, a full disk while "
-        "an egg is held",
+        "signals, a host that is killed or stands still, a stopped terminal, a full disk, a "
+        "controller that eats the memory while something is held",
         "set down, torque off, chambers vented, the recording can be read",
-        ("tests/contract/test_signals.py", "tests/contract/test_red_button.py"),
+        (
+            "tests/contract/test_signals.py",
+            "tests/contract/test_red_button.py",
+            "tests/contract/test_push_and_memory.py",
+        ),
         quick=False,
     ),
 )

@@ -45,7 +45,6 @@ SOME = [
     (INT, "twice, 30 ms", "hold"),
     (HUP, "six", "lift"),
     (XCPU, "each second", "hold"),
-    (TERM, "six", "references"),
     (INT, "twice, 50 ms", "connecting"),
 ]
 ALL = os.environ.get("MJTACTILE_SIGNALS") == "all"

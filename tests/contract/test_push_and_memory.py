@@ -1,0 +1,58 @@
+"""On the emulated rig, as a person has it: a board with wings is squeezed until they lean on the
+fingers' frames, which no membrane feels; then the controller eats the memory."""
+
+import json
+import sys
+
+import pytest
+
+from mjtactile.core.design import load_sensor
+from mjtactile.emulator.process import EmulatorProcess
+from mjtactile.rig.file import load_rig_file
+from tests.emulated_host import host, shipped_with
+
+pytestmark = pytest.mark.clock
+
+# where its wings meet the frames' rims, 20 to 23 mm from the middle, bulges of 2.8 mm are pressed in
+# by 1 mm on 16 x 16 mm, which takes chambers of 24 mL to 2.4 kPa: the valves vent at 3
+BOARD = """<mujoco model="board"><custom><numeric name="break_force_N" data="50"/>
+<text name="material" data="solid"/></custom><worldbody><body name="object" pos="0 0 0.031">
+<freejoint/>
+<geom type="box" size="0.015 0.008 0.008" mass="0.005"/>
+<geom type="box" size="0.0168 0.004 0.031" pos="0 0.0245 0" mass="0.005"/>
+<geom type="box" size="0.0168 0.004 0.031" pos="0 -0.0245 0" mass="0.005"/>
+</body></worldbody></mujoco>"""
+SQUEEZED = 1.0  # s: the watch wants 0.3 s, after the jaws have got there
+GREEDY = f"""
+def _hold(observation, command, felt):
+    if command.memory["phase_time"] > {SQUEEZED}:
+        return [0.0] * (2 << 30)
+    return replace(command, opening=observation.gripper.opening - 0.01, force_limit=6.0)
+
+
+def _unused("""
+
+
+@pytest.mark.slow(40)
+@pytest.mark.skipif(sys.platform != "linux", reason="no limit of a process's memory elsewhere")
+def test_servos_that_push_a_frame_are_said_and_a_step_that_eats_the_memory_is_refused(tmp_path):
+    path = tmp_path / "board.xml"
+    path.write_text(BOARD)
+    emulator = EmulatorProcess(
+        load_rig_file("emulated"), load_sensor("paper16"), object_name=str(path)
+    )
+    text = shipped_with("gentle", CLOSING_SPEED=0.045, SETTLE_TIME=0.1, TARGET_FORCE=0.35)
+    text = text.replace("def _hold(", GREEDY)
+    try:
+        with host(emulator, tmp_path, text) as running:
+            output, errors = running.ends()
+            assert running.process.returncode == 2, errors
+            assert "step() raised MemoryError" in errors.splitlines()[-1]
+            running.has_set_down()
+            recording = running.recording()
+    finally:
+        emulator.close()
+    assert recording.columns["state"][-1] == "latched"
+    # N: the servos are told 6, of which membranes pressed in by 1.3 mm feel about 1
+    said = json.loads(output)["flags"]["beyond"]
+    assert 2.0 < float(said.split("carry ")[1].split(" N")[0]) < 8.0, said
