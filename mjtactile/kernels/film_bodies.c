@@ -13,6 +13,7 @@
 #define FLANK 2.0
 #define MOST_APPROACHES 50
 #define NEAR 1e-13 /* m */
+#define TIP 1e-12  /* m */
 #define LANES 4
 #define LEVEL 1e-12 /* of a plane's normal, below which a line goes along it */
 
@@ -122,13 +123,13 @@ static int cone(const FilmBody *b, const Line *line, double *t, double *n) {
     double found = INFINITY, t_part, n_part[3];
     const double a = d[0] * d[0] + d[1] * d[1] - w2 * d[2] * d[2], h = o[0] * d[0] + o[1] * d[1] - w2 * o[2] * d[2];
     const double c = o[0] * o[0] + o[1] * o[1] - w2 * o[2] * o[2], inside = h * h - a * c;
-    if (inside >= 0)
+    if (inside >= -LEVEL * h * h)
         for (int sign = -1; sign <= 1; sign += 2) {
-            t_part = fabs(a) > 1e-14 ? (-h + sign * sqrt(inside)) / a : -c / (2 * h);
-            double z = o[2] + t_part * d[2];
-            if (!(z >= 0 && z <= b->sizes[1])) continue;
+            t_part = fabs(a) > 1e-14 ? (-h + sign * sqrt(most(inside, 0))) / a : -c / (2 * h);
+            const double z = o[2] + t_part * d[2];
+            if (!(z >= -TIP && z <= b->sizes[1])) continue; /* rounding leaves a tip on either side */
             n_part[0] = o[0] + t_part * d[0], n_part[1] = o[1] + t_part * d[1], n_part[2] = -w2 * z;
-            if (z < 1e-12) n_part[2] = -1;
+            if (z < TIP) n_part[2] = -1;
             keep_lower(t_part, n_part, &found, n);
         }
     if (!end_disc(b->sizes[1], 1, b->sizes[0], line, &t_part, n_part)) keep_lower(t_part, n_part, &found, n);

@@ -10,6 +10,7 @@
 #define THIN 5              /* places looked at on each side of a node for what is thinner than the spacing */
 #define BEHIND 1.5          /* spacings */
 #define BEHIND_UNSEEN 0.2
+#define BEHIND_TIP 0.65     /* a cone of 45 degrees, whose force is a third too small at worst, is up to 0.6; steeper ones slip aside */
 #define LEAN_OVER 0.3      /* spacings */
 #define HALF_A_CELL 0.55    /* of a spacing: nodes have moved apart */
 #define NEAREST_EDGE 0.95   /* of a spacing */
@@ -354,7 +355,7 @@ static double least_height(const Film *f, const double *x, const Seen *seen, con
 }
 
 /* How far a body is behind the sheet over a place in the cell of node `k`, where the sheet is flat. */
-static int is_behind(const Film *f, const Bodies *bodies, const double *x, const Seen *seen, long k, double at_x, double at_y) {
+static int is_behind(const Film *f, const Bodies *bodies, const double *x, const Seen *seen, long k, double at_x, double at_y, double behind) { /* `behind`: spacings */
     const long corners[4] = {k, k + 1, k + f->line, k + f->line + 1};
     double height, slope[2], z = 0;
     int touches = 0;
@@ -364,7 +365,7 @@ static int is_behind(const Film *f, const Bodies *bodies, const double *x, const
             const long near = k + i * f->line + j;
             touches |= near >= 0 && near < f->count && seen->touching[near];
         }
-    const double much = (touches ? BEHIND : BEHIND_UNSEEN) * most(f->dx, f->dy);
+    const double much = (touches ? behind : BEHIND_UNSEEN) * most(f->dx, f->dy);
     if (is_one_convex(bodies) && z - least_height(f, x, seen, corners, at_x, at_y) <= much) return 0;
     if (lowest(f, bodies, at_x, at_y, &height, slope)) return 0;
     return z - height > much;
@@ -377,7 +378,7 @@ int goes_through(const Film *f, const Bodies *bodies, const double *x, const See
             const long k = i * f->line + j, corners[4] = {k, k + 1, k + f->line, k + f->line + 1};
             double at[2] = {(i + 0.5) * f->dx - f->numbers.length_x / 2, (j + 0.5) * f->dy - f->numbers.length_y / 2};
             for (int c = 0; c < 4; c++) at[0] += x[corners[c]] / 4, at[1] += x[count + corners[c]] / 4;
-            if (is_behind(f, bodies, x, seen, k, at[0], at[1])) return 1;
+            if (is_behind(f, bodies, x, seen, k, at[0], at[1], BEHIND)) return 1;
         }
     for (long b = 0; b < bodies->count; b++) { /* and at a body's own ends */
         const FilmBody *one = body_of(bodies, b);
@@ -386,7 +387,8 @@ int goes_through(const Film *f, const Bodies *bodies, const double *x, const See
             const double at[2] = {one->p[0] + end * half * one->R[2], one->p[1] + end * half * one->R[5]};
             const double i = floor((at[0] + f->numbers.length_x / 2) / f->dx), j = floor((at[1] + f->numbers.length_y / 2) / f->dy);
             if (i < 0 || j < 0 || i > f->columns - 2 || j > f->rows - 2) continue;
-            if (is_behind(f, bodies, x, seen, (long)i * f->line + (long)j, at[0], at[1])) return 1;
+            const double tip = BEHIND_TIP + f->numbers.half_thickness / most(f->dx, f->dy), behind = one->kind == BODY_CONE ? tip : BEHIND;
+            if (is_behind(f, bodies, x, seen, (long)i * f->line + (long)j, at[0], at[1], behind)) return 1;
         }
     }
     return 0;

@@ -218,3 +218,16 @@ def test_nothing_that_cannot_be_is_taken(film):
         film.solve(film.obstacle("plane", p_SO=(0, 0, -1e-3)))
     with pytest.raises(InputError, match="nodes"):
         film.solve(film.obstacle("heights", data=np.zeros((5, 5))))
+
+
+@pytest.mark.parametrize("at", [(0.0, 0.0), (7e-4, 3e-4)])
+@pytest.mark.parametrize("wide", [2e-3, 0.67e-3])
+def test_a_cone_too_steep_for_the_grid_is_refused_and_not_missed(at, wide):
+    # straight above its tip rounding left nothing of it, and the force was zero, converged
+    film = Film("dense", (21, 16), 1000.0)
+    for tip in (1e-3, 2e-3):
+        cone = film.obstacle("cone", (wide, 6e-3), (*at, tip))
+        off = tip - film.design.membrane.thickness / 2
+        assert film.heights_of(cone, [at]) == pytest.approx(off, abs=1e-9)
+        with pytest.raises(InputError, match=r"goes through|break down"):
+            film.solve(cone)
