@@ -9,7 +9,7 @@
   belief in friction grows slowly, so that the grip loosens. The jaws go at once to where a larger
   grip is, by a stiffness that is measured; what is left after DELAY is regulated.
 - **The table and other hands.** Shear that goes, and comes again from the other side, is the
-  table: the thing stands, let go. Shear that changes otherwise and stays so is somebody who pulls.
+  table: let go. Shear that changes otherwise, and stays so, is somebody who pulls.
 
 `step` is pure: its memory is `Command.memory`. It knows no clock, nor which way is down.
 """
@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.hold import Belief, Load, Spring, Trial, weigh
+from mjtactile.hold import Belief, Frames, Load, Spring, Trial, weigh
 from mjtactile.types import Command, Observation
 
 FORCE_MOST, FORCE_LEAST = 2.2, 0.18  # N on each finger that it asks for; it closes to the least
@@ -35,8 +35,7 @@ LIFT_SPEED, WEIGH_SPEED, PLACE_SPEED = 0.030, 0.003, 0.010
 WEIGH_HEIGHT = 0.003  # m, over which it lifts slowly: the load comes on by itself
 TIGHTEN_SPEED, LOOSEN_SPEED = 0.015, 0.003  # faster where it must hold than to spare
 FORCE_TOLERANCE = 0.06  # N around the target that counts as settled
-# s; STOP_TIME that the rig lets the jaws close no further: they are at their own stop
-SETTLE_TIME, GRIP_TIMEOUT, STOP_TIME = 0.25, 6.0, 0.3
+SETTLE_TIME, GRIP_TIMEOUT, STOP_TIME = 0.25, 6.0, 0.3  # s; the last: the jaws get no further
 BLIND_TIME_MAX, LOST_TIME = 0.5, 0.3  # s without a usable image, or a touch, before giving up
 TABLE_FORCE = 0.03  # N, upward, over all fingers, beside half of the weight: it stands
 SEARCH = 0.030  # m below where it shall be set down that the table is looked for
@@ -51,6 +50,7 @@ START = {f"{clock}_time": 0.0 for clock in CLOCKS} | {
     "load": asdict(Load()),
     "spring": asdict(Spring()),
     "belief": asdict(Belief(FRICTION_FIRST)),
+    "frames": asdict(Frames()),
     "trial": asdict(Trial(FRICTION_FIRST)),
 }
 
@@ -72,8 +72,7 @@ def step(observation: Observation) -> Command:
     command = _remember(command, blind_time=0.0, lost_time=lost_time)
     if command.phase in ("lift", "hold", "lower"):
         if lost_time > LOST_TIME:
-            command = replace(command, reason="what was gripped stayed behind")
-            return _release_now(command, lost=1.0)
+            return _release_now(replace(command, reason="what was gripped stayed behind"), lost=1.0)
         command = grip_as_needed(observation, command)
     return _PHASES[command.phase](observation, command, felt)
 
@@ -96,7 +95,7 @@ def _remember(command: Command, **values) -> Command:
 
 
 def _kept(kind: Any, command: Command) -> Any:
-    """The `Belief`, `Load`, `Spring` or `Trial` of the image before."""
+    """The `Belief`, `Frames`, `Load`, `Spring` or `Trial` of the image before."""
     kept: Any = command.memory[kind.__name__.lower()]
     return kind(**kept)
 
@@ -108,9 +107,10 @@ def grip_as_needed(observation: Observation, command: Command) -> Command:
     belief = _kept(Belief, command).after(touch, observation.period)
     worst = hypot(load.worst, observation.told.push / len(touch))
     asked = min(FORCE_MOST, max(FORCE_LEAST, MARGIN * worst / belief.friction))
-    target = asked * _kept(Trial, command).grip
-    found = {"target": target, "load": asdict(load), "belief": asdict(belief)}
-    return _remember(command, **found, mass=load.mass, mass_sd=weigh(touch).sd)
+    frames = _kept(Frames, command).after(touch, observation.gripper.effort, observation.period)
+    target = min(asked, max(FORCE_LEAST, frames.most)) * _kept(Trial, command).grip
+    found = {"load": asdict(load), "belief": asdict(belief), "frames": asdict(frames)}
+    return _remember(command, target=target, **found, mass=load.mass, mass_sd=weigh(touch).sd)
 
 
 def _regulated(observation: Observation, command: Command, felt: list[float]) -> Command:

@@ -1,6 +1,6 @@
 """What a hand can know of the thing that it holds, from what its fingers feel; for any controller
 (`felt`: of one moment; `follow`: the test for slip; `belief`,
-`load`, `spring` and `trial`: friction, load and stiffness, from image to image)."""
+`frames`, `load`, `spring` and `trial`: friction, load and stiffness, from image to image)."""
 
 from mjtactile.hold.belief import Belief
 from mjtactile.hold.felt import (
@@ -18,6 +18,7 @@ from mjtactile.hold.felt import (
     weigh,
 )
 from mjtactile.hold.follow import Following, follows
+from mjtactile.hold.frames import Frames
 from mjtactile.hold.load import Load
 from mjtactile.hold.spring import Spring
 from mjtactile.hold.trial import Trial
@@ -27,6 +28,7 @@ __all__ = [
     "GRAVITY",
     "Belief",
     "Following",
+    "Frames",
     "Friction",
     "Load",
     "Spring",

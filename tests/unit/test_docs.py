@@ -296,6 +296,7 @@ SAID_ONCE = {
     r"(\d+ of \d+) grasps": "grasps held",
     r"(\d+ of \d+)(?: injected)? faults": "faults of the emulated rig",
     r"false alarms in (\d+ %) of holds": "holds with a false alarm",
+    r"detected in time in (\d+ %) of all cases": "slips detected before 0.5 mm",
 }
 
 

@@ -239,3 +239,26 @@ def test_what_is_pushed_over_its_place_does_not_hide_the_load():
     hangs = (touch(0.0, -0.1, 0.4), touch(0.0, -0.1, 0.4))
     load = hold.Load().standing(stands).hanging(hangs).after(hangs, 1 / 30)
     assert load.mass == pytest.approx(0.2 / 9.81)
+
+
+@pytest.mark.parametrize(
+    ("effort", "time", "most"),
+    [
+        (4.0, 0.4, 0.8),  # frames carry 3 of 4 N: what is felt, less a fifth
+        (4.0, 0.1, math.inf),  # jaws that are stopped push for a moment
+        (2.5, 0.4, math.inf),  # 30 % of 2.5 N are the current's error, gears take as much as 1 N
+        (math.nan, 0.4, math.inf),
+    ],
+)
+def test_no_harder_grip_is_of_use_where_the_jaws_push_on_frames(effort, time, most):
+    felt = [touch(0.0, -0.2, normal) for normal in (0.9, 1.1)]
+    frames = hold.Frames()
+    for _ in range(round(30 * time)):
+        frames = hold.Frames(**asdict(frames.after(felt, effort, 1 / 30)))
+    if math.isinf(most):
+        assert frames.most > 10.0
+        return
+    assert frames.most == pytest.approx(most)
+    for _ in range(30):  # a second in which nothing is said of frames
+        frames = frames.after(felt, 1.0, 1 / 30)
+    assert frames.most == pytest.approx(most * math.exp(0.05), rel=0.01)  # it grows by 5 % a second
