@@ -42,7 +42,7 @@ class Film:
     """A sensor's sheet as a film. Makes no state: `solve` takes one and gives one.
 
     `x` (nx,) and `y` (ny,) are the nodes' places on the mounted flat sheet, m, the frame's among
-    them; `rest` is where it rests without a touch.
+    them, `spacing` the wider of theirs; `rest` is where it rests without a touch.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class Film:
         sides = (frame.length, frame.width)
         depths = (sheet.thickness / 2, chamber.depth)
         stretch = sheet.pre_stretch**2
-        self._spacing = max(float(line[1] - line[0]) for line in (self.x, self.y))
+        self.spacing = max(float(line[1] - line[0]) for line in (self.x, self.y))
         self._numbers = np.array([*sides, *self.grid, stretch, *law, *tensions, *gas, *depths])
         self._room = np.empty(kernel("film_room")(self._numbers))
         self._kept = np.empty(kernel("film_kept")(self._numbers), np.float32)
@@ -163,7 +163,7 @@ class Film:
         trend = np.zeros((4, *self.grid)) if start.trend is None else start.trend.copy()
         settings = np.array([self._gas, self.sealed, TOLERANCE, _MOST_STEPS, 1.0, 0.0])
         self._run(settings, rows, pool, (x, force, trend, found))
-        return _judged(FilmState(x, force, found, trend, (self._spacing, listed)))
+        return _judged(FilmState(x, force, found, trend, (self.spacing, listed)))
 
     def solve_batch(
         self,
@@ -225,7 +225,7 @@ class Film:
             for what is round and eight spacings wide, up to 0.25, at a cone's tip 0.4, on nodes
             2 mm apart. Shallow contacts of few nodes are in `FilmState.doubt` as well.
         """
-        return doubt(_listed(obstacles), self._spacing)
+        return doubt(_listed(obstacles), self.spacing)
 
     def fine_enough(self, obstacles: Obstacle | Sequence[Obstacle], within: float = 0.03) -> Film:
         """Find a film of this sensor on a grid that is as fine as what presses it wants.
@@ -243,7 +243,7 @@ class Film:
             same object each time. States are of their own film's grid.
         """
         listed = _listed(obstacles)
-        enough = (by for by in REFINED if doubt(listed, self._spacing / by) <= within)
+        enough = (by for by in REFINED if doubt(listed, self.spacing / by) <= within)
         by = next(enough, REFINED[-1])
         if by == 1:
             return self

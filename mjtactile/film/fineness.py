@@ -13,12 +13,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mjtactile.film.bodies import Obstacle
+from mjtactile.core.types import Array
+from mjtactile.film.bodies import KINDS, Obstacle
 
 REFINED = (1.0, 1.5, 2.0, 3.0, 4.0)  # times as fine, of grids that are tried
 SPACING = 2e-3  # m, of the grid that the table is of; on finer ones it falls in proportion
-_TIP = 0.4
-_EDGED, _AT_EDGES = {"box", "cylinder", "disc", "wedge", "mesh"}, 0.07
+_CONE, _QUADRIC = KINDS["cone"][0], KINDS["quadric"][0]
+_EDGED = {KINDS[kind][0] for kind in ("box", "cylinder", "disc", "wedge", "mesh")}
+_TIP, _AT_EDGES = 0.4, 0.07
 # Widths over spacing, from which on 9 of 10 forces are within a share.
 _SHARES = ((8.0, 0.03), (4.0, 0.06), (3.0, 0.07), (2.0, 0.14), (0.0, 0.25))
 # The same of contacts by the number of nodes that touch, on any grid.
@@ -35,7 +37,12 @@ def doubt(obstacles: Sequence[Obstacle], spacing: float) -> float:
     Returns:
         The share; of no bodies 0.
     """
-    return max((_share(one, spacing) for one in obstacles), default=0.0) * (spacing / SPACING)
+    return doubt_of_rows([one.numbers for one in obstacles], spacing)
+
+
+def doubt_of_rows(rows: Sequence[Array] | Array, spacing: float) -> float:
+    """The same of bodies' numbers (k, NUMBERS) as the kernel takes them."""
+    return max((_share(row, spacing) for row in rows), default=0.0) * (spacing / SPACING)
 
 
 def doubt_of_few(nodes: int) -> float:
@@ -43,17 +50,17 @@ def doubt_of_few(nodes: int) -> float:
     return next(share for least, share in _FEW if nodes >= least)
 
 
-def _share(one: Obstacle, spacing: float) -> float:
-    if one.kind == "cone":
+def _share(row: Array, spacing: float) -> float:
+    if row[0] == _CONE:
         return _TIP
-    wide = _width(one) / spacing
+    wide = _width(row) / spacing
     share = next(share for least, share in _SHARES if wide >= least)
-    return max(share, _AT_EDGES) if one.kind in _EDGED else share
+    return max(share, _AT_EDGES) if row[0] in _EDGED else share
 
 
-def _width(one: Obstacle) -> float:
+def _width(row: Array) -> float:
     """How wide, m, a body is where it is thinnest; of a bowl, twice its least radius."""
-    if one.kind != "quadric":
-        return float(one.numbers[18])
-    curvature = float(np.max(one.numbers[1:3]))
+    if row[0] != _QUADRIC:
+        return float(row[18])
+    curvature = float(np.max(row[1:3]))
     return 2 / curvature if curvature > 0 else np.inf

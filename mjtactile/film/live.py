@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from mjtactile.core.types import Array
 from mjtactile.film import bodies
 from mjtactile.film.film import Film
+from mjtactile.film.fineness import doubt_of_rows
 from mjtactile.film.state import AREA, FOUND, PRESSURE, STATUS, TENSION, VOLUME, WRENCH, Status
 from mjtactile.kernels import bound, kernel
 
@@ -112,6 +113,15 @@ class LiveFilm:
         given = (len(self.rows), self.rows, pooled, self.pool, len(places), places)
         kernel("film_heights")(self.numbers, *given, heights)
         return max(-float(heights.min()), 0.0)
+
+    def doubt(self) -> float:
+        """Share of the force within which 9 of 10 presses are, by the narrowest body whose reach is
+        over the frame and below the sheet's top (`mjtactile.film.fineness`)."""
+        film, rows = self.film, self.rows
+        place, reach = rows[:, 13:16], rows[:, 19]
+        over = (np.abs(place[:, :2]) - reach[:, None] < (film.x[-1], film.y[-1])).all(axis=1)
+        near = over & (place[:, 2] - reach < film.rest.heights.max())
+        return doubt_of_rows(rows[near], film.spacing)
 
     @property
     def volume(self) -> float:

@@ -36,6 +36,15 @@ def test_force_and_pressure_are_those_of_the_mesh(at):
     assert gauge[1] == pytest.approx(gauge[0], rel=0.012)
 
 
+@pytest.mark.parametrize(("radius", "narrow"), [(0.008, False), (0.0015, True)])
+def test_what_is_narrow_for_the_grid_is_flagged(radius, narrow):
+    world = PressWorld(DENSE, Indenter("sphere", radius), effects=FILM)
+    world.inflate(1000.0, seal=True)
+    assert "feature" not in world.sensors[0].flags()  # not before it touches
+    assert world.press(0.5e-3)
+    assert ("25 %" in world.sensors[0].flags().get("feature", "")) is narrow
+
+
 def test_what_presses_meets_what_the_film_bears():
     world = pressed(FILM, 2e-3, shear=1e-4)
     # at rest the drive carries all of it; its own springs still settle, by 0.03 mN

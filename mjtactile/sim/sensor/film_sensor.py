@@ -364,12 +364,9 @@ class FilmSensor(SheetSensor):
         lost = int(self._memory[_LOST])
         if lost > _LATE:
             flags["film"] = f"the film found no rest for {lost} steps: {self._reason()}"
-        below = self._live.below_rim() if self._memory[_NEAR] else 0.0
-        if below > 0:
-            flags["rim"] = (
-                f"what touches lies on the frame's rim ({1e3 * below:.2f} mm below the sheet's "
-                "middle there): what the sheet bears on it is the frame's, not the film's"
-            )
+        if self._memory[_NEAR]:
+            narrow = self._live.doubt() if self.is_touched else 0.0
+            flags |= limits.film_flags(self._live.below_rim(), narrow)
         if self._memory[_NEAR] > 1:
             flags["bodies"] = (
                 "several bodies are near one film, which takes all that touches it for one of "

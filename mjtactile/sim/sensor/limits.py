@@ -30,6 +30,7 @@ WRINKLED = 0.01  # share of the sheet under compression
 SLACKEST = 0.95
 _BENDING = 0.05  # share of the bulge's stiffness
 _THICKEST = 0.1  # of the frame's shorter side
+_NARROW = 0.1  # share of a film's force: squares and discs are within, rods as thin as a cell not
 
 
 def check_design(design: SensorDesign, mesh: tuple[int, int]) -> None:
@@ -116,5 +117,22 @@ def sheet_flags(
         flags["wrinkles"] = (
             f"{share:.0%} of the sheet is under compression, where a real one wrinkles: shape "
             "and force are those of a sheet that cannot; use pre_stretch above 1 or more pressure"
+        )
+    return flags
+
+
+def film_flags(below_rim: float, doubt: float) -> Flags:
+    """Flags of a film: what is `below_rim` m where the frame bears it, and the share of the force
+    by which what is narrow for its grid may be off."""
+    flags: Flags = {}
+    if below_rim > 0:
+        flags["rim"] = (
+            f"what touches lies on the frame's rim ({1e3 * below_rim:.2f} mm below the sheet's "
+            "middle there): what the sheet bears on it is the frame's, not the film's"
+        )
+    if doubt > _NARROW:
+        flags["feature"] = (
+            "what is near is narrow for the film's grid: 9 of 10 forces are within "
+            f"{100 * doubt:.0f} %; mjtactile.Film on a finer grid says more"
         )
     return flags

@@ -32,7 +32,7 @@ def test_a_rod_is_held_with_the_fine_film_s_force_within_what_is_said(film):
 
 def test_doubt_is_of_the_narrowest_and_falls_with_the_grid(film):
     ball, blade = film.obstacle("sphere", (8e-3,)), film.obstacle("box", (2e-4, 6e-3, 5e-3))
-    assert film.doubt(ball) == pytest.approx(0.03 * film._spacing / 2e-3)
+    assert film.doubt(ball) == pytest.approx(0.03 * film.spacing / 2e-3)
     assert film.doubt([ball, blade]) == film.doubt(blade) > 0.2
     assert film.doubt(()) == 0.0
     bowl = film.obstacle("quadric", (500.0, 100.0, 5e-3))  # as narrow as a ball of 2 mm
