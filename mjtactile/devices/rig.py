@@ -103,12 +103,7 @@ def build_device_rig(
             cameras.append(load_backend(CAMERAS, camera.backend)(camera))
             closers.append(getattr(cameras[-1], "close", lambda: None))
         signals.check()
-        if pace.slow() != 1 and not rig_file.bus.port.startswith(_EMULATED):
-            raise InputError(
-                f"{rig_file.bus.port}: only emulated devices can be slow",
-                source=rig_file.path,
-                field="--slow",
-            )
+        _check_pace(rig_file)
         boards, valves = connect_valves(rig_file.valves, rig_file.hold)
         closers.extend(board.close for board in boards)
         signals.check()
@@ -138,6 +133,15 @@ def build_device_rig(
         close=lambda: close_all(closers),
         host_timeout=rig_file.bus.host_timeout,
     )
+
+
+def _check_pace(rig_file: RigFile) -> None:
+    if pace.slow() != 1 and not rig_file.bus.port.startswith(_EMULATED):
+        raise InputError(
+            f"{rig_file.bus.port}: only emulated devices can be slow",
+            source=rig_file.path,
+            field="--slow",
+        )
 
 
 def _pressure_range(rig_file: RigFile, boards: Sequence[ValveBoard]) -> tuple[float, float] | None:

@@ -67,37 +67,35 @@ def evaluate(
             run, and for a folder that holds another evaluation.
         DeviceError: When a worker was killed: what had ended is kept, and `resume` goes on.
     """
-    files = _files(scenario, controllers, objects)
     options = {
         "count": count,
         "controllers": list(controllers),
         "objects": list(objects),
         "shard": list(shard),
         "scenario": _common(scenario),
-        **({} if only is None else {"only": sorted(only)}),
     }
-    kept = store.Store(folder, store.manifest(options, files), resume=resume)
+    if only is not None:
+        options["only"] = sorted(only)
+    manifest = store.manifest(options, _files(scenario, controllers, objects))
+    kept = store.Store(folder, manifest, resume=resume)
     episodes = plan(scenario, count, controllers, objects, shard=shard)
     if only is not None:
         episodes = [episode for episode in episodes if episode.index in set(only)]
-    done = {(line["controller"], line["episode"]) for line in kept.lines}
     if record:
-        episodes = [
-            replace(episode, recording=str((folder / RECORDINGS / episode.name).absolute()))
-            for episode in episodes
-        ]
+        episodes = [_recorded(episode, folder) for episode in episodes]
+    done = {(line["controller"], line["episode"]) for line in kept.lines}
     missing = [episode for episode in episodes if (episode.controller, episode.index) not in done]
     if done:
         say(f"{len(episodes) - len(missing)} of {len(episodes)} episodes are there already")
-    run_all(
-        missing,
-        kept,
-        Pool(backend, system.processors() if workers is None else workers, scheduler),
-        say,
-        run_one,
-    )
+    pool = Pool(backend, system.processors() if workers is None else workers, scheduler)
+    run_all(missing, kept, pool, say, run_one)
     kept.finish()
     return summarise(kept.lines)
+
+
+def _recorded(episode: Episode, folder: Path) -> Episode:
+    """The episode, to be recorded beside the results."""
+    return replace(episode, recording=str((folder / RECORDINGS / episode.name).absolute()))
 
 
 def write_report(folder: Path, worst_count: int, say: Say = lambda _: None) -> Path:

@@ -175,23 +175,7 @@ def build_replay_rig(
         InputError: When it cannot be replayed with this sensor design.
     """
     recording = load_recording(folder)
-    if (
-        len(recording) == 0
-        or "start_opening" not in recording.notes
-        or len(recording.references) != 2
-    ):
-        raise InputError(
-            "cannot be replayed: it has no cycles, or was made without its reference images",
-            source=folder,
-        )
-    recording.require_images()
-    recorded = recording.header.get("design")
-    if recorded is not None and recorded != design.name:
-        raise InputError(
-            f"was recorded with sensor {recorded!r}, not {design.name!r}",
-            source=folder,
-            field="--sensor",
-        )
+    _require_replayable(recording, design, folder)
     tape = Tape(recording)
     width = recording.width
     count = recording.valve_count
@@ -224,6 +208,24 @@ def build_replay_rig(
         simulated=recording.notes.get("simulated", {}),
         flags=lambda: recording.flags,
     )
+
+
+def _require_replayable(recording: Recording, design: SensorDesign, folder: str) -> None:
+    """Raise InputError for a recording that lacks what a run needs, or is of another sensor."""
+    has_cycles = len(recording) > 0 and "start_opening" in recording.notes
+    if not has_cycles or len(recording.references) != 2:
+        raise InputError(
+            "cannot be replayed: it has no cycles, or was made without its reference images",
+            source=folder,
+        )
+    recording.require_images()
+    recorded = recording.header.get("design")
+    if recorded is not None and recorded != design.name:
+        raise InputError(
+            f"was recorded with sensor {recorded!r}, not {design.name!r}",
+            source=folder,
+            field="--sensor",
+        )
 
 
 def build(request: RigRequest) -> Rig:

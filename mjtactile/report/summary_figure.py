@@ -82,26 +82,35 @@ def write_figure(
             axes.set_title(
                 f"the scene at t = {snapshot.time:.2f} s, and the forces felt", fontsize=11
             )
-        unit = arrow_unit(snapshot.touch)
         for finger, name in enumerate(recording.fingers[:fingers]):
-            image = snapshot.images[finger]
             column = columns - fingers + finger
-            if isinstance(image, Felt):
-                _draw_felt(figure.add_subplot(grid[:, column]), snapshot.touch[finger], name)
-                continue
-            axes = figure.add_subplot(grid[0, column])
-            _draw_image(axes, image, find_ellipses(image), f"camera of {name}")
-            touch = snapshot.touch[finger]
-            axes = figure.add_subplot(grid[1, column], projection="3d", computed_zorder=False)
-            draw_surface(axes, touch, unit)
-            if touch.shape is not None and touch.surface is not None:
-                _draw_body(axes, touch.shape, scene, finger)
+            _draw_finger(figure, grid[:, column], snapshot, finger, name, scene)
     below = figure.add_gridspec(1, 1, top=0.3, bottom=0.045, **sides)
     _draw_forces(figure.add_subplot(below[0]), recording, snapshot)
     part = path.with_name(path.name + ".part")
     # a third of the default's time
     figure.savefig(part, format="png", pil_kwargs={"compress_level": 3})
     part.replace(path)
+
+
+def _draw_finger(
+    figure: Any, place: Any, snapshot: CycleLike, finger: int, name: str, scene: View | None
+) -> None:
+    """One finger's image above its surface in `place`, a column of a grid; without an image, its
+    touch alone."""
+    image = snapshot.images[finger]
+    touch = snapshot.touch[finger]
+    if isinstance(image, Felt):
+        _draw_felt(figure.add_subplot(place), touch, name)
+        return
+    grid = place.get_gridspec()
+    column = place.colspan.start
+    axes = figure.add_subplot(grid[0, column])
+    _draw_image(axes, image, find_ellipses(image), f"camera of {name}")
+    axes = figure.add_subplot(grid[1, column], projection="3d", computed_zorder=False)
+    draw_surface(axes, touch, arrow_unit(snapshot.touch))
+    if touch.shape is not None and touch.surface is not None:
+        _draw_body(axes, touch.shape, scene, finger)
 
 
 def import_matplotlib() -> tuple[Any, Any]:

@@ -85,7 +85,7 @@ class ControllerThread:
     """
 
     def __init__(self, controller: Stepper, limit: float):
-        self._controller = controller
+        self.controller = controller
         self._limit = limit
         self._patience = max(limit, _FIRST_TIME)
         self._questions: queue.SimpleQueue[Observation | None] = queue.SimpleQueue()
@@ -122,14 +122,14 @@ class ControllerThread:
     def _work(self) -> None:
         while (observation := self._questions.get()) is not None:
             try:
-                self._answers.put(self._controller.step(observation).checked())
+                self._answers.put(self.controller.step(observation).checked())
             except ControllerError as error:
                 self._answers.put(error)
             except BaseException as error:  # noqa: BLE001  # a bad Command, or no controller file
                 self._answers.put(
                     ControllerError(
                         f"step() raised {type(error).__name__}: {error}",
-                        source=self._controller.path,
+                        source=self.controller.path,
                         field="step",
                     )
                 )
@@ -138,7 +138,7 @@ class ControllerThread:
         """What to say of a step that does not return; it is also asked to end, so that it takes no
         more computing time."""
         thread = self._thread.ident or 0
-        path = self._controller.path
+        path = self.controller.path
         frame = sys._current_frames().get(thread)
         line = _line(path, traceback.extract_stack(frame)) if frame is not None else None
         ctypes.pythonapi.PyThreadState_SetAsyncExc(

@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time as wall
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from mjtactile.core import headroom
@@ -72,43 +72,54 @@ def run_loop(
         perceivers = Perceivers(perceptions, names, threads, busy=rig.scene is not None)
     else:
         perceivers = pool.at_work(perceptions, names)
-    patience = min(_STEP_SHARE * rig.host_timeout, WAIT_TIME)
     # of a simulated world, which waits, nothing is lost
     is_real = math.isfinite(rig.host_timeout)
     memory = headroom.limited() if is_real else contextlib.nullcontext(lambda: None)
     with (
-        ControllerThread(controller, patience) as guarded,
+        ControllerThread(controller, min(_STEP_SHARE * rig.host_timeout, WAIT_TIME)) as guarded,
         perceivers as perceiving,
         memory as limit_memory,
     ):
-        cycle = ControlCycle.begin(
-            rig, perceiving, supervisor or Supervisor(rig.period), observer or Observer()
-        )
-        start = deadline = cycle.now
-        while not cycle.supervisor.is_over:
-            if stop.at_once:
-                raise Interrupted
-            if stop.asked:
-                cycle.give_up(Interrupted())
-            elif rig.clock.now() - start > time_limit:
-                cycle.give_up(_too_late(controller, cycle.last, time_limit))
-            elif _has_landed(cycle):
-                break
-            # A cycle that was missed is not made up for; one that began early, with its picture,
-            # counts from then.
-            now = rig.clock.now()
-            deadline = min(max(deadline, now - rig.period), now) + rig.period
-            try:
-                _turn(cycle, guarded, deadline)
-            except MemoryError:
-                _make_room(cycle)
-            limit_memory()  # not before the first step, which may import
-            rig.clock.wait_until(deadline)
+        supervisor = supervisor or Supervisor(rig.period)
+        cycle = ControlCycle.begin(rig, perceiving, supervisor, observer or Observer())
+        _turn_until_over(cycle, guarded, stop, limit_memory, time_limit)
     if cycle.failure is not None:
         raise cycle.failure
     if cycle.last.phase not in ENDS:
         raise SafeStop(f"stopped safely: {cycle.supervisor.reason}")
     return cycle.last
+
+
+def _turn_until_over(
+    cycle: ControlCycle,
+    guarded: ControllerThread,
+    stop: Stop,
+    limit_memory: Callable[[], None],
+    time_limit: float,
+) -> None:
+    """Cycle after cycle, each a period after the one before, until the supervisor says that it is
+    over or the hand has landed."""
+    rig = cycle.rig
+    start = deadline = cycle.now
+    while not cycle.supervisor.is_over:
+        if stop.at_once:
+            raise Interrupted
+        if stop.asked:
+            cycle.give_up(Interrupted())
+        elif rig.clock.now() - start > time_limit:
+            cycle.give_up(_too_late(guarded.controller, cycle.last, time_limit))
+        elif _has_landed(cycle):
+            break
+        # A cycle that was missed is not made up for; one that began early, with its picture,
+        # counts from then.
+        now = rig.clock.now()
+        deadline = min(max(deadline, now - rig.period), now) + rig.period
+        try:
+            _turn(cycle, guarded, deadline)
+        except MemoryError:
+            _make_room(cycle)
+        limit_memory()  # not before the first step, which may import
+        rig.clock.wait_until(deadline)
 
 
 def _has_landed(cycle: ControlCycle) -> bool:

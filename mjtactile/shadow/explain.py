@@ -165,11 +165,7 @@ def explain(
     checked.sort(key=lambda one: -one.explains)
     best = checked[0]
     linear = next(one for one in tried if one.cause is best.tried.cause)
-    is_named = (
-        best.explains >= _LEAST_EXPLAINED
-        and linear.explains >= _LEAST_EXPLAINED
-        and (linear.cause.spread > 0 or 1 - linear.explains <= _LESS_LEFT * allowed[""]["left"])
-    )
+    is_named = _is_named(best, linear, allowed[""]["left"])
     alike = [one.tried for one in checked[1:] if best.explains - one.explains < _ALIKE]
     return Shadow(
         there,
@@ -193,6 +189,13 @@ class _Checked:
     tried: Tried
     signals: Signals
     explains: float
+
+
+def _is_named(best: _Checked, linear: Tried, left: float) -> bool:
+    """Whether a cause explains enough to be named: simulated, and by its slope; `left` is the share
+    that stays unexplained by what is usual."""
+    explains = min(best.explains, linear.explains) >= _LEAST_EXPLAINED
+    return explains and (linear.cause.spread > 0 or 1 - linear.explains <= _LESS_LEFT * left)
 
 
 def _checked(

@@ -127,26 +127,9 @@ def attach_membrane(
         mesh = default_mesh(design) if Effect.SHEET in on else FILM_GRID
     check_options(spec.option, source="attach")
     limits.check_design(design, mesh)
-    if contact not in ("auto", *features.CONTACT_MODELS):
-        raise InputError(
-            f"{contact!r} is not a contact model",
-            source="attach",
-            field="contact",
-            choices=["auto", *features.CONTACT_MODELS],
-        )
+    _check_contact(contact)
     target = _site(spec, site)
-    if not prefix:
-        raise InputError(
-            "must not be empty: MuJoCo cannot save such a model", source="attach", field="prefix"
-        )
-    if spec.body(prefix + BODY) is not None or any(
-        flex.name == prefix + FLEX for flex in spec.flexes
-    ):
-        raise InputError(
-            f"{prefix!r} is taken: the scene has a body {prefix + BODY!r}",
-            source="attach",
-            field="prefix",
-        )
+    _check_prefix(spec, prefix)
     grid = make_mesh(design.frame.length, design.frame.width, *mesh, outline=design.frame.outline)
     child = mujoco.MjSpec()
     body = child.worldbody.add_body(name=BODY)
@@ -169,6 +152,30 @@ def attach_membrane(
     except ValueError as error:
         raise InputError(" ".join(str(error).split()), source="attach", field="site") from error
     return Attachment(design, grid, prefix, contact, on)
+
+
+def _check_contact(contact: str) -> None:
+    if contact not in ("auto", *features.CONTACT_MODELS):
+        raise InputError(
+            f"{contact!r} is not a contact model",
+            source="attach",
+            field="contact",
+            choices=["auto", *features.CONTACT_MODELS],
+        )
+
+
+def _check_prefix(spec: mujoco.MjSpec, prefix: str) -> None:
+    if not prefix:
+        raise InputError(
+            "must not be empty: MuJoCo cannot save such a model", source="attach", field="prefix"
+        )
+    is_taken = any(flex.name == prefix + FLEX for flex in spec.flexes)
+    if is_taken or spec.body(prefix + BODY) is not None:
+        raise InputError(
+            f"{prefix!r} is taken: the scene has a body {prefix + BODY!r}",
+            source="attach",
+            field="prefix",
+        )
 
 
 def default_mesh(design: SensorDesign) -> tuple[int, int]:

@@ -359,8 +359,3 @@ class DynamixelGripper:
                 with contextlib.suppress(DeviceError):
                     self._refresh()
                     self._poll_one()
-
-    def reports(self) -> list[ServoReport]:
-        """What each servo says about itself, for `mjtactile doctor`."""
-        with self._lock:
-            return [read_report(self.bus, servo.id) for servo in self._servos.values()]

@@ -228,46 +228,9 @@ def _write_meta(
         pa.Table.from_pylist([dict(row) for row in rows]),
         meta / "episodes/chunk-000/file-000.parquet",
     )
-    table = pa.table(
-        {"task_index": pa.array(range(len(tasks)), pa.int64()), "task": pa.array(tasks)}
-    )
-    pandas = {
-        "index_columns": ["task"],
-        "column_indexes": [],
-        "creator": {"library": "pyarrow", "version": pa.__version__},
-        "columns": [
-            {
-                "name": name,
-                "field_name": name,
-                "pandas_type": kind,
-                "numpy_type": own,
-                "metadata": None,
-            }
-            for name, kind, own in (("task_index", "int64", "int64"), ("task", "unicode", "object"))
-        ],
-    }
-    pq.write_table(
-        table.replace_schema_metadata({"pandas": json.dumps(pandas)}), meta / "tasks.parquet"
-    )
+    _write_tasks(meta / "tasks.parquet", tasks)
     write_json(meta / "stats.json", statistics.combine(stats))
-    infos = {key: feature.info() for key, feature in features.items()}
-    for info in infos.values():
-        if info["dtype"] == "video":
-            height, width, _ = info["shape"]
-            info["info"] = {
-                "video.height": height,
-                "video.width": width,
-                "video.codec": "h264",
-                "video.pix_fmt": "yuvj420p",
-                "video.is_depth_map": False,
-                "video.fps": fps,
-                "video.channels": 1,
-                "has_audio": False,
-            }
-    infos |= {
-        name: {"dtype": "float32" if name == "timestamp" else "int64", "shape": [1], "names": None}
-        for name in INDEX
-    }
+    infos = _infos(features, fps)
     moving = any(info["dtype"] == "video" for info in infos.values())
     write_json(
         meta / "info.json",
@@ -291,3 +254,52 @@ def _write_meta(
         meta / "mjtactile.json",
         {"columns": meanings(), "episodes": [episode.facts for episode in episodes]},
     )
+
+
+def _write_tasks(path: Path, tasks: Sequence[str]) -> None:
+    """The table of tasks, whose index is their text, as pandas writes it."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    table = pa.table(
+        {"task_index": pa.array(range(len(tasks)), pa.int64()), "task": pa.array(tasks)}
+    )
+    pandas = {
+        "index_columns": ["task"],
+        "column_indexes": [],
+        "creator": {"library": "pyarrow", "version": pa.__version__},
+        "columns": [
+            {
+                "name": name,
+                "field_name": name,
+                "pandas_type": kind,
+                "numpy_type": own,
+                "metadata": None,
+            }
+            for name, kind, own in (("task_index", "int64", "int64"), ("task", "unicode", "object"))
+        ],
+    }
+    pq.write_table(table.replace_schema_metadata({"pandas": json.dumps(pandas)}), path)
+
+
+def _infos(features: Mapping[str, Feature], fps: int) -> dict[str, Any]:
+    """What info.json says of each column."""
+    infos = {key: feature.info() for key, feature in features.items()}
+    for info in infos.values():
+        if info["dtype"] == "video":
+            height, width, _ = info["shape"]
+            info["info"] = {
+                "video.height": height,
+                "video.width": width,
+                "video.codec": "h264",
+                "video.pix_fmt": "yuvj420p",
+                "video.is_depth_map": False,
+                "video.fps": fps,
+                "video.channels": 1,
+                "has_audio": False,
+            }
+    infos |= {
+        name: {"dtype": "float32" if name == "timestamp" else "int64", "shape": [1], "names": None}
+        for name in INDEX
+    }
+    return infos

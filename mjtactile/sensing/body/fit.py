@@ -229,6 +229,15 @@ def begin(
     return At(theta, batch[0], heights, residual, cost)
 
 
+def _step(J: Array, at: At, sd: Array, prior: Prior, damping: float) -> tuple[Array, float]:
+    """One damped Gauss-Newton step from `at`, in sd, and by how much it should lower the cost."""
+    gradient = J.T @ at.residual + prior.precision @ (at.theta / sd - prior.mean)
+    normal = J.T @ J
+    H = normal + prior.precision + damping * np.diag(np.diag(normal) + 1e-3)
+    step = -np.linalg.solve(H, gradient)
+    return step, float(-(gradient @ step))
+
+
 def refine(
     forward: Forward,
     family: Family,
@@ -267,12 +276,8 @@ def refine(
     for count in range(rounds):
         if count >= _TRIED and at.cost > _HOPELESS * (known + len(at.residual)):
             break
-        J = data.root @ slopes.heights[data.ids]
-        gradient = J.T @ at.residual + prior.precision @ (at.theta / sd - prior.mean)
-        normal = J.T @ J
-        H = normal + prior.precision + damping * np.diag(np.diag(normal) + 1e-3)
-        step = -np.linalg.solve(H, gradient)
-        if -(gradient @ step) < _SETTLED:
+        step, promised = _step(data.root @ slopes.heights[data.ids], at, sd, prior, damping)
+        if promised < _SETTLED:
             break
         new = begin(forward, family, hint, at.theta + step * sd, data, prior, at.state)
         if new is None or new.cost > at.cost:

@@ -231,17 +231,8 @@ class InverseMembrane(MarkedSheet):
         state = self._state(c, rest)
         ids = markers.ids
         _, stiffness = self.sheet.linearise(state, rest.gas)
-        excess = np.zeros((2, len(ids))) if before is None else before.excess[:, ids]
-        distrust = np.sqrt(
-            np.maximum(1.0, excess / [[self.settings.excess], [self.settings.slope_excess]])
-        )
-        noise = markers.cov_p + self.settings.marker_floor**2 * np.eye(3)
-        weights = np.linalg.inv(np.linalg.cholesky(noise)) / distrust[0, :, None, None]
-        slope_weights = np.zeros(len(ids))
-        tilts = None
-        if self._slopes is not None:
-            slope_weights = self._slopes.weights(markers, c) / distrust[1]
-            tilts = self._slopes.rows(c, ids) * slope_weights[:, None, None]
+        distrust = self._distrust(ids, before)
+        weights, slope_weights, tilts = self._weights(c, markers, distrust)
         prior = self.prior.first() if before is None else self.prior.after(before.traction)
         prior *= np.tile(self._density, 3)
         pressure, load = self._gas_drift(state, rest, self._known.gas_lost if lost else None)
@@ -290,6 +281,26 @@ class InverseMembrane(MarkedSheet):
             modes,
             np.eye(len(known) - 1) - known[1:, 1:],
         )
+
+    def _weights(
+        self, c: Array, markers: Markers, distrust: Array
+    ) -> tuple[Array, Array, Array | None]:
+        """One over the sd of each marker's place (n, 3, 3) and slope (n,), and what the slopes tell
+        of the sheet, so weighted; None: they are not looked at."""
+        noise = markers.cov_p + self.settings.marker_floor**2 * np.eye(3)
+        weights = np.linalg.inv(np.linalg.cholesky(noise)) / distrust[0, :, None, None]
+        if self._slopes is None:
+            return weights, np.zeros(len(markers.ids)), None
+        slope_weights = self._slopes.weights(markers, c) / distrust[1]
+        rows = self._slopes.rows(c, markers.ids)
+        return weights, slope_weights, rows * slope_weights[:, None, None]
+
+    def _distrust(self, ids: NDArray[np.int64], before: Shape | None) -> Array:
+        """By how much the sd of each marker's place and slope is raised (2, n), where the image
+        before did not explain them."""
+        excess = np.zeros((2, len(ids))) if before is None else before.excess[:, ids]
+        usual = [[self.settings.excess], [self.settings.slope_excess]]
+        return np.sqrt(np.maximum(1.0, excess / usual))
 
     def _camera_modes(
         self, p_SM: Array, changed: Array, camera: CameraBelief | CameraSeen

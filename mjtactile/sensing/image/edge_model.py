@@ -23,25 +23,7 @@ def model(pixels: Pixels, theta: Array, J: NDArray, small: bool) -> NDArray:
     `small`: markers whose curvature is felt beyond the first order, see `_blurred_disc`. To first
     order, the blur along a curved edge shifts it by kappa sigma^2/2.
     """
-    cu, cv, p, q, s, inside, outside, gx, gy, sigma = theta.T
-    det = 1 / (p * s - q * q)
-    table = np.stack(
-        [
-            cu,
-            cv,
-            s * det,
-            -q * det,
-            p * det,
-            det * det,
-            inside - outside,
-            outside,
-            gx,
-            gy,
-            1 / sigma,
-            sigma,
-        ]
-    )
-    cu, cv, ip, iq, js, det2, step, outside, gx, gy, sharp, sigma = pixels.spread(table)
+    cu, cv, ip, iq, js, det2, step, outside, gx, gy, sharp, sigma = pixels.spread(_numbers(theta))
     dx = pixels.x - cu
     dy = pixels.y - cv
     # on the unit circle at the edge
@@ -79,6 +61,15 @@ def model(pixels: Pixels, theta: Array, J: NDArray, small: bool) -> NDArray:
     slope *= sharp
     _fill(J, slope, (mx, my), (ex, ey), F, light, flat, (dx, dy), tail)
     return light * flat
+
+
+def _numbers(theta: Array) -> Array:
+    """What the pixels of a marker share (12, n): centre, inverse shape, its determinant's square,
+    the edge's height, the level outside, the light's gradient, one over the blur, the blur."""
+    cu, cv, p, q, s, inside, outside, gx, gy, sigma = theta.T
+    det = 1 / (p * s - q * q)
+    shape = (s * det, -q * det, p * det, det * det)
+    return np.stack([cu, cv, *shape, inside - outside, outside, gx, gy, 1 / sigma, sigma])
 
 
 def _fill(

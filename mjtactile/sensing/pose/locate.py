@@ -123,18 +123,7 @@ def find_circles(
     Raises:
         InputError: The image, the radius, or an option is none.
     """
-    if neighbours not in ("auto", "always", "never"):
-        raise InputError(
-            f"{neighbours!r}",
-            source="locate",
-            field="neighbours",
-            choices=("auto", "always", "never"),
-        )
-    low, high = GAMMAS
-    if gamma != "auto" and not (isinstance(gamma, int | float) and low <= gamma <= high):
-        raise InputError(
-            f"{gamma!r}", source="locate", field="gamma", choices=("auto", f"{low:g} to {high:g}")
-        )
+    _check_options(neighbours, gamma)
     grey = grey_image(plain_grey(image))
     assumed = 1.0 if gamma == "auto" else float(gamma)
     search = partial(
@@ -155,12 +144,34 @@ def find_circles(
         gamma=said,
         nonlinear=nonlinear,
     )
-    size_sd = settings.locate.size_sd if overexposed else 0.0
-    if nonlinear or assumed == said.value:
-        size_sd = np.hypot(size_sd, said.size_doubt(assumed, settings.gamma))
+    return _with_size_doubt(found, settings)
+
+
+def _check_options(neighbours: str, gamma: object) -> None:
+    """Raise InputError for an option that is none."""
+    if neighbours not in ("auto", "always", "never"):
+        raise InputError(
+            f"{neighbours!r}",
+            source="locate",
+            field="neighbours",
+            choices=("auto", "always", "never"),
+        )
+    low, high = GAMMAS
+    if gamma != "auto" and not (isinstance(gamma, int | float) and low <= gamma <= high):
+        raise InputError(
+            f"{gamma!r}", source="locate", field="gamma", choices=("auto", f"{low:g} to {high:g}")
+        )
+
+
+def _with_size_doubt(found: Located, settings: Settings) -> Located:
+    """What was found, with the covariance of a size that clipping or an unknown gamma may have
+    changed."""
+    size_sd = settings.locate.size_sd if found.overexposed else 0.0
+    if found.nonlinear or found.assumed == found.gamma.value:
+        size_sd = np.hypot(size_sd, found.gamma.size_doubt(found.assumed, settings.gamma))
     if not size_sd:
         return found
-    doubt = _doubtful_size(found.poses, ellipses, float(size_sd))
+    doubt = _doubtful_size(found.poses, found.ellipses, float(size_sd))
     return replace(
         found,
         poses=replace(found.poses, cov_p=found.poses.cov_p + doubt),

@@ -72,7 +72,21 @@ def add_membrane(
     the free sheet, and integrates over l^2 times the free sheet's area. The product leaves l^2 (see
     `SensorDesign.membrane.pretension`).
     """
-    sheet = design.membrane
+    names = _add_vertices(body, design.membrane, mesh)
+    _add_flex(spec, design.membrane, mesh, names)
+    # The chamber: a fixed tendon over the vertices' z joints, whose coefficients become dV/dz at
+    # run time (chamber.py). MuJoCo's time for a tendon grows with the square of its joints: all
+    # three axes are nine times as dear, for nothing.
+    tendon = spec.add_tendon(name=TENDON)
+    tendon.stiffness = [1.0, 0.0, 0.0]
+    tendon.springlength = [0.0, 0.0]
+    for v in mesh.interior:
+        tendon.wrap_joint(f"{names[v]}z", 1.0)
+
+
+def _add_vertices(body: mujoco.MjsBody, sheet: Membrane, mesh: MembraneMesh) -> list[str]:
+    """A body with three slides and a sphere for each vertex that moves. Returns the name of every
+    vertex's body; those of the rim are the sensor's own."""
     names = [BODY] * len(mesh.p_SV)
     mass = mesh.areas * sheet.thickness * sheet.density / sheet.pre_stretch**2
     damping = mesh.areas * SURFACE_DAMPING * sheet_stiffness(sheet)
@@ -94,6 +108,11 @@ def add_membrane(
                 armature=armature[v],
             )
         _add_contact_sphere(vertex, names[v], sheet.thickness / 2, sheet.friction)
+    return names
+
+
+def _add_flex(spec: mujoco.MjSpec, sheet: Membrane, mesh: MembraneMesh, names: list[str]) -> None:
+    """The rubber, with what of it may touch switched off."""
     flex = spec.add_flex(name=FLEX)
     flex.dim = 2
     flex.radius = sheet.thickness / 2
@@ -116,14 +135,6 @@ def add_membrane(
     flex.friction = [sheet.friction, 0.005, 0.0001]
     flex.solimp = SOLIMP
     flex.rgba = [0.92, 0.92, 0.9, 1.0]
-    # The chamber: a fixed tendon over the vertices' z joints, whose coefficients become dV/dz at
-    # run time (chamber.py). MuJoCo's time for a tendon grows with the square of its joints: all
-    # three axes are nine times as dear, for nothing.
-    tendon = spec.add_tendon(name=TENDON)
-    tendon.stiffness = [1.0, 0.0, 0.0]
-    tendon.springlength = [0.0, 0.0]
-    for v in mesh.interior:
-        tendon.wrap_joint(f"{names[v]}z", 1.0)
 
 
 def _add_contact_sphere(vertex: mujoco.MjsBody, name: str, radius: float, friction: float) -> None:
