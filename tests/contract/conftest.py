@@ -3,7 +3,9 @@
 import pytest
 
 from mjtactile.core import pace
+from mjtactile.emulator.process import EmulatorProcess
 from tests.emulated import at_pace
+from tests.patient import DESIGN, patient_rig_file
 
 
 @pytest.fixture(scope="module")
@@ -12,3 +14,11 @@ def half_speed():
     processors busy."""
     with at_pace(2 * pace.slow()):
         yield
+
+
+@pytest.fixture(scope="module")
+def emulator(half_speed):
+    """Patient emulated hardware with an egg, of a test file's own."""
+    process = EmulatorProcess(patient_rig_file(), DESIGN, object_name="egg", seed=0)
+    yield process
+    process.close()

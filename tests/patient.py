@@ -1,0 +1,22 @@
+"""The sensor of the contract tests, the simulated rigs, and the emulated one with more patience."""
+
+from dataclasses import replace
+
+from mjtactile.core.design import load_sensor
+from mjtactile.rig.file import load_rig_file
+
+DESIGN = load_sensor("paper16")
+SIMULATED = ("sim", "sim_arm", "sim_three_finger")
+
+
+def patient_rig_file():
+    """The shipped emulated rig for a computer that has much else to do."""
+    rig_file = load_rig_file("emulated")
+    # stale only after 0.6 s
+    cameras = tuple(replace(camera, delay=0.5) for camera in rig_file.cameras)
+    return replace(
+        rig_file,
+        bus=replace(rig_file.bus, reply_timeout=0.25, watchdog=2.5, host_timeout=5.0),
+        cameras=cameras,
+        valves=tuple(replace(valve, heartbeat=3.0) for valve in rig_file.valves),
+    )
