@@ -66,6 +66,15 @@ ARGUMENTS = (
 )
 
 
+# by whether it is built, and whether it is on
+_STATES = {
+    (True, True): "on",
+    (True, False): "off",
+    (False, True): "wanted",
+    (False, False): "none",
+}
+
+
 def run(options: argparse.Namespace) -> int:
     from mjtactile.experiments.accuracy import effects_of
 
@@ -81,11 +90,17 @@ def run(options: argparse.Namespace) -> int:
     for row in rows:
         state = _STATES[row["built"], row["on"]]
         why = row["why"] if row["built"] else f"{row['why']}; not built in: {row['kind']}"
-        print(
-            f"{row['effect']:<24}{state:<10}{_cell(row['cost_ms_per_s']):>10}{_cell(1e3 * row['left_out_N']):>9}"
-            f"{_cell(row['left_out_um']):>9}  {why}"
+        numbers = (
+            f"{_cost(row['cost_ms_per_s']):>10}{_cell(1e3 * row['left_out_N']):>9}"
+            f"{_cell(row['left_out_um']):>9}"
         )
+        print(f"{row['effect']:<24}{state:<10}{numbers}  {why}")
     return 0
+
+
+def _cost(value: float) -> str:
+    """A cost that was measured below zero is one below the measurement's noise."""
+    return "about 0" if value <= 0 else _cell(value)
 
 
 def _cell(value: float) -> str:
