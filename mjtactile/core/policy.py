@@ -142,6 +142,13 @@ def policy_command(observation: Observation, action: ArrayLike) -> Command:
     )
 
 
+def share_let_go(sent: Command) -> float:
+    """Of the way from a grip's goal, ahead of the jaws, to where what was held is let go of, what
+    a command of `policy_command` has come: 1 at the end."""
+    grip = sent.memory.get("grip_opening", sent.opening)
+    return (sent.opening - grip + _LEAD) / (_CLEAR + _LEAD)
+
+
 def policy_action(before: Command, after: Command, period: float) -> Array:
     """Find the action that takes one command to the next: what a policy is to learn of a teacher.
 

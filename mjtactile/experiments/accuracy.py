@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 from mjtactile.core.design import SensorDesign
-from mjtactile.sim.effects.catalog import choose, film_serves
+from mjtactile.sim.effects.catalog import choose, film_serves, parse
 from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR, Fidelity
 from mjtactile.sim.scenes.objects import load_object
 from mjtactile.sim.sensor.switches import set_design
@@ -21,13 +21,15 @@ def effects_of(
     films = bool(accuracy) and film_serves(design, grasped, overrides)
     fidelity = _fidelity(accuracy, films)
     wanted = _force_error(fidelity)
-    if fidelity is not None:
-        overrides = fidelity.with_effects(overrides)
-    return (
-        grasped.name,
-        wanted,
-        choose(design, grasped, force_error=wanted, overrides=overrides).summary(),
-    )
+    if fidelity is None:
+        chosen = choose(design, grasped, force_error=wanted, overrides=overrides)
+        return grasped.name, wanted, chosen.summary()
+    switched = fidelity.with_effects(overrides)
+    rows = choose(design, grasped, force_error=wanted, overrides=switched).summary()
+    for row in rows:
+        if row["effect"] in parse(fidelity.effects) and row["effect"] not in parse(overrides):
+            row["why"] = f"a film is enough: {1e3 * fidelity.force_error:.2g} mN"
+    return grasped.name, wanted, rows
 
 
 def simulation_of(

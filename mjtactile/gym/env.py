@@ -18,7 +18,7 @@ import numpy as np
 
 from mjtactile.core.errors import DeviceError, InputError, SimulationError
 from mjtactile.core.levels import left_out_of
-from mjtactile.core.policy import policy_command
+from mjtactile.core.policy import policy_command, share_let_go
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.task import load_task
 from mjtactile.core.types import Array
@@ -35,6 +35,8 @@ from mjtactile.run.session import Session
 from mjtactile.run.supervisor import Supervisor
 from mjtactile.sim.restart import Restart, movable
 
+RANDOM = "random"
+"""As an object: of each seed its own."""
 REWARDS = {"held": 1.0, "crushed": -1.0, "dropped": -1.0}
 """At the end of an episode, by the outcome that `mjtactile evaluate` counts; 0 before, and when
 time is over."""
@@ -45,13 +47,14 @@ PROGRESS = {
     "lift": (0.5, 0.5),
     "hold": (1.0, 0.5),
     "lower": (1.5, 0.5),
-    "release": (2.0, 0.0),
+    "release": (2.0, 0.5),
     "done": (2.5, 0.0),
 }
 """How far a grasp has come where a phase begins, and how much farther at its end.
 `reward="progress"` pays what it has come farther than ever before in the episode, with all fingers
-touching but while they close and let go."""
+touching but while they close and let go; what was never held is not paid for being let go."""
 _TOUCHLESS = ("approach", "close", "release", "done")
+_AFTER_HOLDING = ("release", "done")
 
 
 class GraspEnv(gymnasium.Env[Any, Array]):
@@ -154,8 +157,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
             for perception, state in zip(self._session.perceptions, self._states, strict=True):  # type: ignore[union-attr]
                 perception.state = state  # type: ignore[attr-defined]
         rig = self._rig
-        drawn = replace(self.scenario, seed=self._seed)
-        self._score = GraspScore(rig.scene, Judge.of(drawn, rig))
+        self._score = GraspScore(rig.scene, Judge.of(self._scenario_of(self._seed), rig))
         rig.scene.after_each_stretch(self._score.after_stretch)
         self._over = False
         self._come = 0.0
@@ -226,11 +228,18 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         assert self._session is not None, "it was closed"
         return self._session.rig
 
+    def _scenario_of(self, seed: int) -> Scenario:
+        """The one of an episode; of "random" it is that of the seed, as `evaluate` has it."""
+        thing = self.scenario.object
+        return replace(
+            self.scenario, seed=seed, object=f"random:{seed}" if thing == RANDOM else thing
+        )
+
     def _build(self, seed: int) -> None:
         """A new world, whose sensors take their references; kept as a place to go back to where
         nothing else varies."""
         self.close()
-        rig = build_rig(replace(self.scenario, seed=seed))
+        rig = build_rig(self._scenario_of(seed))
         if rig.scene is None:
             rig.close()
             raise InputError(
@@ -243,7 +252,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
             rig.clock.step_in_turn()
         self._session = Session(rig, threads=0, shapes=self.scenario.shapes)
         self._session.take_references()
-        is_plain = load_task(self.scenario.task).is_plain
+        is_plain = load_task(self.scenario.task).is_plain and self.scenario.object != RANDOM
         if self.scenario.vary == NONE and is_plain and movable(rig.scene):
             self._restart = Restart(rig, seed)
             self._states = [perception.state for perception in self._session.perceptions]  # type: ignore[attr-defined]
@@ -265,6 +274,8 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         touched = all(touch.touching for touch in self._seen.touch)
         if phase not in PROGRESS or not (touched or phase in _TOUCHLESS):
             return 0.0
+        if phase in _AFTER_HOLDING and self._come < PROGRESS["lower"][0]:
+            return 0.0  # an empty hand that rises comes down again and lets go, too
         begin, more = PROGRESS[phase]
         come = begin + more * min(max(self._share_of(phase), 0.0), 1.0)
         farther = max(come - self._come, 0.0)
@@ -280,15 +291,18 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         if phase in ("lift", "lower"):
             risen = gripper.lift_height / told.lift_height
             return risen if phase == "lift" else 1 - risen
+        last = self._cycle.last
         if phase == "hold":
-            return self._cycle.last.memory.get("phase_time", 0.0) / max(told.hold_time, 1e-9)
+            return last.memory.get("phase_time", 0.0) / max(told.hold_time, 1e-9)
+        if phase == "release":
+            return share_let_go(last)
         return 0.0
 
     def _outcome(self) -> str:
         """How the episode ended; "" while it goes on."""
         if self._score.crushed_at is not None:
             return "crushed"
-        if self._score.lost:
+        if self._score.lost or self._cycle.last.memory.get("gone"):
             return "dropped"
         if self._cycle.last.phase in ENDS or self._cycle.supervisor.is_over:
             return self._score.outcome()

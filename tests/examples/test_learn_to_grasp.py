@@ -26,7 +26,7 @@ def test_a_saved_policy_acts_as_the_learner_does(tmp_path, monkeypatch):
     """To single precision, through scale and layers."""
     learner = pytest.importorskip("stable_baselines3")
     example = runpy.run_path(str(CHECKOUT / "examples/learn_to_grasp.py"))
-    env = example["make"](0)
+    env = example["make"]()
     model = learner.PPO("MlpPolicy", env, policy_kwargs={"net_arch": [8, 8]}, device="cpu", seed=0)
     path = tmp_path / "policy.npz"
     example["save"](model, path)

@@ -15,12 +15,14 @@ from gymnasium.utils.env_checker import check_env
 import mjtactile.gym
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
-from mjtactile.core.policy import policy_names
+from mjtactile.core.policy import policy_names, share_let_go
+from mjtactile.core.types import Command
 from mjtactile.rig.registry import build_rig
 from mjtactile.sim import truth
 
 CLOSE = np.array([-1.0, 0.0, 0.0], np.float32)
 GRIP = np.array([-0.05, 0.0, 0.5], np.float32)
+DRAWN = "-sheet,-chain"
 FORCE = policy_names().index("finger1.force_normal_N")
 
 
@@ -39,7 +41,8 @@ def test_the_example_of_the_page(monkeypatch, capsys):
     page = (Path(__file__).resolve().parents[3] / "docs/gym.md").read_text()
     monkeypatch.setattr(gymnasium, "make", functools.partial(gymnasium.make, time_limit=1.0))
     exec(page.partition("```python\n")[2].partition("```")[0], {})
-    assert capsys.readouterr().out.startswith("out of time 0")  # N, and more: nothing was touched
+    # N, and more: nothing was touched; the hand may rise, empty, and come down within the second
+    assert capsys.readouterr().out.startswith(("out of time 0", "dropped 0"))
 
 
 def roll(env, seed, actions):
@@ -132,6 +135,36 @@ def test_a_hand_that_rises_alone_has_dropped_it(env):
     )
 
 
+def test_an_empty_hand_is_not_paid_for_letting_go():
+    """One that rises a little and comes down, open: what it never held it has dropped."""
+    rise, wait = (np.array([0.0, -0.75, lift], np.float32) for lift in (0.5, -1.0))
+    paid = []
+    with make(effects=DRAWN, reward="progress") as drawn:
+        drawn.reset(seed=0)
+        for action in [rise] * 6 + [wait] * 60:
+            _, reward, terminated, _, info = drawn.step(action)
+            paid.append(reward)
+            if terminated:
+                break
+    assert info["outcome"] == "dropped" and sum(paid) == -1.0
+
+
+def test_a_hand_is_paid_for_how_far_it_lets_go():
+    """Of the way from a grip's goal, 4 mm ahead of the jaws, to 8 mm beyond them."""
+    for opening, share in ((0.036, 0.0), (0.042, 0.5), (0.048, 1.0)):
+        sent = Command(opening, 1.0, 0.0, "release", {"grip_opening": 0.040}, "", None)
+        assert share_let_go(sent) == pytest.approx(share)
+
+
+def test_random_things_are_those_of_the_seeds():
+    with (
+        make(object="random", effects=DRAWN) as things,
+        make(object="random:8", effects=DRAWN) as one,
+    ):
+        again = [things.reset(seed=seed)[1]["break_force_N"] for seed in (7, 8, 7)]
+        assert again[0] == again[2] != again[1] == one.reset(seed=8)[1]["break_force_N"]
+
+
 def test_time_runs_out():
     with make(time_limit=0.3) as short:
         shown, (_, reward, terminated, truncated), info = roll(
@@ -183,9 +216,6 @@ def test_a_world_that_varies_is_a_new_one():
 def test_wrong_names_are_said_in_one_line(how, text):
     with pytest.raises(InputError, match=text):
         make(**how)
-
-
-DRAWN = "-sheet,-chain"
 
 
 def episodes(count, seed, steps, **how):
