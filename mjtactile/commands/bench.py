@@ -113,6 +113,7 @@ OPTIONS = {
         "explore",
         "trust",
         "first_day",
+        "outline",
     ),
     "parts": ("rig", "slip", "tasks"),
     "level": ("tasks",),
@@ -135,8 +136,8 @@ ARGUMENTS = (
     arg.option("--out", "DIR", "folder for the results", Path("bench-results"), type=Path),
     arg.flag(
         "--resume",
-        "stability, rig, emulated, bars, tasks, attacks, explore, trust, first_day: keep "
-        "what an interrupted run finished",
+        "stability, rig, emulated, bars, tasks, attacks, explore, trust, first_day, "
+        "outline: keep what an interrupted run finished",
     ),
     arg.option(
         "--parts",

@@ -164,6 +164,7 @@ def _specimen(amounts: Amounts, finger: int) -> SpecimenConfig:
         leak=max(own("leak"), 0.0),
         stiffness_share=own("stiffness"),
         pre_stretch=own("pre_stretch"),
+        creep=max(own("creep"), 0.0),
         friction_share=own("friction"),
         valve_zero=own("gauge"),
         focal_share=own("focal"),

@@ -73,6 +73,16 @@ CAUSES: tuple[Cause, ...] = (
         _FIT,
     ),
     Cause(
+        "creep",
+        "the rubber's stress fades by {amount} more in each decade of time",
+        "",
+        0.05,
+        0.01,
+        "%",
+        "mjtactile fit --relaxation RECORDING finds it, from a membrane that is left inflated",
+        low=0.0,
+    ),
+    Cause(
         "friction",
         "the membrane is rougher by {amount}",
         "the membrane is slipperier by {amount}",
