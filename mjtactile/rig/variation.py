@@ -44,7 +44,9 @@ class ObjectChange:
     size: float = number(
         "size_percent", -50, 100, PERCENT, default=0.0, about="larger, with its mass"
     )
-    mass: float = number("mass_percent", -90, 900, PERCENT, default=0.0, about="heavier beside")
+    mass: float = number(
+        "mass_percent", -90, 900, PERCENT, default=0.0, about="heavier at its size"
+    )
     friction: float = number(
         "friction_percent",
         -95,
@@ -76,7 +78,7 @@ class RigChange:
         "delay_ms", 0, 1000, MS, default=0.0, about="until a command takes effect"
     )
     jitter: float = number(
-        "jitter_ms", 0, 1000, MS, default=0.0, about="beside, evenly from 0 to this"
+        "jitter_ms", 0, 1000, MS, default=0.0, about="more delay, evenly from 0 to this"
     )
     backlash: float = number(
         "backlash_mm", 0, 10, MM, default=0.0, about="of the opening, in its gears"
