@@ -21,7 +21,7 @@ from benchmarks.tasks.tables import table as table
 from mjtactile.core.errors import InputError
 from mjtactile.evaluate.episodes import Episode, run_episode
 from mjtactile.evaluate.statistics import summarise
-from mjtactile.evaluate.suite import Suite, new_suite, read, rounds, run_round
+from mjtactile.evaluate.suite import Suite, load_suite, new_suite, read, rounds, run_round
 from mjtactile.recording.observer import Observer
 from mjtactile.run.cycle import Cycle
 from mjtactile.run.progress import Progress
@@ -136,12 +136,24 @@ def lines_of(suite: Suite, folder: Path) -> dict[str, list[dict[str, Any]]]:
     }
 
 
+def _mesh_lines(out: Path) -> dict[str, list[dict[str, Any]]]:
+    """What there is of the mesh's level: the lines in `out`, else the shipped suite's outcomes."""
+    if _kept(out / folder_of(MESH)):
+        return lines_of(suite_of(MESH), out / folder_of(MESH))
+    known = load_suite(NAME)
+    return {
+        task: [{**line, "controller": name} for name in own for line in known.lines(task, name)]
+        for task, own in known.results.items()
+    }
+
+
 def results(out: Path, count: int, level: str) -> dict[str, Any]:
     """What lies in `out`: the result of `run`."""
     lines = lines_of(suite_of(level), out / folder_of(level))
     harsh = lines_of(suite_of(level, harsh=True), out / folder_of(level, "harsh"))
-    full = {} if level == MESH else lines_of(suite_of(MESH), out / folder_of(MESH))
+    full = {} if level == MESH else _mesh_lines(out)
     return {
+        "block": "tasks" if level == MESH else f"tasks_{level}",
         "level": level,
         "episodes": count,
         "seed": SEED,

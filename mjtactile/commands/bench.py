@@ -198,7 +198,7 @@ def run(options: argparse.Namespace) -> int:
         write_json(out / f"{options.name}.json", result)
         (out / f"{options.name}.md").write_text(table, encoding="utf-8")
         if options.readme is not None:
-            insert_table(options.readme, options.name, table)
+            insert_table(options.readme, result.get("block", options.name), table)
     if options.json:
         print_json(result)
     else:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from mjtactile.core.design import SensorDesign
 from mjtactile.devices.rig import build_device_rig
 from mjtactile.emulator.process import EmulatorProcess
@@ -24,9 +26,10 @@ def build_emulated_rig(
     """
     process = emulator or EmulatorProcess(rig_file, design, object_name=object_name, seed=seed)
     also_close = process.close if emulator is None else lambda: None
-    return build_device_rig(
+    rig = build_device_rig(
         process.connect(rig_file), design, name=rig_file.name, also_close=also_close
     )
+    return replace(rig, truth=process.truth)
 
 
 def build(request: RigRequest) -> Rig:

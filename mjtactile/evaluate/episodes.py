@@ -21,6 +21,7 @@ from mjtactile.core.errors import Interrupted, MjtactileError
 from mjtactile.core.levels import LEFT_OUT
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.task import load_task
+from mjtactile.evaluate import emulated
 from mjtactile.recording.observer import Observer
 from mjtactile.recording.writer import Recorder
 from mjtactile.rig.file import load_sim_rig
@@ -30,6 +31,7 @@ from mjtactile.run.cycle import Cycle
 from mjtactile.run.grasp import run_grasp
 from mjtactile.run.session import Session
 from mjtactile.sim.devices import SimClock
+from mjtactile.sim.scenes.objects import load_object
 from mjtactile.sim.scenes.random_objects import object_text as object_text
 from mjtactile.sim.scenes.random_objects import random_thing, seed_of
 
@@ -173,6 +175,8 @@ def _drawn_values(scenario: Scenario) -> dict[str, Any]:
     """What the seed has drawn: of a random object, and from the variation."""
     seed = seed_of(scenario.object)
     thing = {} if seed is None else random_thing(seed).values
+    if emulated.check(scenario):
+        return dict(thing)
     file = load_sim_rig(scenario.rig)
     task = load_task(scenario.task).draw(scenario.seed, len(file.fingers))
     thing = thing | dict(task.values)
@@ -184,7 +188,11 @@ def _run(
 ) -> dict[str, Any]:
     """The grasp's summary, or that of an error. Raises Interrupted."""
     try:
-        return run_grasp(scenario, observers, controller=controller, workers=0).summary()
+        if not emulated.check(scenario):
+            return run_grasp(scenario, observers, controller=controller, workers=0).summary()
+        true = emulated.TrueOutcome(load_object(scenario.object).break_force)
+        result = run_grasp(scenario, [true, *observers], controller=controller)
+        return true.judged(result.summary())
     except Interrupted:
         raise
     except MjtactileError as error:

@@ -11,7 +11,7 @@ from mjtactile.core import resources, system
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.task import load_task
-from mjtactile.evaluate import report, store, worst
+from mjtactile.evaluate import emulated, report, store, worst
 from mjtactile.evaluate.episodes import RANDOM, Episode, name_of, plan, run_episode
 from mjtactile.evaluate.pool import PROCESSES, Pool, RunOne, Say, run_all
 from mjtactile.evaluate.statistics import summarise
@@ -51,7 +51,7 @@ def evaluate(
         objects: Names and files, grasped in turn.
         shard: (k, n): only the k-th of n parts.
         only: Numbers of the episodes that are run; None: all.
-        workers: Processes of this machine (None: one a processor).
+        workers: Processes of this machine (None: one a processor; of an emulated rig one).
         backend: Who runs the episodes; see `mjtactile.evaluate.pool`.
         scheduler: Of a cluster.
         resume: Go on with what is in the folder.
@@ -87,7 +87,7 @@ def evaluate(
     missing = [episode for episode in episodes if (episode.controller, episode.index) not in done]
     if done:
         say(f"{len(episodes) - len(missing)} of {len(episodes)} episodes are there already")
-    pool = Pool(backend, system.processors() if workers is None else workers, scheduler)
+    pool = Pool(backend, _workers(scenario) if workers is None else workers, scheduler)
     run_all(missing, kept, pool, say, run_one)
     kept.finish()
     return summarise(kept.lines)
@@ -96,6 +96,11 @@ def evaluate(
 def _recorded(episode: Episode, folder: Path) -> Episode:
     """The episode, to be recorded beside the results."""
     return replace(episode, recording=str((folder / RECORDINGS / episode.name).absolute()))
+
+
+def _workers(scenario: Scenario) -> int:
+    """Processes: one a processor; an emulated world, which keeps time, has them all."""
+    return 1 if emulated.check(scenario) else system.processors()
 
 
 def write_report(folder: Path, worst_count: int, say: Say = lambda _: None) -> Path:
@@ -218,7 +223,11 @@ def _files(scenario: Scenario, controllers: Sequence[str], objects: Sequence[str
     twice = next((stem for stem in stems if stems.count(stem) > 1), None)
     if twice is not None:
         raise InputError(f"two of them are called {twice!r}", field="--controller")
-    rig = load_sim_rig(scenario.rig)
+    if emulated.check(scenario):
+        rig_files = emulated.files(scenario)
+    else:
+        rig = load_sim_rig(scenario.rig)
+        rig_files = [rig.path, rig.model]
     choose(scenario.design(), overrides=scenario.effects)
     variation = load_variation(scenario.vary)
     load_task(scenario.task)
@@ -228,7 +237,7 @@ def _files(scenario: Scenario, controllers: Sequence[str], objects: Sequence[str
     ]
     sensors = [scenario.sensor_name, *scenario.sensors.values()]
     found += [resources.find(name, "models/sensors", ".toml") for name in sensors]
-    found += [rig.path, rig.model, resources.find(scenario.task, "models/tasks", ".toml")]
+    found += [*rig_files, resources.find(scenario.task, "models/tasks", ".toml")]
     if variation.path is not None:
         found.append(variation.path)
     return list(dict.fromkeys(found))

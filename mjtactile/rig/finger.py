@@ -97,6 +97,7 @@ class Rig:
         touch_is_drawn: Whether its cameras hand over touch in place of images (`Felt`).
         scene: The simulated world, for scoring alone; None on a real rig. Sensing and controllers
             never see a `Rig`.
+        truth: What really happens in an emulated world, likewise; None elsewhere.
     """
 
     name: str
@@ -111,6 +112,7 @@ class Rig:
     simulated: Mapping[str, Any] = field(default_factory=dict)
     flags: Callable[[], Mapping[str, str]] = dict
     scene: Any = None
+    truth: Callable[[], Mapping[str, Any]] | None = None
     told: Told = TOLD
     touch_is_drawn: bool = False
 

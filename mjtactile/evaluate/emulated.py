@@ -1,0 +1,116 @@
+"""Episodes on emulated rigs: through the real drivers, judged by the emulated world's own truth,
+which no driver sees."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from mjtactile.core.errors import InputError
+from mjtactile.core.scenario import Scenario
+from mjtactile.core.task import load_task
+from mjtactile.recording.observer import Observer
+from mjtactile.rig.file import RigFile, read_rig_file
+from mjtactile.rig.variation import NONE
+from mjtactile.run.cycle import Cycle
+
+_COMES_ALONG = 0.9  # of what the hand has risen: a thing rolls a little as it is lifted
+_STANDS = 3e-3  # m off the height at which it stood
+
+
+def check(scenario: Scenario) -> bool:
+    """Whether a scenario's rig is emulated.
+
+    Args:
+        scenario: Of an evaluation.
+
+    Returns:
+        False where it is simulated.
+
+    Raises:
+        InputError: Its devices are real: nobody puts the object back between episodes; or its world
+            cannot do what the scenario asks for.
+    """
+    file = read_rig_file(scenario.rig)
+    if not isinstance(file, RigFile):
+        return False
+    if file.emulator is None:
+        raise InputError(
+            "has real devices: nobody puts the object back between episodes",
+            source=file.path,
+            field="--rig",
+            choices=["a simulated or an emulated one"],
+        )
+    if scenario.vary != NONE:
+        raise InputError(
+            "an emulated world is as its rig file says", field="--vary", choices=[NONE]
+        )
+    task = load_task(scenario.task)
+    drawn = not task.is_plain and any(one.kind != "table" for one in task.happenings)
+    if drawn or task.thing != type(task.thing)():
+        raise InputError(
+            f"what happens in {task.name!r} does not happen on an emulated rig",
+            field="--task",
+            choices=["lift", "place"],
+        )
+    return True
+
+
+class TrueOutcome(Observer):
+    """Asks the emulated world once a cycle, from lifting on."""
+
+    def __init__(self, break_force: float):
+        self._break_force = break_force
+        self._ask: Any = None
+        self._start = 0.0
+        self._last: Mapping[str, Any] = {}
+        self._came_along = True
+        self._held: list[float] = []
+        self._peak = 0.0
+        self._done = False
+
+    def begin(self, session: Any) -> None:
+        """Where does it stand?"""
+        self._ask = session.rig.truth
+        self._start = float(self._ask()["object_height"])
+
+    def add(self, cycle: Cycle, view: Any = None, **true: Any) -> None:
+        """Look at one cycle's truth."""
+        if cycle.sent.phase == "approach":
+            return
+        self._last = self._ask()
+        self._done = cycle.sent.phase == "done"
+        presses = [float(self._last["contact_1"]), float(self._last["contact_2"])]
+        self._peak = max(self._peak, *presses)
+        if cycle.sent.phase == "hold":
+            self._held.append(sum(presses) / len(presses))
+            risen = float(self._last["object_height"]) - self._start
+            self._came_along &= risen > _COMES_ALONG * float(self._last["lift_height"])
+
+    def judged(self, summary: Mapping[str, Any]) -> dict[str, Any]:
+        """A run's summary with what is true in place of what the controller believes.
+
+        Args:
+            summary: Of `mjtactile.run.grasp.GraspResult`.
+
+        Returns:
+            The same, with `outcome` by what stands and what came along, and true forces, N, of the
+            moments of images. A hand that ends higher than it began may have found the table.
+        """
+        if not self._last:
+            return dict(summary)
+        off = abs(float(self._last["object_height"]) - self._start)
+        held = self._done and bool(self._held) and self._came_along and off < _STANDS
+        outcome = "held" if held else "dropped"
+        if self._peak > self._break_force:
+            outcome = "crushed"
+        hold = sum(self._held) / len(self._held) if self._held else None
+        true = {"peak_force_true_N": self._peak, "hold_force_true_N": hold}
+        said = {"reason": ""} if outcome == "held" else {}
+        return dict(summary) | true | said | {"outcome": outcome}
+
+
+def files(scenario: Scenario) -> list[Path]:
+    """The files of an emulated rig that its episodes depend on."""
+    return [read_rig_file(scenario.rig).path]

@@ -1,0 +1,44 @@
+"""Episodes on emulated rigs are judged by the emulated world, and what it cannot do is refused."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from mjtactile.core.errors import InputError
+from mjtactile.core.scenario import Scenario
+from mjtactile.evaluate import emulated
+
+
+def judged(heights, *, press=0.2, last="done", believed="not set down"):
+    """What a run comes to whose object is at these heights, m, as the hand stands, lifts by 40 mm,
+    and has set down."""
+    moments = [
+        {"object_height": height, "lift_height": lift, "contact_1": press, "contact_2": press}
+        for height, lift in zip(heights, (0.0, 0.04, 0.003), strict=True)
+    ]
+    true = emulated.TrueOutcome(break_force=1.0)
+    true.begin(SimpleNamespace(rig=SimpleNamespace(truth=lambda: moments[0])))
+    for phase, moment in (("approach", 0), ("hold", 1), (last, 2)):
+        true._ask = lambda moment=moment: moments[moment]
+        true.add(SimpleNamespace(sent=SimpleNamespace(phase=phase)))
+    return true.judged({"outcome": believed, "reason": "said"})
+
+
+def test_what_came_along_and_stands_again_was_held_whatever_is_believed():
+    found = judged((0.02, 0.06, 0.021))
+    assert found["outcome"] == "held" and found["reason"] == ""
+    assert found["hold_force_true_N"] == pytest.approx(0.2)
+    assert judged((0.02, 0.03, 0.02), believed="held")["outcome"] == "dropped"  # it stayed behind
+    assert judged((0.02, 0.06, 0.06), believed="held")["outcome"] == "dropped"  # it does not stand
+    assert judged((0.02, 0.06, 0.02), last="abort")["outcome"] == "dropped"
+    assert judged((0.02, 0.06, 0.02), press=1.1)["outcome"] == "crushed"
+
+
+def test_what_no_emulated_world_does_is_refused():
+    assert emulated.check(Scenario(rig="emulated"))
+    assert emulated.check(Scenario(rig="emulated", task="place"))
+    assert not emulated.check(Scenario(rig="sim", task="pour", vary="default"))
+    with pytest.raises(InputError, match="--task: what happens in 'pour'"):
+        emulated.check(Scenario(rig="emulated", task="pour"))
+    with pytest.raises(InputError, match="--vary: an emulated world"):
+        emulated.check(Scenario(rig="emulated", vary="default"))
