@@ -1,4 +1,4 @@
-"""The body that an explored surface is near to: a superquadric that tapers, thirteen numbers.
+"""The body that an explored surface is near to: a superquadric that tapers, fourteen numbers.
 
 An ellipsoid, a box with round edges, a cylinder, a cone's stump are exact or nearly so; what a
 touch shows beside it is for the field on top (docs/equations.md, Eq. E1 and E2).
@@ -25,13 +25,16 @@ NAMES = (
     "e2",
     "taper_x",
     "taper_y",
+    "cut",
 )
 """Of its numbers: place in mm, turn as a rotation vector, logarithms of half sizes in mm, exponents
-(1: round, 0: sharp) along and across its axis z, share by which it is wider at its upper end."""
+(1: round, 0: sharp) along and across its axis z, share by which it is wider at its upper end; share
+of its lower half that is there, up to a flat end (`WHOLE`: it has none)."""
 COUNT = len(NAMES)
-LOW = np.array([-200.0] * 3 + [-7.0] * 3 + [0.7] * 3 + [0.05] * 2 + [-0.8] * 2)
-HIGH = np.array([200.0] * 3 + [7.0] * 3 + [4.2] * 3 + [1.5] * 2 + [0.8] * 2)
-STEP = np.array([1e-3] * 3 + [1e-4] * 3 + [1e-4] * 3 + [1e-4] * 4)
+WHOLE = 1.3
+LOW = np.array([-200.0] * 3 + [-7.0] * 3 + [0.7] * 3 + [0.05] * 2 + [-0.8] * 2 + [0.2])
+HIGH = np.array([200.0] * 3 + [7.0] * 3 + [4.2] * 3 + [1.5] * 2 + [0.8] * 2 + [WHOLE + 0.2])
+STEP = np.array([1e-3] * 3 + [1e-4] * 3 + [1e-4] * 3 + [1e-4] * 5)
 """Over which derivatives are taken."""
 _TINY = 1e-9
 
@@ -40,19 +43,36 @@ def distance(theta: Array, p: Array) -> Array:
     """How far points are outside of the body, to first order.
 
     Args:
-        theta: (13,) The body's numbers, or (K, 13) those of some bodies.
+        theta: (14,) The body's numbers, or (K, 14) those of some bodies.
         p: (N, 3) mm.
 
     Returns:
         (N,) or (K, N) mm, negative inside; exact beside a flat face (Eq. E2).
     """
-    level, slope = _level(np.atleast_2d(theta), p)
+    many = np.atleast_2d(theta)
+    level, slope = _level(many, p)
     out = (level - 1) / np.maximum(np.linalg.norm(slope, axis=-1), _TINY)
+    out = np.maximum(out, beyond_cut(many, p))
     return out[0] if theta.ndim == 1 else out
 
 
+def beyond_cut(theta: Array, p: Array) -> Array:
+    """How far points are below a body's flat end.
+
+    Args:
+        theta: (K, 14) Numbers of some bodies.
+        p: (N, 3) mm.
+
+    Returns:
+        (K, N) mm, negative above it.
+    """
+    axes = Rotation.from_rotvec(theta[:, 3:6]).as_matrix()[:, :, 2]
+    up = np.einsum("kni,ki->kn", p[None] - theta[:, None, :3], axes)
+    return -up - (theta[:, 13] * np.exp(theta[:, 8]))[:, None]
+
+
 def _level(theta: Array, p: Array) -> tuple[Array, Array]:
-    """By what each body (K, 13) must grow to reach each point (Eq. E1), (K, N), and that number's
+    """By what each body (K, 14) must grow to reach each point (Eq. E1), (K, N), and that number's
     gradient, (K, N, 3) 1/mm, in the body's axes."""
     R = Rotation.from_rotvec(theta[:, 3:6]).as_matrix()
     q = (p[None] - theta[:, None, :3]) @ R
@@ -91,7 +111,7 @@ def _norm(x: Array, y: Array, power: Array) -> tuple[Array, Array, Array]:
 
 
 def by_numbers(theta: Array, p: Array) -> Array:
-    """Derivatives (N, 13) of `distance` by the body's numbers."""
+    """Derivatives (N, 14) of `distance` by the body's numbers."""
     steps = np.diag(STEP)
     moved = distance(np.concatenate([theta + steps, theta - steps]), p)
     return ((moved[:COUNT] - moved[COUNT:]) / (2 * STEP[:, None])).T

@@ -1,6 +1,7 @@
-"""What an explored body may be: round, a cylinder, a box, of few numbers each, or anything.
+"""What an explored body may be: round, round with a flat end, a cylinder, a box, of few numbers
+each, or anything.
 
-All are the superquadric of `mjtactile.explore.body`; a family says beforehand which of its thirteen
+All are the superquadric of `mjtactile.explore.body`; a family says beforehand which of its fourteen
 numbers are free, and how much of a field on top it needs. The evidence decides (docs/equations.md,
 Eq. E5): what few numbers explain as well is believed, since it told more beforehand.
 """
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjtactile.core.types import Array
+from mjtactile.explore.body import WHOLE
 
 HALF = 15.0
 """mm: half size of what a hand explores, before it is touched."""
@@ -32,10 +34,11 @@ class Family:
 
     Attributes:
         name: Of the family.
-        mean: (13,) of its numbers before anything was touched.
-        cov: (13, 13).
-        root: (13, 13) by which a difference from the mean becomes one of unit covariance.
+        mean: (14,) of its numbers before anything was touched.
+        cov: (14, 14).
+        root: (14, 14) by which a difference from the mean becomes one of unit covariance.
         starts: Exponents to start from.
+        cut: Whether one of its ends may be flat.
         fields: mm, sd and length of the fields on top that are tried.
     """
 
@@ -45,6 +48,7 @@ class Family:
     root: Array
     starts: tuple[tuple[float, float], ...]
     fields: tuple[tuple[float, float], ...]
+    cut: bool = False
 
 
 def _family(
@@ -55,28 +59,33 @@ def _family(
     taper: float = _TIED,
     tapers_alike: bool = True,
     round_across: bool = False,
+    cut: bool = False,
     starts: tuple[tuple[float, float], ...] = (),
     fields: tuple[tuple[float, float], ...] = _SMALL_FIELDS,
 ) -> Family:
     """Exponents along and across as mean and sd, the taper's sd; whether the sizes across are
     alike."""
-    mean = np.array([0.0] * 6 + [np.log(HALF)] * 3 + [along[0], across[0]] + [0.0] * 2)
+    end, end_sd = _CUT if cut else (WHOLE, _TIED)
+    mean = np.array([0.0] * 6 + [np.log(HALF)] * 3 + [along[0], across[0]] + [0.0] * 2 + [end])
     cov = np.diag(
         [_PLACE_SD**2] * 3
         + [_TURN_SD**2] * 3
         + [0.0] * 3
         + [along[1] ** 2, across[1] ** 2]
         + [taper**2] * 2
+        + [end_sd**2]
     )
     cov[6:9, 6:9] = _SIZE_SD**2 + _ASPECT_SD**2 * np.eye(3)
     if round_across:
         cov[6:8, 6:8] = _SIZE_SD**2 + _ASPECT_SD**2 + _ALIKE**2 * np.eye(2)
     if tapers_alike:
-        cov[11:, 11:] = taper**2 + _TIED**2 * np.eye(2)
+        cov[11:13, 11:13] = taper**2 + _TIED**2 * np.eye(2)
     root = np.linalg.inv(np.linalg.cholesky(cov))
-    return Family(name, mean, cov, root, starts or ((along[0], across[0]),), fields)
+    return Family(name, mean, cov, root, starts or ((along[0], across[0]),), fields, cut)
 
 
+_CUT = (0.8, 0.2)  # of its lower half: where a flat end is
+_FULL = (1.0, 0.2)
 _SHARP = (0.1, 0.06)
 _ROUND = (1.0, _TIED)
 FREE = _family(
@@ -90,6 +99,7 @@ FREE = _family(
 )
 FAMILIES = (
     _family("ellipsoid", _ROUND, _ROUND),
+    _family("dome", _FULL, _ROUND, taper=0.15, round_across=True, cut=True, fields=_FIELDS),
     _family("cylinder", _SHARP, _ROUND, round_across=True),
     _family("cone", _SHARP, _ROUND, taper=0.15, round_across=True),
     _family("box", _SHARP, _SHARP),

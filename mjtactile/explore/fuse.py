@@ -34,11 +34,13 @@ _STRAY = 4.5  # sd, from which on a point does not belong
 _STRAY_SD = 1.0  # mm by which it then may be off
 _STRAY_ODDS = np.log(0.05)
 _STRAYS = 0.25  # of all points, at most
+_ON_END, _END_POINTS = 0.3, 3  # mm from a flat end, and points, by which it was touched
+_UNTOUCHED = 1e3  # of the log of evidence, that a flat end costs which was not
 _ROUNDS = 40
 _FIRST_ROUNDS = 12
 _STARTS = 2  # that are followed to the end
 _PLACES = 3  # from which it is tried again where a body is known
-_SCALE = np.array([1.0] * 3 + [0.1] * 3 + [0.05] * 3 + [0.1] * 2 + [0.05] * 2)
+_SCALE = np.array([1.0] * 3 + [0.1] * 3 + [0.05] * 3 + [0.1] * 2 + [0.05] * 3)
 
 
 def fuse(patches: Sequence[Patch], before: Sequence[Surface] = ()) -> list[Surface]:
@@ -75,7 +77,10 @@ def _of_family(
     if known is not None:
         starts, places = [known], places[:_PLACES]
     for place, exponents in itertools.product(places, family.starts):
-        starts.append(np.concatenate([place, exponents, [0.0, 0.0]]))
+        starts.append(np.concatenate([place, exponents, family.mean[11:]]))
+        if family.cut:  # at either end
+            starts.append(starts[-1].copy())
+            starts[-1][3:6] = _upside_down(place[3:6])
     tried = sorted((_robust(data, family, one, _FIRST_ROUNDS) for one in starts), key=_cost)
     theta = min((_robust(data, family, one.x, _ROUNDS) for one in tried[:_STARTS]), key=_cost).x
     data = data.with_doubt(theta).with_free(theta)
@@ -83,7 +88,22 @@ def _of_family(
     fields = [_with_field(data, family, theta, field) for field in family.fields]
     likeliest = max(fields, key=lambda one: one.log_evidence)
     theta = _solve(data, family, likeliest.field, theta).x
-    return _with_field(data, family, theta, likeliest.field)
+    found = _with_field(data, family, theta, likeliest.field)
+    if family.cut and not _ends_flat(data, theta):
+        return replace(found, log_evidence=found.log_evidence - _UNTOUCHED)
+    return found
+
+
+def _ends_flat(data: _Data, theta: Array) -> bool:
+    """Whether a body's flat end was touched: what nobody touched may as well be round."""
+    touched = data.points[: data.parts[-1].stop]
+    off = body.beyond_cut(theta[None], touched)[0]
+    return bool((np.abs(off) < _ON_END).sum() >= _END_POINTS)
+
+
+def _upside_down(turn: Array) -> Array:
+    """A rotation vector (3,) of the body put in the other way up, about its x."""
+    return (Rotation.from_rotvec(turn) * Rotation.from_euler("x", np.pi)).as_rotvec()
 
 
 def _cost(found: OptimizeResult) -> float:
@@ -169,7 +189,7 @@ def _thinned(places: Array) -> Array:
 
 
 Told = Callable[[Array], Array]
-"""Of the body's numbers: what is left, (N,), or its derivatives (N, 13)."""
+"""Of the body's numbers: what is left, (N,), or its derivatives (N, 14)."""
 
 
 def _least_squares(left: Told, slopes: Any, start: Array, rounds: int) -> OptimizeResult:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from mjtactile.core.types import Array
 from mjtactile.explore.fuse import shares
@@ -17,6 +18,9 @@ _END = 5e-4  # m from the outermost point: what counts as an end
 _FACING = 0.8  # cosine of an end's normal with the axis
 _SAMPLES = 24  # places of an end
 _SEEN_SD = 5e-5  # m, of what a touch says
+_BEYOND = 0.15  # of the way beyond `_NEAR` from what was touched, that an end may be off, as sd
+_NEAR = 5e-3  # m, that a touch reaches
+_UNEXPLAINED = 0.4  # of the field that a body needs, that its ends may be off, as sd
 _RIVAL = 0.02  # share from which on another family counts
 
 
@@ -54,16 +58,16 @@ def sizes(meshes: Sequence[Mesh], surfaces: Sequence[Surface], patches: Sequence
     mean, axes = principal_sizes(meshes[0])
     share = shares(surfaces)[: len(meshes)]
     share = share / share.sum()
+    touched = np.concatenate([patch.points for patch in patches]) if patches else np.zeros((0, 3))
     variance = np.zeros(3)
     for weight, mesh, surface in zip(share, meshes, surfaces, strict=False):
         other = np.ptp(mesh.vertices @ axes, axis=0)
-        own = [_variance(surface, _ends(mesh, axis)) for axis in axes.T]
+        own = [_variance(surface, _ends(mesh, axis), touched) for axis in axes.T]
         variance += weight * (np.array(own) + (other - mean) ** 2)
     sd = np.sqrt(variance)
     high = mean + sd
-    if patches:
-        points = np.concatenate([patch.points for patch in patches])
-        high = np.maximum(high, np.ptp(points @ axes, axis=0))
+    if len(touched):
+        high = np.maximum(high, np.ptp(touched @ axes, axis=0))
     return Sizes(mean, sd, np.column_stack([mean - sd, high]))
 
 
@@ -98,8 +102,14 @@ def _ends(mesh: Mesh, axis: Array) -> list[Array]:
     return found
 
 
-def _variance(surface: Surface, ends: Sequence[Array]) -> float:
-    """m^2, of the distance between two ends."""
+def _variance(surface: Surface, ends: Sequence[Array], touched: Array) -> float:
+    """m^2, of the distance between two ends: of body and field, and of what these leave: of an end
+    that nobody came near, and of a body that explains little by itself."""
     places = np.concatenate(list(ends))
     weight = np.concatenate([np.full(len(end), 1 / len(end)) for end in ends])
-    return max(float(weight @ surface.distance_cov(places, places) @ weight), 0.0)
+    told = max(float(weight @ surface.distance_cov(places, places) @ weight), 0.0)
+    unexplained = _UNEXPLAINED * 1e-3 * surface.field[0]
+    if not len(touched):
+        return told + 2 * unexplained**2
+    far = [max(float(cdist(end, touched).min()) - _NEAR, 0.0) for end in ends]
+    return told + sum((_BEYOND * way) ** 2 + unexplained**2 for way in far)

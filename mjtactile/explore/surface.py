@@ -22,7 +22,7 @@ class Surface:
 
     Attributes:
         family: What the body is one of.
-        theta: (13,) The body's numbers (`mjtactile.explore.body.NAMES`).
+        theta: (14,) The body's numbers (`mjtactile.explore.body.NAMES`).
         field: mm, sd and length of the field on top.
         points: (N, 3) mm, that were touched.
         weights: (N,) 1/mm, of the field's covariances with the points.

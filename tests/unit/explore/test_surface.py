@@ -22,8 +22,8 @@ TURN = Rotation.from_rotvec([0.4, -0.3, 0.8]).as_matrix()
 PLACE = np.array([2e-3, -1e-3, 3e-3])
 
 
-def theta(sizes_mm, exponents, taper=(0.0, 0.0)):
-    return np.concatenate([np.zeros(6), np.log(sizes_mm), exponents, taper])
+def theta(sizes_mm, exponents, taper=(0.0, 0.0), cut=body.WHOLE):
+    return np.concatenate([np.zeros(6), np.log(sizes_mm), exponents, taper, [cut]])
 
 
 def test_distance_is_exact_where_geometry_has_a_closed_form():
@@ -41,6 +41,10 @@ def test_distance_is_exact_where_geometry_has_a_closed_form():
     # a stump of a cone: 10 mm wide in the middle, 12 at its upper end
     cone = theta([10.0, 10.0, 20.0], [0.1, 1.0], (0.2, 0.2))
     assert body.distance(cone, np.array([[11.0, 0.0, 10.0]])) == pytest.approx(0.0, abs=1e-3)
+    # a ball that is cut off 8 mm below its middle, 4 mm below and 1 mm inside of the flat end
+    dome = theta([10.0] * 3, [1.0, 1.0], cut=0.8)
+    below = np.array([[1.0, 2.0, -12.0], [1.0, 2.0, -7.0]])
+    assert body.distance(dome, below) == pytest.approx([4.0, -1.0], abs=1e-9)
 
 
 def test_the_slope_within_a_distance_is_that_of_its_level():
