@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 
 from mjtactile.explore import body
 from mjtactile.explore.fuse import fuse, shares
 from mjtactile.explore.patch import Patch
-from mjtactile.explore.plan import next_aim
+from mjtactile.explore.plan import Mesh, _around, next_aim
 from mjtactile.explore.run import volume
 from mjtactile.explore.size import news_of_size, principal_sizes, sizes
 from mjtactile.explore.solid import mesh_of
@@ -142,6 +143,32 @@ def test_what_was_touched_is_within_the_interval(believed):
     said = sizes([mesh_of(surfaces[0], 1.5e-3)], surfaces[:1], [*patches, foot])
     assert said.interval[0, 1] > said.mean[0] + 3e-3
     assert said.interval[1, 1] == pytest.approx(said.mean[1] + said.sd[1])
+
+
+def test_a_rival_of_another_size_is_a_doubt_of_size(believed):
+    """Two bodies as likely as each other, one of them a tenth larger: half of that squared."""
+    _, surfaces = believed
+    mesh = mesh_of(surfaces[0], 1.5e-3)
+    larger = replace(mesh, vertices=PLACE + 1.1 * (mesh.vertices - PLACE))
+    said = sizes([mesh, larger], [surfaces[0]] * 2, [])
+    apart = 0.1 * said.mean / np.sqrt(2)
+    # their own doubt comes in besides: 3 % of the size, against 7
+    assert (said.sd > 0.999 * apart).all() and (said.sd < 1.3 * apart).all()
+
+
+def test_a_touch_of_an_edge_tells_little():
+    """Two plates at a right angle. Within 5 mm of the edge's middle are 81 vertices: the normals of
+    the 35 on either plate are 1 / sqrt(2) long along the mean of all, those of the 11 on the edge
+    lie along it; the length of that mean counts by its sixth power."""
+    along, y = (grid.ravel() for grid in np.meshgrid(np.arange(-12.0, 13), np.arange(-8.0, 9)))
+    vertices = 1e-3 * np.column_stack([np.minimum(along, 0), y, -np.maximum(along, 0)])
+    normals = np.column_stack([along >= 0, 0 * y, along <= 0]).astype(float)
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    triangles = Delaunay(np.column_stack([along, y])).simplices
+    worth = _around(Mesh(vertices, triangles, normals, np.zeros(len(y))), np.ones(len(y)))
+    length = (70 / np.sqrt(2) + 11) / 81
+    assert worth[(along == 0) & (y == 0)] == pytest.approx(length**6, rel=1e-6)
+    assert worth[(along == -8) & (y == 0)] == pytest.approx(1.0)
 
 
 def distances(surface, ways):
