@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mjtactile.core import theory
+from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.film.bodies import NUMBERS
 from mjtactile.film.state import FOUND, FilmState
 from mjtactile.kernels import kernel
-
-if TYPE_CHECKING:
-    from mjtactile.film.film import Film
 
 _INFLATING = (0.25, 0.5, 0.75, 1.0)  # of the pressure
 _TAUT = 1.02  # stretch that a sheet is inflated with at least, and then let go to its own
@@ -25,7 +24,25 @@ _MOST_STEPS = 160
 _STRETCH_SQUARED = 4  # place in a film's numbers
 
 
-def inflate(film: Film) -> FilmState:
+class Uninflated(Protocol):
+    """Of a `Film`, what is there before it rests."""
+
+    design: SensorDesign
+    grid: tuple[int, int]
+    pressure_gauge: float
+    x: Array
+    y: Array
+    _numbers: Array
+    _law: Array
+    _room: Array
+    _kept: NDArray[np.float32]
+
+    def _run(
+        self, settings: Array, rows: Array, pool: Array | None, fields: tuple[Array, ...]
+    ) -> None: ...
+
+
+def inflate(film: Uninflated) -> FilmState:
     """Find where a film rests, from a low bulge of about the right height, with stiffnesses that
     are made anew on the way; the last ones, of the sheet at rest, are kept for all solutions.
 
@@ -40,7 +57,9 @@ def inflate(film: Film) -> FilmState:
     Raises:
         InputError: There is none.
     """
-    x, force, found = _low_bulge(film), np.zeros(film.grid), np.empty(FOUND)
+    x = _low_bulge(film)
+    force = np.zeros(film.grid)
+    found = np.empty(FOUND)
     for share, stretch in _ways(film.design.membrane.pre_stretch):
         film._numbers[_STRETCH_SQUARED] = stretch**2
         try:
@@ -71,8 +90,9 @@ def _ways(stretch: float) -> Iterator[tuple[float, float]]:
     yield 1.0, stretch
 
 
-def _low_bulge(film: Film) -> Array:
-    across, along = (film.x / film.x[-1])[:, None], film.y / film.y[-1]
+def _low_bulge(film: Uninflated) -> Array:
+    across = (film.x / film.x[-1])[:, None]
+    along = film.y / film.y[-1]
     height = theory.bulge_height(film.design, _INFLATING[0] * film.pressure_gauge)
     if not np.isfinite(height):
         height = 0.1 * min(film.design.frame.length, film.design.frame.width)
@@ -81,7 +101,7 @@ def _low_bulge(film: Film) -> Array:
     return x
 
 
-def _keep(film: Film, x: Array) -> None:
+def _keep(film: Uninflated, x: Array) -> None:
     """Factors of the stiffness at displacements `x`, for all solutions that follow."""
     fixed = (film._numbers, film._law, *film.grid)
     given = (x, film._room.size, film._room, film._kept.size, film._kept)
