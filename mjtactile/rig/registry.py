@@ -8,8 +8,10 @@ itself.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
@@ -132,4 +134,10 @@ def load_backend(group: str, name: str) -> Callable[..., Any]:
 
 
 def _found(group: str) -> dict[str, EntryPoint]:
+    return _installed(group, tuple(sys.path))
+
+
+@cache
+def _installed(group: str, path: tuple[str, ...]) -> dict[str, EntryPoint]:
+    """On `path`: every package's file is read for it, so that it is done once a process."""
     return {point.name: point for point in entry_points(group=group)}
