@@ -108,6 +108,11 @@ def _median(values: list[float]) -> float:
     return float(np.median(known)) if len(known) else float("nan")
 
 
+def _percent(share: float | None, digits: int) -> str:
+    """Of frames that are no rectangles shapes are not known."""
+    return "unknown" if share is None or np.isnan(share) else f"{100 * share:.{digits}f}"
+
+
 def table(result: Mapping[str, Any]) -> str:
     """Markdown."""
     rows = result["rows"]
@@ -125,10 +130,8 @@ def table(result: Mapping[str, Any]) -> str:
         line(
             "a marker's place, rms of x, y, z, um", *(f"{r['marker_error_um']:.0f}" for r in rows)
         ),
-        line("contact area, median error, %", *(f"{100 * r['area_error']:.0f}" for r in rows)),
-        line(
-            "radius of a ball, median error, %", *(f"{100 * r['radius_error']:.1f}" for r in rows)
-        ),
+        line("contact area, median error, %", *(_percent(r["area_error"], 0) for r in rows)),
+        line("radius of a ball, median error, %", *(_percent(r["radius_error"], 1) for r in rows)),
         line(f"shapes unknown, of {presses}", *(f"{r['shape_unknown']}" for r in rows)),
         line("drawing an image, ms", *(f"{r['camera_ms']:.1f}" for r in rows)),
         line("perception, ms an image", *(f"{r['perception_ms']:.1f}" for r in rows)),
