@@ -176,7 +176,7 @@ def draw_air(figure: Any, result: Mapping[str, Any]) -> None:
 
 
 _DRAW = {
-    "fig5a": (draw_fig5a, (11.0, 5.4)),
+    "fig5a": (draw_fig5a, (16.5, 5.4)),
     "fig5b": (draw_fig5b, (9.5, 4.2)),
     "fig5c": (draw_fig5c, (6.4, 4.2)),
     "fig6": (draw_fig6, (9.0, 3.8)),

@@ -42,7 +42,7 @@ def fig5a(say: Say, quick: bool = False) -> dict[str, Any]:
     """Load cell against estimate in 1 mm increments, valve closed and open: statics, and the
     paper's dF = c dA."""
     rows = []
-    for name in ("dense",) if quick else ("dense", "paper16"):
+    for name in ("dense",) if quick else ("dense", "paper16", "fine"):
         for sealed in (True, False):
             rows.append(
                 _increments(
