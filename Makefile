@@ -40,24 +40,20 @@ docs: $(VENV)/.docs-ready  ## the documentation as a site, build/site/index.html
 # to say, marked `slow`: a test that takes more than about 3 s, of a processor or of waiting, where a quicker one would notice
 # if the thing did not work at all. `clock` are those of emulated devices, which mostly wait: more of them at a time than there
 # are processors, and nothing that computes beside them, not even at the lowest priority: valves then answer late. So few of
-# the first tier's compute that they go eight at a time; whole rigs among them, seven. A browser without a graphics card wants
-# two processors for itself.
+# the first tier's compute that they go eight at a time; of whole rigs six keep both processors busy. A browser without a
+# graphics card wants two processors for itself.
 # Each worker reads all files that it is given: those that have the mark are enough.
 FIRST = -n 2 -m 'not slow and not clock and not browser'
 FIRST_CLOCK = -n 8 --dist loadgroup -m 'clock and not slow and not browser' $(call marked,clock)
 SECOND = -n 2 --dist loadgroup -m 'slow and not clock and not browser' $(call marked,slow)
 SECOND_CLOCK = -n 6 --dist loadgroup -m 'slow and clock and not browser' $(call marked,clock)
-BOTH_CLOCK = -n 7 --dist loadgroup -m 'clock and not browser' $(call marked,clock)
 marked = $(shell grep -rl --include='test_*.py' 'pytest\.mark\.$(1)' tests | sort)
 
 test: first  ## lint, types, import contracts, and the tests of what users do (below 5 minutes)
 	$(BIN)/pytest $(FIRST_CLOCK)
 	$(BIN)/pytest -n 0 tests/browser
 
-test-all: first  ## all that CI runs: `make test`, and the tests marked `slow` (below 10 minutes)
-	$(BIN)/pytest $(SECOND)
-	$(BIN)/pytest $(BOTH_CLOCK)
-	$(BIN)/pytest -n 0 tests/browser
+test-all: test slow  ## all that CI runs: `make test`, then the other tests (below 10 minutes)
 
 slow: $(VENV)/.test-ready  ## the tests that `make test` leaves out: long ones, and whole rigs of emulated hardware
 	$(BIN)/pytest $(SECOND)
