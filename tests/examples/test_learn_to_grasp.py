@@ -7,18 +7,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mjtactile.gym.learning import MIDDLE, SCALE, SPAN
+
 CHECKOUT = Path(__file__).resolve().parents[2]
 
 
 def test_the_ten_lines_of_the_page_learn(tmp_path, monkeypatch):
-    """As they stand, but for sixteen steps in place of half a million."""
+    """As they stand, but for sixteen steps in place of a hundred thousand."""
     learner = pytest.importorskip("stable_baselines3")
     page = (CHECKOUT / "docs/gym.md").read_text()
     lines = page.split("```python\n")[2].partition("```")[0]
     short = functools.partial(learner.PPO, n_steps=16, batch_size=16)
     monkeypatch.setattr(learner, "PPO", short)
     monkeypatch.chdir(tmp_path)
-    exec(lines.replace("500_000", "16"), {})
+    exec(lines.replace("100_000", "16"), {})
     assert (tmp_path / "policy.zip").is_file()
 
 
@@ -33,11 +35,9 @@ def test_a_saved_policy_acts_as_the_learner_does(tmp_path, monkeypatch):
     monkeypatch.setenv("MJTACTILE_POLICY", str(path))
     controller = runpy.run_path(str(CHECKOUT / "controllers/policy.py"))
     rng = np.random.default_rng(0)
-    for shown in rng.uniform(-1, 1, (5, len(example["SCALE"]))) * example["SCALE"]:
-        wanted, _ = model.predict((shown / example["SCALE"]).astype(np.float32), deterministic=True)
+    for shown in rng.uniform(-1, 1, (5, len(SCALE))) * SCALE:
+        wanted, _ = model.predict((shown / SCALE).astype(np.float32), deterministic=True)
         np.testing.assert_allclose(
-            np.clip(controller["load"](path)(shown), -1, 1),
-            example["MIDDLE"] + example["SPAN"] * wanted,
-            atol=1e-5,
+            np.clip(controller["load"](path)(shown), -1, 1), MIDDLE + SPAN * wanted, atol=1e-5
         )
     env.close()

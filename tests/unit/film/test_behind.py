@@ -12,6 +12,7 @@ KINDS = {
     "capsule": lambda r: (r / 3, 1e-3),
     "box": lambda r: (r / 4, r / 4, 2e-3),
 }
+PRESSES = 150  # of a box, few go through
 ABOUT = np.stack(np.meshgrid(*[np.linspace(-8e-3, 8e-3, 81)] * 2), axis=-1).reshape(-1, 2)
 
 
@@ -59,7 +60,7 @@ def is_behind(film, body, own, x, force):
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_goes_through_is_refused_and_nothing_else(film, kind):
     rng = np.random.default_rng(0)
-    presses = [press(film, rng, kind) for _ in range(90)]
+    presses = [press(film, rng, kind) for _ in range(PRESSES)]
     batch = film.solve_batch([[body] for body, _ in presses])
     judged = []
     for (body, own), x, force, found in zip(presses, batch.x, batch.force, batch, strict=True):
@@ -67,5 +68,5 @@ def test_what_goes_through_is_refused_and_nothing_else(film, kind):
             behind = is_behind(film, body, own, x, force)
             judged.append((found.status is Status.GOES_THROUGH, behind))
     refused, behind = np.array(judged).T
-    assert 2 <= behind.sum() <= 45  # there is something to tell apart
+    assert 2 <= behind.sum() <= PRESSES / 2  # there is something to tell apart
     np.testing.assert_array_equal(refused, behind)

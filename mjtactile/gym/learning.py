@@ -1,0 +1,74 @@
+"""What a stock learner wants of `mjtactile/Grasp-v0`: numbers of about one, actions about a
+sensible middle, a few dozen decisions a grasp. `save_policy` writes what `controllers/policy.py`
+reads, in the environment's own units.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mjtactile.core.policy import policy_names
+
+_UNITS = {"N": 1.0, "Nm": 5e-3, "m": 0.04, "s": 1.0}
+_OWN = {"speed_m_s": 0.05, "goal_ahead_m": 0.004}
+# Of each number that is shown, what a learner is shown as 1
+SCALE = np.array([_OWN.get(n, _UNITS.get(n.rpartition("_")[2], 1.0)) for n in policy_names()])
+# A learner's 0 closes slowly, with 1 N, and stays down: noise about it neither crushes nor rises
+# before anything is held
+MIDDLE = np.array([-0.2, -0.75, -0.4])
+SPAN = np.array([0.8, 0.15, 1.0])
+
+
+class Decisions(gymnasium.Wrapper):
+    """Each action stands for several steps of the environment; what is shown and done is scaled.
+
+    Args:
+        env: `mjtactile/Grasp-v0` with observation "wrench".
+        steps: of 33 ms that an action stands for; 8 are thirty decisions a grasp.
+        fear: the most that an end costs. At 1, some learners never lift again.
+    """
+
+    def __init__(self, env: gymnasium.Env, steps: int = 8, fear: float = 0.3):
+        super().__init__(env)
+        self._steps = steps
+        self._fear = fear
+        most = (env.observation_space.high / SCALE).astype(np.float32)  # pyright: ignore[reportAttributeAccessIssue]
+        self.observation_space = gymnasium.spaces.Box(-most, most, dtype=np.float32)
+        low, high = ((end - MIDDLE) / SPAN for end in (-1.0, 1.0))
+        self.action_space = gymnasium.spaces.Box(low, high, dtype=np.float64)
+
+    def reset(self, **how: Any) -> tuple[NDArray, dict[str, Any]]:
+        shown, info = self.env.reset(**how)
+        return (shown / SCALE).astype(np.float32), info
+
+    def step(self, action: ArrayLike) -> tuple[NDArray, float, bool, bool, dict[str, Any]]:
+        """The action for `steps` steps, or to the episode's end; rewards are summed."""
+        own = MIDDLE + SPAN * np.asarray(action)
+        total = 0.0
+        for _ in range(self._steps):
+            shown, reward, terminated, truncated, info = self.env.step(own)
+            total += max(float(reward), -self._fear)
+            if terminated or truncated:
+                break
+        return (shown / SCALE).astype(np.float32), total, terminated, truncated, info
+
+
+def save_policy(path: str | Path, layers: list[tuple[NDArray, NDArray]]) -> None:
+    """Write a network that learned behind `Decisions`, tanh between its layers.
+
+    Args:
+        path: of the file, .npz.
+        layers: weights (out, in) and biases (out,) of each, the first layer's first.
+    """
+    arrays = {}
+    for k, (weights, biases) in enumerate(layers):
+        arrays[f"w{k}"] = weights
+        arrays[f"b{k}"] = biases
+    last = len(layers) - 1
+    arrays["w0"] = arrays["w0"] / SCALE
+    arrays[f"w{last}"] = arrays[f"w{last}"] * SPAN[:, None]
+    arrays[f"b{last}"] = MIDDLE + SPAN * arrays[f"b{last}"]
+    np.savez(path, **arrays)
