@@ -1,0 +1,70 @@
+"""What a stock learner sees and does, and the file that its network becomes."""
+
+import runpy
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+
+from mjtactile.core.policy import policy_bounds
+from mjtactile.gym.learning import MIDDLE, SCALE, SPAN, Decisions, save_policy
+
+CHECKOUT = Path(__file__).resolve().parents[3]
+
+
+class Counted(gymnasium.Env):
+    """Pays 1, 2, 3, and -1 at its end; shows twice what a learner is shown as 1."""
+
+    def __init__(self):
+        most = policy_bounds(2).astype(np.float32)
+        self.observation_space = gymnasium.spaces.Box(-most, most, dtype=np.float32)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,), dtype=np.float64)
+
+    def reset(self, *, seed=None, options=None):
+        self.actions = []
+        return 2 * SCALE, {}
+
+    def step(self, action):
+        self.actions.append(action)
+        n = len(self.actions)
+        return 2 * SCALE, -1.0 if n == 4 else float(n), n == 4, False, {}
+
+
+def test_an_action_stands_for_some_steps_and_an_end_costs_what_was_said():
+    env = Decisions(Counted(), steps=3, fear=0.3)
+    shown, _ = env.reset()
+    np.testing.assert_array_equal(shown, 2)
+    first = env.step(np.zeros(3))
+    assert first[1:4] == (1 + 2 + 3, False, False)
+    np.testing.assert_array_equal(env.unwrapped.actions, [MIDDLE] * 3)
+    # the second decision ends after one step of three
+    assert env.step(np.ones(3))[1:4] == (-0.3, True, False)
+    assert len(env.unwrapped.actions) == 4
+
+
+def test_the_least_and_the_largest_action_are_the_environments_own():
+    env = Decisions(Counted())
+    env.reset()
+    for end, own in ((env.action_space.low, -1.0), (env.action_space.high, 1.0)):
+        env.step(end)
+        assert env.unwrapped.actions[-1] == pytest.approx(own)
+
+
+@pytest.mark.parametrize("widths", [(len(SCALE), 3), (len(SCALE), 8, 5, 3)])
+def test_a_file_acts_as_the_network_behind_the_scales(tmp_path, monkeypatch, widths):
+    rng = np.random.default_rng(0)
+    layers = [
+        (rng.normal(size=(b, a)), rng.normal(size=b))
+        for a, b in zip(widths[:-1], widths[1:], strict=True)
+    ]
+    path = tmp_path / "policy.npz"
+    save_policy(path, layers)
+    monkeypatch.setenv("MJTACTILE_POLICY", str(path))
+    controller = runpy.run_path(str(CHECKOUT / "controllers/policy.py"))
+    for shown in rng.normal(size=(5, len(SCALE))) * SCALE:
+        x = shown / SCALE
+        for k, (weights, biases) in enumerate(layers):
+            x = weights @ (np.tanh(x) if k else x) + biases
+        # the same sums in another order
+        np.testing.assert_allclose(controller["load"](path)(shown), MIDDLE + SPAN * x, rtol=1e-9)
