@@ -88,8 +88,7 @@ class Film:
         stretch = sheet.pre_stretch**2
         self.spacing = max(float(line[1] - line[0]) for line in (self.x, self.y))
         self._numbers = np.array([*sides, *self.grid, stretch, *law, *tensions, *gas, *depths])
-        # zeros: what an obstacle that is refused reads of it must not differ from run to run
-        self._room = np.zeros(kernel("film_room")(self._numbers))
+        self._room = np.empty(kernel("film_room")(self._numbers))
         self._kept = np.empty(kernel("film_kept")(self._numbers), np.float32)
         self._rest = np.zeros((3, *self.grid))
         self._rooms: list[Array] = []  # of a batch's threads
@@ -206,7 +205,7 @@ class Film:
         made = new_batch(count, self.grid) if into is None or into.trend is None else into
         settings = np.tile([self._gas, self.sealed, TOLERANCE, _MOST_STEPS, again, 0.0], (count, 1))
         threads = max(1, min(threads, count))
-        self._rooms += [np.zeros_like(self._room) for _ in range(len(self._rooms), threads)]
+        self._rooms += [np.empty_like(self._room) for _ in range(len(self._rooms), threads)]
 
         start = (None,) * 4 if batch is None else (batch.x, batch.force, batch.trend, batch.found)
         pooled, taken = 0 if pool is None else pool.size, np.zeros(1, np.int64)

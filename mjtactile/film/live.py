@@ -49,7 +49,7 @@ class LiveFilm:
         self.found = np.zeros(FOUND)
         self.settings = np.array([0.0, 0.0, _TOLERANCE, float(_MOST_STEPS), 1.0, below_rim])
         self.numbers = film._numbers.copy()
-        room = np.zeros_like(film._room)
+        room = np.empty_like(film._room)
         kept = (film._kept.size, film._kept)
         fixed = (self.numbers, film._law, *film.grid, *kept, film.rest.x, room.size, room)
         pooled = 0 if pool is None else pool.size

@@ -363,7 +363,8 @@ static int come_to_rest(const Film *f, const Settings *set, const Bodies *bodies
         const int misplaced = step ? CONVERGED : against_the_frame(f, set, &w->seen);
         if (misplaced) return misplaced;
         if (!step && trend) go_on(f, trend, w);
-        const int wider = widen_window(f, step ? 0 : NEAR, w);
+        /* a first step's window has no factor yet, also where it is whole from the beginning and nothing touches */
+        const int wider = widen_window(f, step ? 0 : NEAR, w) || !step;
         see_sheet(f, set, FILM_HEIGHTS, w);
         if (w->sums.least_turn < LEAST_TURN) return INSIDE_OUT;
         if (!isfinite(w->sums.area)) return BROKEN_DOWN;

@@ -229,5 +229,31 @@ def test_a_cone_too_steep_for_the_grid_is_refused_and_not_missed(at, wide):
         cone = film.obstacle("cone", (wide, 6e-3), (*at, tip))
         off = tip - film.design.membrane.thickness / 2
         assert film.heights_of(cone, [at]) == pytest.approx(off, abs=1e-9)
-        with pytest.raises(InputError, match=r"goes through|break down|inside out"):
+        with pytest.raises(InputError, match=r"goes through|break down"):
             film.solve(cone)
+
+
+def test_how_a_solution_ends_does_not_depend_on_what_memory_held():
+    """To the bit, or in the same words: where a second try began above the sheet its first step
+    took a factor that nobody had made."""
+
+    def ends(fill):
+        film = Film("dense", (21, 16), 1000.0)
+        film._room[:] = fill
+        cones = [
+            film.obstacle("cone", (wide, 6e-3), (x, 3e-4, 1e-3))
+            for wide in (0.67e-3, 2e-3, 6e-3)
+            for x in (0.0, 7e-4)
+        ]
+        found = []
+        for body in (*cones, film.obstacle("sphere", (8e-3,), (0, 0, 9e-3))):
+            try:
+                found.append(film.solve(body).heights.tobytes())
+            except InputError as error:
+                found.append(str(error))
+        return found
+
+    nothing = ends(0.0)
+    assert len({type(one) for one in nothing}) == 2  # some rest, some are refused
+    assert ends(np.nan) == nothing
+    assert ends(1e3) == nothing
