@@ -321,5 +321,5 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         right.barh(names, count, left=before, color=color, label=outcome_name)
         before += count
     right.set_xlabel("fingers that slipped")
-    right.legend(fontsize="small")
+    right.legend(fontsize="small", ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     figure.savefig(path)

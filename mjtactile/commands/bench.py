@@ -163,7 +163,7 @@ ARGUMENTS = (
         "it recorded (--parts soak: only that, two hours)",
         type=float,
     ),
-    arg.option("--pairs", "N", "cheap, learning: so many pairs of episodes", type=int),
+    arg.option("--pairs", "N", "cheap, learning, levels: so many pairs of episodes", type=int),
     arg.option(
         "--episodes",
         "N",

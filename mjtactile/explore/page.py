@@ -161,7 +161,7 @@ def _paint(axes: Any, mesh: Mesh, colour: Array, found: Explored) -> None:
     middle, half = (low + high) / 2, float((high - low).max()) / 2
     for set_limits, at in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), middle, strict=True):
         set_limits(at - half, at + half)
-    axes.set_box_aspect((1, 1, 1))
+    axes.set_box_aspect((1, 1, 1), zoom=0.88)  # the unit of the upright axis stands beside it
     axes.computed_zorder = False
     axes.set(xlabel="mm", ylabel="mm", zlabel="mm")
     axes.view_init(elev=_ELEVATION, azim=_AZIMUTH)
