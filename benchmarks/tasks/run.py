@@ -20,6 +20,7 @@ from benchmarks.tasks.shown import CONTROLLERS, SHOWN
 from benchmarks.tasks.tables import table as table
 from mjtactile.core.errors import InputError
 from mjtactile.evaluate.episodes import Episode, run_episode
+from mjtactile.evaluate.pool import Running
 from mjtactile.evaluate.statistics import summarise
 from mjtactile.evaluate.suite import Suite, load_suite, new_suite, read, rounds, run_round
 from mjtactile.recording.observer import Observer
@@ -116,9 +117,7 @@ def _round(suite: Suite, folder: Path, names: Sequence[str], count: int, resume:
             folder / name,
             controllers=[own],
             count=count,
-            resume=resume,
-            say=Progress().message,
-            run_one=run_one,
+            running=Running(resume=resume, say=Progress().message, run_one=run_one),
         )
 
 

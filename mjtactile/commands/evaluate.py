@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mjtactile import InputError, Scenario
 from mjtactile.commands import arguments as arg
 from mjtactile.commands import scenario
 from mjtactile.commands.output import insert_table, new_run_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
+
+if TYPE_CHECKING:
+    from mjtactile.evaluate.pool import Running
 
 DESCRIPTION = """\
 Grasp many times, with other seeds, objects and worlds, and say how often a controller holds
@@ -184,7 +188,6 @@ def run(options: argparse.Namespace) -> int:
 def _screen(options: argparse.Namespace) -> int:
     """Run all cheaply, and what matters again in full."""
     from mjtactile.evaluate import screen as screens
-    from mjtactile.run.progress import Progress
 
     for name, left in (("merge", None), ("shard", (1, 1)), ("record", False), ("readme", None)):
         if getattr(options, name) != left:
@@ -203,9 +206,7 @@ def _screen(options: argparse.Namespace) -> int:
             controllers=controllers or [common.controller],
             count=options.episodes,
             objects=objects,
-            resume=options.resume,
-            workers=options.workers,
-            say=Progress().message,
+            running=_running(options),
         )
     text = screens.table(result)
     write_json(options.out / "screen.json", result)
@@ -235,7 +236,6 @@ _FIXED = (
 def _against(options: argparse.Namespace) -> int:
     """Run a suite, and compare."""
     from mjtactile.evaluate import suite as suites
-    from mjtactile.run.progress import Progress
 
     for name in _FIXED:
         if getattr(options, name) is not None:
@@ -252,9 +252,7 @@ def _against(options: argparse.Namespace) -> int:
                     out,
                     controllers=options.controller or [_DEFAULT.controller],
                     count=options.episodes,
-                    resume=options.resume,
-                    workers=options.workers,
-                    say=Progress().message,
+                    running=_running(options),
                 )
             return suites.compare(suite, out)
 
@@ -276,7 +274,6 @@ def _against(options: argparse.Namespace) -> int:
 
 def _evaluate(options: argparse.Namespace, out: Path) -> dict[str, Any]:
     from mjtactile.evaluate.run import evaluate, merge
-    from mjtactile.run.progress import Progress
 
     with stdout_to_stderr():
         if options.merge:
@@ -292,10 +289,16 @@ def _evaluate(options: argparse.Namespace, out: Path) -> dict[str, Any]:
             controllers=controllers or [common.controller],
             objects=objects,
             shard=options.shard,
-            workers=options.workers,
-            backend=options.backend,
-            scheduler=options.scheduler,
-            resume=options.resume,
             record=options.record,
-            say=Progress().message,
+            running=replace(
+                _running(options), backend=options.backend, scheduler=options.scheduler
+            ),
         )
+
+
+def _running(options: argparse.Namespace) -> Running:
+    """How episodes are run, by the options that all kinds of evaluation have."""
+    from mjtactile.evaluate.pool import Running
+    from mjtactile.run.progress import Progress
+
+    return Running(workers=options.workers, resume=options.resume, say=Progress().message)

@@ -47,6 +47,31 @@ class Pool:
             raise InputError(f"{self.backend!r} is unknown", field="--backend", choices=BACKENDS)
 
 
+@dataclass(frozen=True)
+class Running:
+    """How an evaluation's episodes are run.
+
+    Args:
+        workers: Processes of this machine (None: one a processor; of an emulated rig one).
+        backend: Who runs the episodes, of `BACKENDS`.
+        scheduler: Of a cluster.
+        resume: Go on with what is in the folder.
+        say: Is given a line an episode.
+        run_one: Makes an episode's line, in another process.
+    """
+
+    workers: int | None = None
+    backend: str = PROCESSES
+    scheduler: str = ""
+    resume: bool = False
+    say: Say = lambda _: None
+    run_one: RunOne = run_episode
+
+
+HERE = Running()
+"""By one process a processor of this machine, in silence."""
+
+
 @contextlib.contextmanager
 def _dask(scheduler: str) -> Iterator[int]:
     """Connects joblib to a scheduler; how many tasks its workers take at a time."""

@@ -12,8 +12,8 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.task import load_task
 from mjtactile.evaluate import emulated, report, store, worst
-from mjtactile.evaluate.episodes import RANDOM, Episode, name_of, plan, run_episode
-from mjtactile.evaluate.pool import PROCESSES, Pool, RunOne, Say, run_all
+from mjtactile.evaluate.episodes import RANDOM, Episode, name_of, plan
+from mjtactile.evaluate.pool import HERE, Pool, Running, Say, run_all
 from mjtactile.evaluate.statistics import summarise
 from mjtactile.recording.files import RECORDINGS
 from mjtactile.rig.file import load_sim_rig
@@ -33,13 +33,8 @@ def evaluate(
     objects: Sequence[str],
     shard: tuple[int, int] = (1, 1),
     only: Collection[int] | None = None,
-    workers: int | None = None,
-    backend: str = PROCESSES,
-    scheduler: str = "",
-    resume: bool = False,
     record: bool = False,
-    say: Say = lambda _: None,
-    run_one: RunOne = run_episode,
+    running: Running = HERE,
 ) -> dict[str, Any]:
     """Run many grasps, and say how often they hold.
 
@@ -51,13 +46,8 @@ def evaluate(
         objects: Names and files, grasped in turn.
         shard: (k, n): only the k-th of n parts.
         only: Numbers of the episodes that are run; None: all.
-        workers: Processes of this machine (None: one a processor; of an emulated rig one).
-        backend: Who runs the episodes; see `mjtactile.evaluate.pool`.
-        scheduler: Of a cluster.
-        resume: Go on with what is in the folder.
         record: Keep each episode's recording in `folder`/recordings.
-        say: Is given a line an episode.
-        run_one: Makes an episode's line, in another process.
+        running: Who runs the episodes.
 
     Returns:
         The summary of all episodes that are there when they have ended.
@@ -65,7 +55,7 @@ def evaluate(
     Raises:
         InputError: For a controller, sensor or object that is not to be had, before anything is
             run, and for a folder that holds another evaluation.
-        DeviceError: When a worker was killed: what had ended is kept, and `resume` goes on.
+        DeviceError: When a worker was killed: what had ended is kept, and to resume goes on.
     """
     options = {
         "count": count,
@@ -77,20 +67,26 @@ def evaluate(
     if only is not None:
         options["only"] = sorted(only)
     manifest = store.manifest(options, _files(scenario, controllers, objects))
-    kept = store.Store(folder, manifest, resume=resume)
+    kept = store.Store(folder, manifest, resume=running.resume)
     episodes = plan(scenario, count, controllers, objects, shard=shard)
     if only is not None:
         episodes = [episode for episode in episodes if episode.index in set(only)]
     if record:
         episodes = [_recorded(episode, folder) for episode in episodes]
-    done = {(line["controller"], line["episode"]) for line in kept.lines}
-    missing = [episode for episode in episodes if (episode.controller, episode.index) not in done]
-    if done:
-        say(f"{len(episodes) - len(missing)} of {len(episodes)} episodes are there already")
-    pool = Pool(backend, _workers(scenario) if workers is None else workers, scheduler)
-    run_all(missing, kept, pool, say, run_one)
+    missing = _without_line(episodes, kept)
+    if kept.lines:
+        running.say(f"{len(episodes) - len(missing)} of {len(episodes)} episodes are there already")
+    workers = _workers(scenario) if running.workers is None else running.workers
+    pool = Pool(running.backend, workers, running.scheduler)
+    run_all(missing, kept, pool, running.say, running.run_one)
     kept.finish()
     return summarise(kept.lines)
+
+
+def _without_line(episodes: Sequence[Episode], kept: store.Store) -> list[Episode]:
+    """The episodes that have no line yet."""
+    done = {(line["controller"], line["episode"]) for line in kept.lines}
+    return [episode for episode in episodes if (episode.controller, episode.index) not in done]
 
 
 def _recorded(episode: Episode, folder: Path) -> Episode:

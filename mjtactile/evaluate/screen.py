@@ -16,8 +16,7 @@ import numpy as np
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
-from mjtactile.evaluate.episodes import run_episode
-from mjtactile.evaluate.pool import RunOne, Say
+from mjtactile.evaluate.pool import HERE, Running
 from mjtactile.evaluate.run import evaluate
 from mjtactile.evaluate.statistics import exact_limits
 from mjtactile.evaluate.store import read_lines
@@ -39,10 +38,7 @@ def screen(
     controllers: Sequence[str],
     count: int,
     objects: Sequence[str],
-    resume: bool = False,
-    workers: int | None = None,
-    say: Say = lambda _: None,
-    run_one: RunOne = run_episode,
+    running: Running = HERE,
 ) -> dict[str, Any]:
     """Screen many episodes, and run what matters again.
 
@@ -53,10 +49,7 @@ def screen(
         controllers: Every one meets the same episodes.
         count: Episodes for each.
         objects: Names and files, grasped in turn.
-        resume: Go on with what is in the folder.
-        workers: Processes; None: one a processor.
-        say: Is given a line an episode.
-        run_one: Makes an episode's line, in another process.
+        running: Who runs the episodes.
 
     Returns:
         The report's numbers.
@@ -70,14 +63,14 @@ def screen(
             "leaves out the sheet already: nothing is left to screen", field="--effects"
         )
     both = {"count": count, "controllers": controllers, "objects": objects}
-    running: dict[str, Any] = {"resume": resume, "workers": workers, "say": say, "run_one": run_one}
     cheap = replace(scenario, effects=cheap_effects(scenario.effects))
-    say(f"screening: {count} episodes with --effects={cheap.effects}")
-    evaluate(folder / SCREEN, cheap, **both, **_resumed(running, folder / SCREEN))
+    running.say(f"screening: {count} episodes with --effects={cheap.effects}")
+    evaluate(folder / SCREEN, cheap, **both, running=_resumed(running, folder / SCREEN))
     screened = read_lines(folder / SCREEN)
     again = to_run_again(screened, sample)
-    say(f"in full: {len(again)} of them")
-    evaluate(folder / FULL, scenario, **both, only=again, **_resumed(running, folder / FULL))
+    running.say(f"in full: {len(again)} of them")
+    resumed = _resumed(running, folder / FULL)
+    evaluate(folder / FULL, scenario, **both, only=again, running=resumed)
     return compare(screened, read_lines(folder / FULL))
 
 
@@ -200,6 +193,6 @@ def _percent(share: float, low: float, high: float) -> str:
     return f"{100 * share:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
 
 
-def _resumed(running: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+def _resumed(running: Running, folder: Path) -> Running:
     """As asked; where the first of both had not ended, the second has not begun."""
-    return dict(running) | {"resume": running["resume"] and folder.exists()}
+    return replace(running, resume=running.resume and folder.exists())

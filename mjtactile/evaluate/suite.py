@@ -20,8 +20,7 @@ from mjtactile.core import resources
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.evaluate import store
-from mjtactile.evaluate.episodes import run_episode
-from mjtactile.evaluate.pool import RunOne, Say
+from mjtactile.evaluate.pool import HERE, Running
 from mjtactile.evaluate.run import evaluate
 from mjtactile.evaluate.statistics import paired, summarise
 from mjtactile.evaluate.wilson import Line, wilson
@@ -142,15 +141,7 @@ def load_suite(name_or_path: str | Path) -> Suite:
 
 
 def run_suite(
-    suite: Suite,
-    folder: Path,
-    *,
-    controllers: Sequence[str],
-    count: int,
-    resume: bool = False,
-    workers: int | None = None,
-    say: Say = lambda _: None,
-    run_one: RunOne = run_episode,
+    suite: Suite, folder: Path, *, controllers: Sequence[str], count: int, running: Running = HERE
 ) -> None:
     """Run a suite's tasks, each into a folder of its own; a few episodes of each at a time, so that
     what is stopped has as many of all.
@@ -160,26 +151,15 @@ def run_suite(
         folder: Gets a folder a task.
         controllers: Names and files.
         count: Episodes of each task for each controller.
-        resume: Go on with what is there.
-        workers: Processes (None: one a processor).
-        say: Is given a line an episode.
-        run_one: Makes an episode's line.
+        running: Who runs the episodes.
 
     Raises:
         InputError: As `evaluate` does.
         DeviceError: As `evaluate` does.
     """
     for most in rounds(count):
-        run_round(
-            suite,
-            folder,
-            controllers=controllers,
-            count=most,
-            resume=resume or most > _ROUND,
-            workers=workers,
-            say=say,
-            run_one=run_one,
-        )
+        resumed = replace(running, resume=running.resume or most > _ROUND)
+        run_round(suite, folder, controllers=controllers, count=most, running=resumed)
 
 
 def rounds(count: int, each: int = _ROUND) -> list[int]:
@@ -188,31 +168,20 @@ def rounds(count: int, each: int = _ROUND) -> list[int]:
 
 
 def run_round(
-    suite: Suite,
-    folder: Path,
-    *,
-    controllers: Sequence[str],
-    count: int,
-    resume: bool = False,
-    workers: int | None = None,
-    say: Say = lambda _: None,
-    run_one: RunOne = run_episode,
+    suite: Suite, folder: Path, *, controllers: Sequence[str], count: int, running: Running = HERE
 ) -> None:
     """Run what is missing of the first `count` episodes of each task; as `run_suite`."""
     for task in suite.tasks:
         known = folder / task / store.MANIFEST
         there = store.read_manifest(folder / task)["options"]["count"] if known.exists() else 0
-        say(f"{task}: {max(count, there)} episodes")
+        running.say(f"{task}: {max(count, there)} episodes")
         evaluate(
             folder / task,
             suite.scenario(task),
             count=max(count, there),
             controllers=controllers,
             objects=suite.objects,
-            workers=workers,
-            resume=resume,
-            say=say,
-            run_one=run_one,
+            running=running,
         )
 
 

@@ -108,7 +108,7 @@ def test_a_ball_at_a_speed_that_no_step_resolves_is_stopped_or_flagged(speed):
 
 def test_a_pin_through_triangles_or_vertices_stops_the_scene(monkeypatch):
     """Something went wrong in contact: what is behind the sheet is seen by where it is."""
-    monkeypatch.setattr("mjtactile.sim.sensor.points._MOST_FACES", 0)
+    monkeypatch.setattr("mjtactile.sim.sensor.sharp._MOST_FACES", 0)
     pin = replace(BODIES["pin of 0.5 mm radius"], depth=4e-3)
     monkeypatch.setattr("mjtactile.sim.sensor.shapes.entry_of", lambda *_: None)
     with pytest.raises(SimulationError, match="'thin' went through the membrane"):

@@ -18,13 +18,14 @@ Round objects that are larger than the mesh are left to `facets.StandOff`, faces
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
-from mjtactile.sim.sensor import cores, features, shapes
+from mjtactile.sim.sensor import features, shapes
 from mjtactile.sim.sensor.cells import (
     FOOT,
     REACH,
@@ -37,6 +38,7 @@ from mjtactile.sim.sensor.cells import (
     stand_back,
 )
 from mjtactile.sim.sensor.mesh import MembraneMesh
+from mjtactile.sim.sensor.sharp import KINDS, sharp_geoms
 from mjtactile.sim.sensor.spread import depth_under_end
 
 EVERY = 0.01
@@ -47,18 +49,8 @@ _TAKES = 0.52
 with REACH, two would give a ball between them to each other for ever."""
 _SLACKEST = 0.01  # strain whose tension is the least to reckon with
 _STILL = 1e-5  # m, below which a sphere is back at its vertex
-_SHARP = tuple(
-    int(kind)
-    for kind in (
-        mujoco.mjtGeom.mjGEOM_BOX,
-        mujoco.mjtGeom.mjGEOM_CYLINDER,
-        mujoco.mjtGeom.mjGEOM_MESH,
-    )
-)
-_MOST_FACES = 4000  # of the hull of something thin
 _PACE = 7.5e-3  # m/s, with which they stand back from what is thin: contact must not be lost
 _EASE = 0.5  # of a change of a load, that a look follows
-_APART = 0.15  # cells between points inside of what is thin
 # cells: radius of a sphere that meets what is thin, with its top where the sheet is: a sheet under
 # pressure jumps by a tenth of a cell, and would be in it, and be pushed out sideways
 _BLUNT = 0.3
@@ -69,17 +61,25 @@ _STAYS = 0.03  # cells: so little is no move
 _HALF = 0.5  # of a thin thing's half width, within which a sphere's feet stand on it
 
 
-def missed(model: mujoco.MjModel, carrier: int, mesh: MembraneMesh) -> tuple[float, str]:
-    """Radius, m, and name of the thinnest thing that could slip between vertices, since its shape
-    is not known here (a mesh of too many faces); infinite when there is none."""
-    limit = features.SLIPS * mesh.spacing
-    found = [
-        (radius, features.name_of(model, int(geom)))
-        for geom in features.touching_geoms(model, carrier)
-        if (radius := features.feature_radius(model, int(geom))) < limit
-        and shapes.entry_of(model, int(geom), _MOST_FACES) is None
-    ]
-    return min(found, default=(np.inf, ""))
+class _Goals(NamedTuple):
+    """Where spheres are to go: vectors `to` (k, 3) m in S from their vertices, those by which they
+    stand `back` of it, which are `blunt` (k,), and `gaps` (k,), in cells, to what each is to
+    touch."""
+
+    to: Array
+    back: Array
+    blunt: NDArray[np.bool_]
+    gaps: Array
+
+
+def _no_goals(count: int) -> _Goals:
+    """Of spheres that are near nothing."""
+    return _Goals(
+        np.zeros((count, 3)),
+        np.zeros((count, 3)),
+        np.zeros(count, dtype=bool),
+        np.full(count, np.inf),
+    )
 
 
 class ContactPoints:
@@ -101,9 +101,12 @@ class ContactPoints:
         self._body = body_id
         self._slackest = _SLACKEST * stiffness
         self._first = int(vertex_geom_ids[0])
-        self._places = model.geom_pos[
-            self._first : self._first + len(vertex_geom_ids)
-        ]  # a live view
+        block = slice(self._first, self._first + len(vertex_geom_ids))
+        # live views
+        self._places = model.geom_pos[block]
+        self._radii = model.geom_size[block, 0]
+        self._bounds = model.geom_rbound[block]
+        self._boxes = model.geom_aabb[block, 3:]
         # else MuJoCo takes them for their bodies' origins
         model.geom_sameframe[vertex_geom_ids] = 0
         self._triangles = mesh.triangles
@@ -112,36 +115,13 @@ class ContactPoints:
         self._flat = mesh.p_SV[mesh.interior, :2]
         # as stiff with eight triangles as with four
         self._sizes = np.full(len(self._areas), np.sqrt(self._areas.mean()))
-        thin = {
-            int(geom): features.feature_radius(model, int(geom)) < features.SLIPS * mesh.spacing
-            for geom in features.touching_geoms(model, body_id)
-        }
-        self._shapes = {
-            geom: entry
-            for geom in thin
-            if _is_sharp(model, geom, mesh)
-            and (entry := shapes.entry_of(model, geom, _MOST_FACES if thin[geom] else None))
-        }
-        self._round = {
-            geom
-            for geom in self._shapes
-            if model.geom_type[geom] == int(mujoco.mjtGeom.mjGEOM_CYLINDER)
-            and model.geom_size[geom, 0] >= features.RESOLVED * mesh.spacing
-        }
-        self._cores = {
-            geom: cores.core(model, geom, _APART * self._sizes[0])
-            for geom in self._shapes
-            if thin[geom]
-        }
-        """Points inside of what is thin: it may lie between all places where a cell looks."""
+        self._shapes, self._round, self._cores = sharp_geoms(
+            model, body_id, mesh, float(self._sizes[0])
+        )
         self._every = EVERY
         self._eased = np.zeros(len(vertex_geom_ids))  # loads, as what is thin bears them
         self._radius = float(model.geom_size[self._first, 0])
         self._blunt = max(_BLUNT * float(self._sizes[0]), self._radius)
-        block = slice(self._first, self._first + len(vertex_geom_ids))
-        self._radii = model.geom_size[block, 0]  # live views
-        self._bounds = model.geom_rbound[block]
-        self._boxes = model.geom_aabb[block, 3:]
         if self._cores:
             _widen(model, model.geom_bodyid[vertex_geom_ids], self._sizes[0])
         self._back = np.zeros_like(self._places)
@@ -163,10 +143,12 @@ class ContactPoints:
             return
         self._time = time
         self._every = EVERY
-        goal, back, blunt, gaps = self._goals(p_SV, tensions, pressure_gauge)
-        near = bool(np.isfinite(gaps).any())
+        goals = self._goals(p_SV, tensions, pressure_gauge)
+        goal = goals.to
+        blunt = goals.blunt
+        near = bool(np.isfinite(goals.gaps).any())
         if self._cores:
-            self._take(blunt, gaps)
+            self._take(blunt, goals.gaps)
         if not near and not self._is_touched():
             self._upright = self._normals(p_SV)
             if self._still:
@@ -176,7 +158,7 @@ class ContactPoints:
             goal = np.where(kept[:, None], self._goal, goal)
         self._goal = goal
         self._reach = np.where(goal.any(axis=1), REACH, _TAKES)
-        moves = min(abs(elapsed) / SETTLE, 1.0) * (back - self._back)
+        moves = min(abs(elapsed) / SETTLE, 1.0) * (goals.back - self._back)
         if self._cores:
             most = _PACE * abs(elapsed)
             moves = np.where(blunt[:, None], np.clip(moves, -most, most), moves)
@@ -216,67 +198,77 @@ class ContactPoints:
         touching[numbers[(numbers >= 0) & (numbers < len(self._sizes))]] = True
         return touching
 
-    def _goals(
-        self, p_SV: Array, tensions: Callable[[], Array], pressure_gauge: float
-    ) -> tuple[Array, Array, NDArray[np.bool_], Array]:
-        """Vectors (k, 3) m in S to where the spheres should be, those by which to stand back, which
-        spheres are blunt; gaps (k,), in cells, to what each is to touch."""
-        goal = np.zeros_like(self._places)
-        behind = np.zeros_like(self._places)
-        blunt = np.zeros(len(self._places), dtype=bool)
-        nearest = np.full(len(self._places), np.inf)
+    def _goals(self, p_SV: Array, tensions: Callable[[], Array], pressure_gauge: float) -> _Goals:
+        """Where the spheres are to go, of vertices at `p_SV` (n, 3) m."""
+        goals = _no_goals(len(self._places))
         loads = None
         vertices = p_SV[self._interior]
         for geom, entry in self._shapes.items():
-            middle = self._in_sensor(self._data.geom_xpos[geom])
-            close = np.flatnonzero(
-                np.linalg.norm(vertices - middle, axis=1) - self._model.geom_rbound[geom]
-                < self._sizes
-            )
-            if not len(close) or self._is_far(geom, vertices[close]):
+            close = self._close_to(geom, vertices)
+            if not len(close):
                 continue
             normal = self._upright[close].sum(axis=0)
             axes = axes_of(normal / np.linalg.norm(normal))
             cells = self._seen_from(geom, vertices[close], axes, self._sizes[close])
             if geom in self._round:  # but for its ends
-                at_end = np.flatnonzero(
-                    np.abs(cells.places[:, 2]) + 2 * cells.sizes > self._model.geom_size[geom, 1]
-                )
+                at_end = self._at_end(geom, cells)
                 close = close[at_end]
                 cells = cells.of(at_end)
-            hints = None
-            foot = FOOT
-            if geom in self._cores:
-                hints = hints_of(cells, entry, self._cores[geom])
-                thin = features.feature_radius(self._model, geom) / self._sizes[0]
-                foot = min(1.0, _HALF * thin / np.abs(FOOT).max()) * FOOT
-                if hints[1].min(initial=np.inf) < REACHED:
-                    self._every = (
-                        EVERY if self._is_touched() else 0.0
-                    )  # it is met from the first step
+            is_thin = geom in self._cores
+            hints = self._hints(geom, entry, cells) if is_thin else None
+            foot = self._foot(geom) if is_thin else FOOT
             rows, at, gaps = deepest(cells, entry, self._reach[close], foot, hints)
-            better = gaps < nearest[close[rows]]
+            better = gaps < goals.gaps[close[rows]]
             rows = rows[better]
             at = at[better]
             touching = close[rows]
-            nearest[touching] = gaps[better]
-            goal[touching] = self._sizes[touching, None] * (at @ axes[:2])
-            behind[touching] = 0.0
-            blunt[touching] = geom in self._cores
-            if geom in self._cores:
-                goal[touching] -= (self._blunt - self._radius) * axes[2]
-            if len(rows) and int(self._model.geom_type[geom]) in _SHARP:
+            goals.gaps[touching] = gaps[better]
+            goals.to[touching] = self._sizes[touching, None] * (at @ axes[:2])
+            goals.back[touching] = 0.0
+            goals.blunt[touching] = is_thin
+            if is_thin:
+                goals.to[touching] -= (self._blunt - self._radius) * axes[2]
+            if len(rows) and int(self._model.geom_type[geom]) in KINDS:
                 if loads is None:
                     loads = self._loads(tensions, pressure_gauge)
                     self._ease(loads)
-                bearing = self._eased if geom in self._cores else loads
+                bearing = self._eased if is_thin else loads
                 pressed = bearing[touching] > 0
                 rows = rows[pressed]
                 at = at[pressed]
                 touching = touching[pressed]
                 back = self._stand_back(geom, entry, cells.of(rows), at, bearing, touching)
-                behind[touching] = -(self._sizes[touching] * back)[:, None] * axes[2]
-        return goal, behind, blunt, nearest
+                goals.back[touching] = -(self._sizes[touching] * back)[:, None] * axes[2]
+        return goals
+
+    def _close_to(self, geom: int, vertices: Array) -> NDArray[np.int64]:
+        """Numbers of those of the `vertices` (k, 3) m in S that a geom may be near; none where all
+        are two cells away from it."""
+        middle = self._in_sensor(self._data.geom_xpos[geom])
+        distances = np.linalg.norm(vertices - middle, axis=1)
+        close = np.flatnonzero(distances - self._model.geom_rbound[geom] < self._sizes)
+        if len(close) and self._is_far(geom, vertices[close]):
+            return close[:0]
+        return close
+
+    def _at_end(self, geom: int, cells: Cells) -> NDArray[np.int64]:
+        """Which cells are at an end of a cylinder, or beyond it."""
+        reach = np.abs(cells.places[:, 2]) + 2 * cells.sizes
+        return np.flatnonzero(reach > self._model.geom_size[geom, 1])
+
+    def _hints(self, geom: int, entry: shapes.Entry, cells: Cells) -> tuple[Array, Array]:
+        """Shifts and gaps to where a thin geom reaches farthest in; `update` looks at every step
+        before it is met."""
+        hints = hints_of(cells, entry, self._cores[geom])
+        if hints[1].min(initial=np.inf) < REACHED:
+            # it is met from the first step
+            self._every = EVERY if self._is_touched() else 0.0
+        return hints
+
+    def _foot(self, geom: int) -> Array:
+        """What of a sphere must stand on a thin geom, in cells."""
+        thin = features.feature_radius(self._model, geom) / self._sizes[0]
+        return min(1.0, _HALF * thin / np.abs(FOOT).max()) * FOOT
 
     def _stand_back(
         self,
@@ -393,8 +385,3 @@ def _widen(model: mujoco.MjModel, bodies: NDArray[np.int64], size: float) -> Non
     for body in bodies:
         first = int(model.body_bvhadr[body])
         model.bvh_aabb[first : first + model.body_bvhnum[body], 3:] = size
-
-
-def _is_sharp(model: mujoco.MjModel, geom: int, mesh: MembraneMesh) -> bool:
-    small = features.feature_radius(model, geom) < features.RESOLVED * mesh.spacing
-    return small or int(model.geom_type[geom]) in _SHARP

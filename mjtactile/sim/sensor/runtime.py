@@ -17,9 +17,10 @@ from mjtactile.sim.sensor.approach import Approach, refuse_thin
 from mjtactile.sim.sensor.facets import StandOff
 from mjtactile.sim.sensor.membrane import FLEX, ContactStiffness, pre_stretch, touch_with
 from mjtactile.sim.sensor.mesh import MembraneMesh
-from mjtactile.sim.sensor.points import ContactPoints, missed
+from mjtactile.sim.sensor.points import ContactPoints
 from mjtactile.sim.sensor.relaxing import Relaxing
 from mjtactile.sim.sensor.rubber import Rubber, all_rows
+from mjtactile.sim.sensor.sharp import missed
 from mjtactile.sim.sensor.sheet_sensor import SheetSensor, require
 from mjtactile.sim.sensor.sleep import Sleeper
 from mjtactile.sim.sensor.stiction import Stiction
@@ -47,10 +48,7 @@ class TactileSensor(SheetSensor):
         scene's smallest feature."""
         super().__init__(model, data, design, mesh, prefix, effects)
         self.flex_id = require(model, mujoco.mjtObj.mjOBJ_FLEX, prefix + FLEX)
-        names = [f"{prefix}v{v}" for v in mesh.interior]
-        self.vertex_geom_ids = np.array(
-            [require(model, mujoco.mjtObj.mjOBJ_GEOM, name) for name in names]
-        )
+        self.vertex_geom_ids = _vertex_geoms(model, mesh, prefix)
         self.contact_ids = np.array(
             [self.vertex_geom_ids[0], self.vertex_geom_ids[-1], self.flex_id]
         )
@@ -59,6 +57,19 @@ class TactileSensor(SheetSensor):
         pre_stretch(model, self.flex_id, mesh, design.membrane.pre_stretch)
         # a trace is needed to compile without a warning, none to simulate
         model.flex_damping[self.flex_id] = 0.0
+        self._make_contact(model, data, contact)
+        self._make_sheet(model, data, effects)
+        self._sleeper = Sleeper(
+            model, data, mesh, self._tendon, self.flex_id, self.body_id, self.vertex_geom_ids
+        )
+        self._follow()
+
+    def _make_contact(self, model: mujoco.MjModel, data: mujoco.MjData, contact: str) -> None:
+        """What touches, vertices or elements, and what keeps it true: stiffness, distances,
+        stiction."""
+        mesh = self.mesh
+        sheet = self.design.membrane
+        vertices = self.vertex_geom_ids
         self.missed = missed(model, self.body_id, mesh)
         """Radius, m, and name of what vertices alone would let slip between them."""
         if contact == "auto":
@@ -67,33 +78,35 @@ class TactileSensor(SheetSensor):
         on_vertices = contact == "vertices"
         if not on_vertices:
             refuse_thin(model, self.body_id, mesh)
-        touch_with(model, self.vertex_geom_ids, self.flex_id, self.contact)
+        touch_with(model, vertices, self.flex_id, self.contact)
         self._contact_stiffness = ContactStiffness(
-            model, self.vertex_geom_ids, self.flex_id, mesh, design.membrane, remembers=on_vertices
+            model, vertices, self.flex_id, mesh, sheet, remembers=on_vertices
         )
         # a live view
-        self._margins = model.geom_margin[self.vertex_geom_ids[0] : self.vertex_geom_ids[-1] + 1]
-        self._stand_off = StandOff(model, data, self.vertex_geom_ids, mesh)
-        sheet = design.membrane
-        self._approach = (
-            None if on_vertices else Approach(model, data, self.body_id, self.flex_id, mesh)
-        )
-        self._points = (
-            ContactPoints(
-                model, data, self.vertex_geom_ids, self.body_id, mesh, sheet.young * sheet.thickness
-            )
-            if on_vertices
-            else None
-        )
-        self._stiction = (
-            Stiction(model, data, self.vertex_geom_ids, self.body_id) if on_vertices else None
-        )
-        self._rubber = (
-            Rubber(model, self.flex_id, mesh, sheet) if sheet.law is Law.NEO_HOOKEAN else None
-        )
+        self._margins = model.geom_margin[vertices[0] : vertices[-1] + 1]
+        self._stand_off = StandOff(model, data, vertices, mesh)
+        self._approach: Approach | None = None
+        self._points: ContactPoints | None = None
+        self._stiction: Stiction | None = None
+        if on_vertices:
+            stiffness = sheet.young * sheet.thickness
+            self._points = ContactPoints(model, data, vertices, self.body_id, mesh, stiffness)
+            self._stiction = Stiction(model, data, vertices, self.body_id)
+        else:
+            self._approach = Approach(model, data, self.body_id, self.flex_id, mesh)
+
+    def _make_sheet(
+        self, model: mujoco.MjModel, data: mujoco.MjData, effects: frozenset[str]
+    ) -> None:
+        """The rubber's law, the load that the gas puts on it, and the volume it encloses."""
+        mesh = self.mesh
+        design = self.design
+        self._rubber: Rubber | None = None
+        if design.membrane.law is Law.NEO_HOOKEAN:
+            self._rubber = Rubber(model, self.flex_id, mesh, design.membrane)
         self._relaxing = _relaxing(design, mesh)
         self._turning = Turning(model, data, self.body_id, self.flex_id, mesh)
-        self._tendon = make_load(model, data, mesh, prefix, effects)
+        self._tendon = make_load(model, data, mesh, self.prefix, effects)
         if self._relaxing and self._rubber:
             rows = all_rows(model, self.flex_id)
             self._relaxing.carry(self._rubber.thin, rows, self._tendon.forces)
@@ -102,10 +115,6 @@ class TactileSensor(SheetSensor):
         self._flat = mesh.p_SV[mesh.interior].ravel()
         self._moved = np.empty_like(self._flat)
         self._geometry = make_geometry(mesh, design.chamber_volume_flat, effects)
-        self._sleeper = Sleeper(
-            model, data, mesh, self._tendon, self.flex_id, self.body_id, self.vertex_geom_ids
-        )
-        self._follow()
 
     def update(self) -> None:
         """Bring gas volume, pressure and stiffness up to the present state; call before every
@@ -293,6 +302,12 @@ class TactileSensor(SheetSensor):
                 f"{f'; rubber like this may not hold {1e-3 * pressure:.3g} kPa' if bursts else ''}"
             )
         return None
+
+
+def _vertex_geoms(model: mujoco.MjModel, mesh: MembraneMesh, prefix: str) -> NDArray[np.int64]:
+    """The contact spheres of the mesh's interior vertices."""
+    names = [f"{prefix}v{v}" for v in mesh.interior]
+    return np.array([require(model, mujoco.mjtObj.mjOBJ_GEOM, name) for name in names])
 
 
 def _relaxing(design: SensorDesign, mesh: MembraneMesh) -> Relaxing | None:

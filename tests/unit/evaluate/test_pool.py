@@ -16,7 +16,7 @@ from mjtactile.core.errors import DeviceError, InputError, Interrupted, Simulati
 from mjtactile.core.scenario import Scenario
 from mjtactile.evaluate import episodes, store
 from mjtactile.evaluate.episodes import Episode, run_episode
-from mjtactile.evaluate.pool import Pool
+from mjtactile.evaluate.pool import Pool, Running
 from mjtactile.evaluate.run import evaluate
 from tests.emulated_host import controller_text
 from tests.fake_run import fake_cycle
@@ -46,12 +46,11 @@ def test_a_dask_cluster_writes_the_same_lines(tmp_path, quick):
         summary = evaluate(
             tmp_path / "dask",
             controllers=quick,
-            backend="dask",
-            scheduler=cluster.scheduler_address,
+            running=Running(backend="dask", scheduler=cluster.scheduler_address),
             **COMMON,
         )
     assert summary["controllers"]["quick"]["held"] == 1
-    evaluate(tmp_path / "here", controllers=quick, workers=1, **COMMON)
+    evaluate(tmp_path / "here", controllers=quick, running=Running(workers=1), **COMMON)
     assert (tmp_path / "dask" / "episodes.jsonl").read_bytes() == (
         tmp_path / "here" / "episodes.jsonl"
     ).read_bytes()
@@ -157,7 +156,7 @@ def test_an_episode_that_was_told_to_end_has_no_line(tmp_path, monkeypatch, quic
     with pytest.raises(Interrupted):
         run_episode(episode("gentle", "egg", 0))
     with pytest.raises(DeviceError, match="a worker was told to end; --resume goes on"):
-        evaluate(tmp_path / "out", controllers=quick, workers=1, **COMMON)
+        evaluate(tmp_path / "out", controllers=quick, running=Running(workers=1), **COMMON)
     assert store.read_lines(tmp_path / "out") == []
 
 

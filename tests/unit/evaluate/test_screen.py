@@ -6,6 +6,7 @@ from mjtactile.cli import main
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.evaluate import screen
+from mjtactile.evaluate.pool import Running
 from mjtactile.evaluate.statistics import exact_limits
 from mjtactile.evaluate.store import read_lines
 
@@ -27,10 +28,10 @@ def pretended(episode):
     }
 
 
-def run(folder, sample, **more):
+def run(folder, sample, *, resume=False):
     return screen.screen(
         folder, Scenario(), sample=sample, controllers=["gentle"], count=20, objects=["egg"],
-        workers=1, run_one=pretended, **more,
+        running=Running(workers=1, run_one=pretended, resume=resume),
     )  # fmt: skip
 
 

@@ -1,0 +1,81 @@
+"""What of a scene is small or sharp beside a sensor's mesh: the geoms that `points` has its contact
+spheres follow."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from mjtactile.core.types import Array
+from mjtactile.sim.sensor import cores, features, shapes
+from mjtactile.sim.sensor.mesh import MembraneMesh
+
+KINDS = tuple(
+    int(kind)
+    for kind in (
+        mujoco.mjtGeom.mjGEOM_BOX,
+        mujoco.mjtGeom.mjGEOM_CYLINDER,
+        mujoco.mjtGeom.mjGEOM_MESH,
+    )
+)
+"""Geoms that have edges."""
+_MOST_FACES = 4000  # of the hull of something thin
+_APART = 0.15  # cells between points inside of what is thin
+
+
+class SharpGeoms(NamedTuple):
+    """Geoms whose shape the spheres follow.
+
+    Args:
+        shapes: By geom, what tells where a line enters it.
+        round: Those of them that are cylinders much wider than the mesh: sharp at their ends alone.
+        cores: Of those that fit between vertices, points (m, 3) m inside, in the geom's frame: such
+            a geom may lie between all places where a cell looks.
+    """
+
+    shapes: dict[int, shapes.Entry]
+    round: set[int]
+    cores: dict[int, Array]
+
+
+def missed(model: mujoco.MjModel, carrier: int, mesh: MembraneMesh) -> tuple[float, str]:
+    """Radius, m, and name of the thinnest thing that could slip between vertices, since its shape
+    is not known here (a mesh of too many faces); infinite when there is none."""
+    found = []
+    for geom in map(int, features.touching_geoms(model, carrier)):
+        if _is_thin(model, geom, mesh) and shapes.entry_of(model, geom, _MOST_FACES) is None:
+            found.append((features.feature_radius(model, geom), features.name_of(model, geom)))
+    return min(found, default=(np.inf, ""))
+
+
+def sharp_geoms(model: mujoco.MjModel, carrier: int, mesh: MembraneMesh, cell: float) -> SharpGeoms:
+    """What may touch the sensor on the body `carrier` and is small or sharp beside its mesh, whose
+    vertices stand for cells of `cell` m."""
+    found = SharpGeoms({}, set(), {})
+    for geom in map(int, features.touching_geoms(model, carrier)):
+        if not _is_sharp(model, geom, mesh):
+            continue
+        is_thin = _is_thin(model, geom, mesh)
+        entry = shapes.entry_of(model, geom, _MOST_FACES if is_thin else None)
+        if entry is None:
+            continue
+        found.shapes[geom] = entry
+        if is_thin:
+            found.cores[geom] = cores.core(model, geom, _APART * cell)
+        is_cylinder = int(model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_CYLINDER)
+        if is_cylinder and model.geom_size[geom, 0] >= features.RESOLVED * mesh.spacing:
+            found.round.add(geom)
+    return found
+
+
+def _is_thin(model: mujoco.MjModel, geom: int, mesh: MembraneMesh) -> bool:
+    """Whether it fits between vertices."""
+    return features.feature_radius(model, geom) < features.SLIPS * mesh.spacing
+
+
+def _is_sharp(model: mujoco.MjModel, geom: int, mesh: MembraneMesh) -> bool:
+    """Whether it has edges, or is small."""
+    is_small = features.feature_radius(model, geom) < features.RESOLVED * mesh.spacing
+    return is_small or int(model.geom_type[geom]) in KINDS
