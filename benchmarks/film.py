@@ -41,6 +41,7 @@ _TIMES = {
     "a step of 0.05 mm after another": "step_us",
     "the same without what came before": "alone_us",
     "six derivatives": "derivatives_us",
+    "six derivatives by its pose": "by_pose_us",
 }
 _MARKERS = np.stack(
     np.meshgrid(np.linspace(-0.016, 0.016, 9), np.linspace(-0.012, 0.012, 9), indexing="ij"), -1
@@ -223,20 +224,23 @@ def _times(grid: tuple[int, int], bursts: int) -> dict[str, Any]:
                 state = film.solve(one, state if trend else replace(state, trend=None))
                 least[k] = min(least[k], time.perf_counter() - begin)
                 steps = max(steps, state.steps)
-    derived = np.inf
+    derived, posed = np.inf, np.inf
     numbers = np.array([1e-3, 0.0, 1.5e-3, 120.0, 60.0, 0.1])
     pressed = film.solve(_bowl(numbers))
     for _ in range(bursts):
         begin = time.perf_counter()
         film.derivatives(pressed, _bowl, numbers)
-        derived = min(derived, time.perf_counter() - begin)
+        between = time.perf_counter()
+        film.derivatives_by_pose(pressed)
+        derived = min(derived, between - begin)
+        posed = min(posed, time.perf_counter() - between)
     rates = {
         f"{size}, {threads}": _rate(film, balls, size, threads, bursts)
         for size, threads in ((1, 1), (8, 1), (AT_ONCE, 1), (256, 1), (AT_ONCE, 2))
     }
     return {"grid": list(grid), "step_us": 1e6 * float(np.median(best[True])),
             "alone_us": 1e6 * float(np.median(best[False])), "most_steps": steps,
-            "derivatives_us": 1e6 * derived, "batch_per_s": rates,
+            "derivatives_us": 1e6 * derived, "by_pose_us": 1e6 * posed, "batch_per_s": rates,
             "ceiling": _ceiling(grid, _SECONDS * bursts / BURSTS)}  # fmt: skip
 
 

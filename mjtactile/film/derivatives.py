@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,10 +13,29 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.film import bodies
 from mjtactile.film.bodies import Obstacle
-from mjtactile.film.state import AREA, PRESSURE, VOLUME, WRENCH
+from mjtactile.film.state import AREA, FOUND, PRESSURE, VOLUME, WRENCH, FilmState
+from mjtactile.kernels import kernel
 
 Shape = Callable[[Array], Obstacle | Sequence[Obstacle]]
-_STEP = 1e-6  # of a number, or of one: differences of bodies alone, which are closed forms
+_STEP = 1e-8  # of a number, or of one: differences of bodies alone, which are closed forms
+POSE_STEP = 1e-8  # m, rad
+_TURNS = np.array([
+    [[0.0, 0, 0], [0, 0, -1], [0, 1, 0]],
+    [[0.0, 0, 1], [0, 0, 0], [-1, 0, 0]],
+    [[0.0, -1, 0], [1, 0, 0], [0, 0, 0]],
+])  # fmt: skip
+"""What a small turn about x, y and z does to a place."""
+
+
+class Resting(Protocol):
+    """Of a `Film`, what derivatives want."""
+
+    grid: tuple[int, int]
+    sealed: bool
+    _gas: float
+    _numbers: Array
+    _law: Array
+    _derive_room: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,35 +78,81 @@ class FilmDerivatives:
 def changed_bodies(
     shape: Shape, numbers: ArrayLike, steps: ArrayLike | None
 ) -> tuple[list[list[Obstacle]], Array]:
-    """Bodies as they are, and before and after a step of each number.
+    """Bodies as they are, and after a step of each number.
 
     Args:
         shape: makes bodies of numbers.
         numbers: (n,).
-        steps: (n,) of them; None: a millionth of each, or of one.
+        steps: (n,) of them; None: 1e-8 of each, or of one.
 
     Returns:
-        1 + 2 n times the bodies; the steps (n,).
+        1 + n times the bodies; the steps (n,).
 
     Raises:
-        InputError: numbers that are not finite, steps that are not positive, or another number of
-            bodies after a step.
+        InputError: numbers that are not finite, steps that are zero or not finite, or another
+            number of bodies after a step.
     """
     at = bodies.finite("numbers", numbers, (-1,))
     by = _STEP * np.maximum(1, np.abs(at)) if steps is None else np.asarray(steps, dtype=float)
-    if by.shape != at.shape or not (by > 0).all():
-        raise InputError("are not as many positive numbers", field="steps")
-    places = [at]
-    for step in np.diag(by):
-        places += [at - step, at + step]
-    made = [shape(place) for place in places]
+    if by.shape != at.shape or not (np.isfinite(by) & (by != 0)).all():
+        raise InputError("are not as many finite numbers that are not zero", field="steps")
+    made = [shape(place) for place in (at, *(at + np.diag(by)))]
     listed = [[one] if isinstance(one, Obstacle) else list(one) for one in made]
     if len({len(one) for one in listed}) != 1:
         raise InputError("gives another number of bodies after a step", field="shape")
     return listed, by
 
 
-def gathered(by_x: Array, by_force: Array, by_found: Array) -> FilmDerivatives:
-    """What the kernel found, by name."""
+def moved_rows(rows: Array) -> Array:
+    """Bodies as they are, and after a step of their pose, all of them as one.
+
+    Args:
+        rows: (k, NUMBERS) of the bodies.
+
+    Returns:
+        (1 + 6, k, NUMBERS): as they are, shifted by POSE_STEP along x, y and z of S, and turned by
+        it about these axes through the origin of S.
+    """
+    moved = np.repeat(rows[None], 1 + 6, axis=0)
+    for axis in range(3):
+        moved[1 + axis, :, 13 + axis] += POSE_STEP
+    places, rotations = rows[:, 13:16], rows[:, 4:13].reshape(-1, 3, 3)
+    moved[4:, :, 13:16] += POSE_STEP * np.einsum("aij,kj->aki", _TURNS, places)
+    by_turn = np.einsum("aij,kjl->akil", _TURNS, rotations)
+    moved[4:, :, 4:13] += POSE_STEP * by_turn.reshape(3, -1, 9)
+    return moved
+
+
+def derived(
+    film: Resting, state: FilmState, rows: Array, pool: Array | None, by: Array
+) -> FilmDerivatives:
+    """Ask the kernel.
+
+    Args:
+        film: Whose state it is.
+        state: At rest.
+        rows: (1 + n, k, NUMBERS) of bodies, as they are, and after each of n steps.
+        pool: What they have of planes, triangles and heights.
+        by: (n,) steps.
+
+    Returns:
+        The derivatives.
+
+    Raises:
+        InputError: The state is about to lose its balance.
+    """
+    if not film._derive_room.size:
+        film._derive_room = np.empty(kernel("film_derive_room")(film._numbers))
+    room, count = film._derive_room, len(by)
+    by_x, by_force = np.empty((count, 3, *film.grid)), np.empty((count, *film.grid))
+    by_found = np.empty((count, FOUND))
+    settings = np.array([film._gas, film.sealed, 0.0, 1.0, 0.0, 0.0])
+    fixed = (film._numbers, film._law, *film.grid, room.size, room, settings)
+    pooled = 0 if pool is None else pool.size
+    given = (rows.shape[1], count, rows, pooled, pool, by, state.x, state.force)
+    try:
+        kernel("film_derive")(*fixed, *given, by_x, by_force, by_found)
+    except np.linalg.LinAlgError as error:
+        raise InputError("loses its balance here", field="state") from error
     picked = (by_found[:, place] for place in (PRESSURE, VOLUME, AREA))
     return FilmDerivatives(by_x, by_force, by_found[:, WRENCH], *picked)

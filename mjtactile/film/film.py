@@ -14,7 +14,14 @@ from mjtactile.core.types import Array
 from mjtactile.film import bodies
 from mjtactile.film.batch import at_once, new_batch
 from mjtactile.film.bodies import Obstacle
-from mjtactile.film.derivatives import FilmDerivatives, Shape, changed_bodies, gathered
+from mjtactile.film.derivatives import (
+    POSE_STEP,
+    FilmDerivatives,
+    Shape,
+    changed_bodies,
+    derived,
+    moved_rows,
+)
 from mjtactile.film.fineness import REFINED, doubt
 from mjtactile.film.inflating import inflate
 from mjtactile.film.law import law_numbers, tension_slope
@@ -261,8 +268,8 @@ class Film:
             state: At rest on `shape(numbers)`.
             shape: Makes a body, or several, of numbers (n,): of a place, sizes, angles, curvatures.
             numbers: (n,), where to.
-            steps: (n,) by which `shape` is asked before and after; None: a millionth of each
-                number, or of one.
+            steps: (n,) by which `shape` is asked beside `numbers`, on the side that their signs
+                say; None: 1e-8 of each number, or of one.
 
         Returns:
             The derivatives, by each number.
@@ -271,25 +278,39 @@ class Film:
             InputError: A state that is none, or is about to lose its balance, numbers or steps that
                 are not finite.
         """
-        if not state.converged or state.x.shape != self.rest.x.shape:
-            raise InputError("is not at rest, or not of this film", field="state")
+        self._require_rest(state)
         listed, by = changed_bodies(shape, numbers, steps)
         rows, pool = bodies.pooled([body for one in listed for body in one], self.grid)
-        if not self._derive_room.size:
-            self._derive_room = np.empty(kernel("film_derive_room")(self._numbers))
-        room = self._derive_room
-        count = len(by)
-        by_x, by_force = np.empty((count, 3, *self.grid)), np.empty((count, *self.grid))
-        by_found = np.empty((count, FOUND))
-        settings = np.array([self._gas, self.sealed, TOLERANCE, 1.0, 0.0, 0.0])
-        fixed = (self._numbers, self._law, *self.grid, room.size, room, settings)
-        pooled = 0 if pool is None else pool.size
-        given = (len(listed[0]), count, rows, pooled, pool, by, state.x, state.force)
-        try:
-            kernel("film_derive")(*fixed, *given, by_x, by_force, by_found)
-        except np.linalg.LinAlgError as error:
-            raise InputError("loses its balance here", field="state") from error
-        return gathered(by_x, by_force, by_found)
+        given = rows.reshape(len(listed), -1, bodies.NUMBERS), pool
+        return derived(self, state, *given, by)
+
+    def derivatives_by_pose(self, state: FilmState) -> FilmDerivatives:
+        """Find how a state changes as what presses the film moves, all of it as one body: its
+        wrench by that is the contact's stiffness. Costs two thirds of `derivatives` by six numbers.
+
+        Args:
+            state: At rest, from `solve`.
+
+        Returns:
+            The derivatives by six numbers: m along x, y and z of S, and rad about these axes
+            through the origin of S.
+
+        Raises:
+            InputError: As for `derivatives`, a state of a batch, which does not know its bodies, or
+                bodies that are heights over nodes, which have no pose.
+        """
+        self._require_rest(state)
+        pressing = _listed(state.pressed_by[1])
+        if not pressing and state.force.any():
+            raise InputError("is of a batch, and does not know its bodies", field="state")
+        if any(body.kind == "heights" for body in pressing):
+            raise InputError("rests on heights, which have no pose", field="state")
+        rows, pool = bodies.pooled(pressing, self.grid)
+        return derived(self, state, moved_rows(rows), pool, np.full(6, POSE_STEP))
+
+    def _require_rest(self, state: FilmState) -> None:
+        if not state.converged or state.x.shape != self.rest.x.shape:
+            raise InputError("is not at rest, or not of this film", field="state")
 
     def patches(self, state: FilmState) -> list[Patch]:
         """Find how stiffly each patch of contact, if it sticks, is held in the plane.
@@ -304,8 +325,7 @@ class Film:
         Raises:
             InputError: A state that is not at rest, or not of this film.
         """
-        if not state.converged or state.x.shape != self.rest.x.shape:
-            raise InputError("is not at rest, or not of this film", field="state")
+        self._require_rest(state)
         return patches_of(self.x, self.y, state, self.stiffness_factor(state))
 
     def stiffness_factor(self, state: FilmState) -> Array:

@@ -25,13 +25,15 @@ typedef struct {
     float *band;                        /* of panels, 3 inner */
     double *slope, *spring, *obstacle;  /* where the film is: (2, count), (4, count), (count) */
     double *at, *pressed;               /* the film: (3, count), (count) */
-    double *x, *force, *low, *high;     /* moved: (3, count), (count); what bodies do: (4, count) */
+    double *x, *force;                  /* moved: (3, count), (count) */
+    double *base, *pressed_on;          /* what bodies do where the film is, and where it is moved: (4, count) */
     Eight *rhs;                         /* 3 inner, with room behind */
     Eight *residual;                    /* (4, count) by bodies: forces on nodes, and how far what touches is off its body */
     Eight *borne, *given;               /* (3, count): what the sheet bears of all that was found, and of what is found next */
     Eight *found;                       /* (4, count): displacements and forces */
     Lanes swells;                       /* m^3 of what was found */
-    double gas_stiffness, pressure, tension, volume;
+    double gas_stiffness, pressure, tension;
+    double sums[FOUND];                 /* what is added up where the film is */
 } Tangent;
 
 static long panels_of(const Film *f) { return (3 * f->inner + PANEL - 1) / PANEL; }
@@ -60,10 +62,10 @@ static Tangent tangent_in(const Film *f, double *room) {
     t.singles = (float *)film_take(&room, FILM_SINGLES(f) / 2); /* lines are whole eights */
     t.band = (float *)film_take(&room, band_of(f) / 2), t.rhs = (Eight *)film_take(&room, PANEL / 2 * rows_of(f));
     t.slope = film_take(&room, 2 * n), t.spring = film_take(&room, 4 * n), t.obstacle = film_take(&room, n);
-    t.x = film_take(&room, 3 * n + 8), t.force = film_take(&room, n), t.low = film_take(&room, 4 * n), t.high = film_take(&room, 4 * n);
+    t.x = film_take(&room, 3 * n + 8), t.force = film_take(&room, n), t.base = film_take(&room, 4 * n), t.pressed_on = film_take(&room, 4 * n);
     t.residual = (Eight *)film_take(&room, PANEL / 2 * 4 * n), t.borne = (Eight *)film_take(&room, PANEL / 2 * 3 * n);
     t.given = (Eight *)film_take(&room, PANEL / 2 * 3 * n), t.found = (Eight *)film_take(&room, PANEL / 2 * 4 * n);
-    memset(t.low, 0, 8 * n * sizeof *t.low), memset(t.residual, 0, 4 * n * sizeof *t.residual);
+    memset(t.base, 0, 8 * n * sizeof *t.base), memset(t.residual, 0, 4 * n * sizeof *t.residual);
     memset(t.at, 0, (3 * n + 8) * sizeof *t.at), memset(t.slope, 0, 2 * n * sizeof *t.slope);
     return t;
 }
@@ -118,26 +120,24 @@ static void add_pairs(const Film *f, const Tangent *t) {
 
 /* What bends the force of a contact as the node that bears it slides: force times the body's curvature, by differences. */
 static void add_bends(const Film *f, const Bodies *bodies, const double *x, const double *force, Tangent *t) {
-    double *bend = t->low; /* slopes' derivatives: by x (2, count), then by y */
+    double *bend = t->pressed_on; /* slopes' derivatives: by x (2, count), then by y */
     const long count = f->count, from = first_line(f, &t->seen) * f->line, to = behind_lines(f, &t->seen) * f->line;
     for (int axis = 0; axis < 2; axis++) {
         double *moved = t->x + axis * count;
-        const double *was = x + axis * count;
-        for (int side = -1; side <= 1; side += 2) {
-            for (long k = from; k < to; k++) moved[k] = was[k] + side * SLIDE;
-            see_bodies(f, bodies, t->x, &t->seen);
-            for (int c = 0; c < 2; c++)
-                for (long k = from; k < to; k++)
-                    bend[(2 * axis + c) * count + k] = side * (t->seen.slope[c * count + k] + (side > 0 ? bend[(2 * axis + c) * count + k] : 0));
-        }
-        memcpy(moved + from, was + from, most(to - from, 0) * sizeof *was);
+        for (long k = from; k < to; k++) moved[k] = x[axis * count + k] + SLIDE;
+        see_bodies(f, bodies, t->x, &t->seen);
+        for (int c = 0; c < 2; c++)
+            for (long k = c * count + from; k < c * count + to; k++) bend[2 * axis * count + k] = (t->seen.slope[k] - t->slope[k]) / SLIDE;
+        for (long k = from; k < to; k++)
+            if (isinf(t->seen.obstacle[k])) bend[2 * axis * count + k] = bend[(2 * axis + 1) * count + k] = 0; /* it slid off */
+        memcpy(moved + from, x + axis * count + from, most(to - from, 0) * sizeof *x);
     }
     for (long k = from; k < to; k++) {
         if (!t->seen.touching[k]) continue;
         const double across = (bend[count + k] + bend[2 * count + k]) / 2, by[2][2] = {{bend[k], across}, {across, bend[3 * count + k]}};
         const long m = film_inner(f, k);
         for (int p = 0; p < 2; p++)
-            for (int q = 0; q <= p; q++) add_entry(f, t->band, m, p, m, q, -force[k] * by[p][q] / (2 * SLIDE));
+            for (int q = 0; q <= p; q++) add_entry(f, t->band, m, p, m, q, -force[k] * by[p][q]);
         add_entry(f, t->band, m, 2, m, 2, 1);
     }
     memset(bend, 0, 4 * count * sizeof *bend);
@@ -216,14 +216,14 @@ static void move(const Film *f, const double *x, const double *force, double ste
     for (long k = from; k < to; k++) t->force[k] = force[k] + step * (double)t->found[3 * count + k][lane];
 }
 
-typedef struct { Bodies low, high; double step; } Change;
+typedef struct { Bodies bodies; double step; } Change;
 
 static void find_residuals(const Film *f, const Change *change, int lane, const double *x, const double *force, Tangent *t) {
-    move(f, x, force, -change->step, lane, t), press(f, &change->low, t->x, t->force, t, t->low);
-    move(f, x, force, change->step, lane, t), press(f, &change->high, t->x, t->force, t, t->high);
+    move(f, x, force, change->step, lane, t), press(f, &change->bodies, t->x, t->force, t, t->pressed_on);
     const long from = first_line(f, &t->seen) * f->line, to = behind_lines(f, &t->seen) * f->line;
     for (int c = 0; c < 4; c++)
-        for (long k = c * f->count + from; k < c * f->count + to; k++) t->residual[k][lane] = (float)((t->high[k] - t->low[k]) / (2 * change->step));
+        for (long k = c * f->count + from; k < c * f->count + to; k++)
+            t->residual[k][lane] = (float)((t->pressed_on[k] - t->base[k]) / change->step);
 }
 
 /* -- all of it --------------------------------------------------------------------------------------------------------- */
@@ -305,16 +305,24 @@ static double cell_of(const Film *f, const double *x, long k) {
     return cell;
 }
 
-/* What is added up (FOUND), where a step of a change takes the film, whose tension grows by `tension`. */
-static void found_after(const Film *f, const Bodies *bodies, double step, int lane, double tension, const double *x, const double *force,
-                        Tangent *t, double *found) {
-    move(f, x, force, step, lane, t);
-    press(f, bodies, t->x, t->force, t, t->low);
+/* What is added up (FOUND) where bodies were last seen and pressed on, on a film at `x`. */
+static void find_sums(const Film *f, const double *x, const double *force, Tangent *t, double *found) {
     for (long k = t->seen.box[0] * f->line; k < t->seen.box[1] * f->line; k++)
-        if (t->seen.touching[k]) t->seen.cell[k] = cell_of(f, t->x, k);
-    found[VOLUME] = t->volume + step * t->swells[lane], found[TENSION] = t->tension + step * tension;
-    found[PRESSURE] = t->pressure - step * t->gas_stiffness * t->swells[lane];
-    add_up(f, t->x, t->force, found, &t->seen);
+        if (t->seen.touching[k]) t->seen.cell[k] = cell_of(f, x, k);
+    add_up(f, x, force, found, &t->seen);
+}
+
+/* How these change by lane `lane` of what was found, with the tension's change. */
+static void sums_by(const Film *f, const Change *change, int lane, double tension, const double *x, const double *force, Tangent *t,
+                    double *by) {
+    double found[FOUND] = {0};
+    const double bulge = t->swells[lane], pressure = -t->gas_stiffness * bulge;
+    move(f, x, force, change->step, lane, t);
+    press(f, &change->bodies, t->x, t->force, t, t->pressed_on);
+    found[TENSION] = t->tension + change->step * tension, found[PRESSURE] = t->pressure + change->step * pressure;
+    find_sums(f, t->x, t->force, t, found);
+    for (int k = 0; k < FOUND; k++) by[k] = (found[k] - t->sums[k]) / change->step;
+    by[VOLUME] = bulge, by[TENSION] = tension, by[PRESSURE] = pressure;
 }
 
 /* Lanes of what was found, as Python has them: displacements (many, 3, nodes) and forces (many, nodes). */
@@ -335,9 +343,12 @@ static int begin(const Film *f, const Settings *set, const Bodies *bodies, const
     see_touch(f, force, &t->seen), look_narrowly(f, bodies, &t->seen);
     memcpy(t->x, x, (3 * count + LANES) * sizeof *x), memcpy(t->force, force, count * sizeof *force);
     const SheetSums sums = film_sheet(f, x, FILM_ALL, 0, f->columns - 1, &t->fields);
-    t->volume = sums.volume, t->tension = sums.tension;
+    t->tension = sums.tension;
     gas_of(f, set, sums.volume, &t->pressure, &t->gas_stiffness);
-    press(f, bodies, x, force, t, t->low);
+    memcpy(t->obstacle, x + 2 * count, count * sizeof *t->obstacle); /* of what touches beside its body's very edge */
+    press(f, bodies, x, force, t, t->base);
+    t->sums[PRESSURE] = t->pressure, t->sums[TENSION] = t->tension;
+    find_sums(f, x, force, t, t->sums);
     memcpy(t->slope, t->seen.slope, 2 * count * sizeof *t->slope), memcpy(t->spring, t->seen.spring, 4 * count * sizeof *t->spring);
     memcpy(t->obstacle, t->seen.obstacle, count * sizeof *t->obstacle);
     for (long k = 0; k < 4 * count; k++)
@@ -362,10 +373,8 @@ int64_t film_derive(const double *numbers, const double *law, int64_t columns, i
     for (long first = 0; first < changes; first += AT_ONCE) {
         const long many = changes - first < AT_ONCE ? changes - first : AT_ONCE;
         Change change[AT_ONCE];
-        for (long a = 0; a < many; a++) {
-            const double *low = body + (1 + 2 * (first + a)) * bodies * FILM_BODY;
-            change[a] = (Change){{bodies, low, pool}, {bodies, low + bodies * FILM_BODY, pool}, steps[first + a]};
-        }
+        for (long a = 0; a < many; a++)
+            change[a] = (Change){{bodies, body + (1 + first + a) * bodies * FILM_BODY, pool}, steps[first + a]};
         memset(t.found, 0, 4 * count * sizeof *t.found), memset(t.borne, 0, 3 * count * sizeof *t.borne), t.swells -= t.swells;
         for (int k = 1; k <= sweeps; k++) {
             for (long a = 0; a < many; a++) find_residuals(&f, change + a, (int)a, x, force, &t);
@@ -375,13 +384,7 @@ int64_t film_derive(const double *numbers, const double *law, int64_t columns, i
         for (int c = 0; c < 3; c++)
             for (long k = 0; k < count; k++)
                 tension += t.stiffness.tension_by[c * t.stiffness.apart + k] * __builtin_convertvector(t.found[c * count + k], Lanes);
-        for (long a = 0; a < many; a++) {
-            double before[FOUND] = {0}, after[FOUND] = {0};
-            found_after(&f, &change[a].low, -change[a].step, (int)a, tension[a], x, force, &t, before);
-            found_after(&f, &change[a].high, change[a].step, (int)a, tension[a], x, force, &t, after);
-            for (int k = 0; k < FOUND; k++) by_found[(first + a) * FOUND + k] = (after[k] - before[k]) / (2 * change[a].step);
-            memset(t.low, 0, 4 * count * sizeof *t.low);
-        }
+        for (long a = 0; a < many; a++) sums_by(&f, change + a, (int)a, tension[a], x, force, &t, by_found + (first + a) * FOUND);
         hand_over(&f, t.found, many, by_x + first * 3 * nodes, by_force + first * nodes);
     }
     return 0;

@@ -18,7 +18,7 @@
 #define STRAIGHT 1e-12      /* m, off a line */
 #define SLOPING (30 * SAME) /* over which the lowest place is surely at the end */
 #define STEEP_SHEET 3.      /* half thicknesses more along z on a steep place than on a level one */
-#define ROUND_ABOUT 2       /* nodes: what is next to one that touches, and what lowers it */
+#define ROUND_ABOUT 1       /* nodes: what lowers one that touches, and where bodies end beside it */
 
 long film_seen_size(const Film *f) { return (1 + 1 + 2 + 1 + 2 + 4 + 4 + 1 + 1 + 1) * f->count + f->count / 8; }
 

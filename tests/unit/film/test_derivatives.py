@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mjtactile import Film, InputError
 
@@ -59,6 +60,60 @@ def test_they_are_what_differences_say(monkeypatch, name):
         assert by.area[k] == pytest.approx(difference(lambda s: s.area), rel, abs=rel * area)
 
 
+def test_a_contact_s_stiffness_is_that_of_an_energy():
+    """Without friction the film has an energy by the body's pose. Of its second derivatives, those
+    by two shifts do not hang on their order; a shift and a turn, or two turns, on axes that stay,
+    differ by what turns force and torque."""
+    film = Film("dense", pressure_gauge=1000.0)
+    ball = film.obstacle("sphere", (8e-3,), (1.3e-3, -0.7e-3, 9e-3))
+    state = film.solve(ball)
+    stiffness = film.derivatives_by_pose(film.solve(ball, state)).wrench.T
+    off = stiffness - stiffness.T
+    spin = np.eye(3)
+    along = stiffness[:3, :3]
+    np.testing.assert_allclose(along, along.T, atol=1e-3 * along.max())  # what nodes leave
+    force, torque = state.wrench[:3], state.wrench[3:]
+    pressing, leaning = (np.cross(one, spin).T for one in (force, torque))
+    # what follows from neighbours' places is not quite a force's
+    np.testing.assert_allclose(off[:3, 3:], -pressing, atol=0.02 * abs(force).max())
+    np.testing.assert_allclose(off[3:, 3:], -leaning, atol=0.1 * abs(torque).max())
+
+
+def test_by_its_pose_is_by_a_shape_that_moves():
+    film = Film("dense", pressure_gauge=1000.0)
+    place, tilt = np.array([2e-3, 1e-3, 8.2e-3]), Rotation.from_euler("xyz", [0.3, 0.1, 0.5])
+
+    def posed(numbers):
+        turn = Rotation.from_rotvec(numbers[3:])
+        at = numbers[:3] + turn.apply(place)
+        block = film.obstacle("box", (5e-3, 4e-3, 6e-3), at, (turn * tilt).as_matrix())
+        ball = film.obstacle("sphere", (3e-3,), numbers[:3] + turn.apply([-8e-3, 0, 4e-3]))
+        return [block, ball]
+
+    state = film.solve(posed(np.zeros(6)))
+    by_pose = film.derivatives_by_pose(state)
+    by_shape = film.derivatives(state, posed, np.zeros(6), steps=np.full(6, 1e-7))
+    for name in ("displacements", "contact_forces", "wrench", "pressure_gauge"):
+        found, same = getattr(by_pose, name), getattr(by_shape, name)
+        # m and rad, by differences of 1e-8 and 1e-7 that bend by some 100/m
+        np.testing.assert_allclose(found, same, atol=2e-4 * abs(same).max())
+
+
+def test_a_state_that_does_not_know_its_bodies_has_no_derivative_by_pose():
+    film = Film("dense", (11, 9), 1000.0)
+    ball = film.obstacle("sphere", (8e-3,), (0, 0, 9e-3))
+    with pytest.raises(InputError, match="of a batch"):
+        film.derivatives_by_pose(film.solve_batch([[ball]])[0])
+    field = film.obstacle("heights", data=film.heights_of(ball, _nodes(film)).reshape(film.grid))
+    with pytest.raises(InputError, match="heights"):
+        film.derivatives_by_pose(film.solve(field))
+    assert not film.derivatives_by_pose(film.rest).wrench.any()
+
+
+def _nodes(film):
+    return np.stack(np.meshgrid(film.x, film.y, indexing="ij"), -1).reshape(-1, 2)
+
+
 def test_what_has_no_derivative_is_refused(monkeypatch):
     film = Film("dense", (11, 9), 1000.0)
     shape = SHAPES["ball"][0]
@@ -66,5 +121,7 @@ def test_what_has_no_derivative_is_refused(monkeypatch):
         film.derivatives(film.rest, shape, [np.nan, 0, 0.02, 8e-3])
     with pytest.raises(InputError, match="steps"):
         film.derivatives(film.rest, shape, [0, 0, 0.02, 8e-3], steps=[1e-6])
+    with pytest.raises(InputError, match="steps"):
+        film.derivatives(film.rest, shape, [0, 0, 0.02, 8e-3], steps=[1e-6, 0, 1e-6, np.inf])
     nothing = film.derivatives(film.rest, shape, [0, 0, 0.02, 8e-3])
     assert not nothing.displacements.any() and not nothing.wrench.any()  # it touches nothing
