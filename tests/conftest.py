@@ -42,21 +42,51 @@ def seconds(item):
     return max(mark.args[0] if mark and mark.args else 0 for mark in marks)
 
 
+def units_of(items):
+    """What xdist gives to one worker as a whole: the tests of a group (`xdist_group`), and each
+    other test by itself."""
+    units = {}
+    for item in items:
+        mark = item.get_closest_marker("xdist_group")
+        units.setdefault(mark.args[0] if mark else item, []).append(item)
+    return list(units.values())
+
+
+def seconds_of(unit):
+    """As `seconds`; tests of a group that do not say how long they take count as 3 s each."""
+    return seconds(unit[0]) if len(unit) == 1 else sum(seconds(item) or 3 for item in unit)
+
+
 def longest_first(items, workers):
     """The order in which workers are busy until the end: a long test that is begun last is waited
-    for. xdist gives each worker two tests at once, so that behind the first of these it gets one
+    for. xdist gives each worker two units at once, so that behind the first of these it gets one
     of the shortest that say how long they take."""
-    long = sorted((item for item in items if seconds(item)), key=seconds, reverse=True)
+    units = units_of(items)
+    long = sorted((unit for unit in units if seconds_of(unit)), key=seconds_of, reverse=True)
     if len(long) > 2 * workers:
         long = [*long[:workers], *long[: -workers - 1 : -1], *long[workers:-workers]]
-    return [*long, *(item for item in items if not seconds(item))]
+    units = [*long, *(unit for unit in units if not seconds_of(unit))]
+    return [item for unit in units for item in unit]
 
 
+def name_groups(items):
+    """xdist knows groups by `@group` at the end of a test's name. Its 3.8 writes that where
+    pytest since 9.2 does not read it, and then a group's fixtures are made once a worker."""
+    for item in items:
+        mark = item.get_closest_marker("xdist_group")
+        if mark and not item.nodeid.endswith(f"@{mark.args[0]}"):
+            item._id = type(item._id).parse(f"{item.nodeid}@{mark.args[0]}")
+            assert item.nodeid.endswith(f"@{mark.args[0]}")
+
+
+@pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config, items):
     """Tests marked `hardware` run only when a rig was named; with one, nothing else of the contract
     suite is left out."""
     if workers := int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "0")):
         items[:] = longest_first(items, workers)
+        if config.getvalue("loadgroup"):
+            name_groups(items)
     if config.getoption("--hardware"):
         return
     skip = pytest.mark.skip(reason="needs a real rig: pytest --hardware RIG.toml")

@@ -19,6 +19,7 @@ from mjtactile.run.grasp import run_grasp
 from mjtactile.run.perceive import Perceivers, default_threads, unknown_touch
 from tests.emulated_host import controller_text
 
+ONE_FIXTURE = pytest.mark.xdist_group("grasps in threads")
 IMAGE = Image(np.zeros((8, 8), np.uint8), 1.0)
 NAMES = "left", "right"
 
@@ -49,6 +50,7 @@ def log(folder, *, without=lambda key: False):
 
 
 @pytest.mark.slow(10)
+@ONE_FIXTURE
 def test_a_grasp_is_the_same_with_and_without_processes(grasps):
     none, two, _ = grasps
     first = log(none)
@@ -63,6 +65,7 @@ def test_a_grasp_is_the_same_with_and_without_processes(grasps):
 
 
 @pytest.mark.slow
+@ONE_FIXTURE
 def test_a_replay_in_a_thread_is_the_same(grasps):
     none, _, replay = grasps
     # it has no truth
