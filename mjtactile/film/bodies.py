@@ -10,7 +10,7 @@ a thing that comes from the side, or hooks under the sheet, is beyond a film.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,6 +40,7 @@ KINDS: dict[str, tuple[int, tuple[str, ...]]] = {
     "heights": (11, ()),
 }
 _FEW = 16  # numbers, which Python looks at faster than numpy
+_UNIT = 0.01  # off one, of a quaternion that was rounded
 _FLAT = 1e-9  # m, of a skin that has no thickness
 _MAY_VANISH = {"curvature x", "curvature y", "rim radius"}
 
@@ -135,13 +136,24 @@ def obstacle(
     return Obstacle(kind, numbers, pool.ravel())
 
 
+def listed(obstacles: Obstacle | Iterable[Obstacle], field: str) -> list[Obstacle]:
+    """Bodies of what may be one; InputError that names `field` where something is none."""
+    if isinstance(obstacles, Obstacle):
+        return [obstacles]
+    found: list[Obstacle] = list(obstacles) if isinstance(obstacles, Iterable) else [obstacles]
+    for one in found:
+        if not isinstance(one, Obstacle):
+            raise InputError(f"{one!r} is no body; Film.obstacle makes them", field=field)
+    return found
+
+
 def pooled(bodies: Sequence[Obstacle], grid: tuple[int, int]) -> tuple[Array, Array | None]:
     """Numbers (k, NUMBERS) of all bodies, and their pools one after the other (None: there are
     none); InputError where heights are not over the nodes of `grid`."""
     if len(bodies) == 1 and not bodies[0].pool.size:
         return bodies[0].numbers[None], None
     for body in bodies:
-        if body.kind == "heights" and (shape := (*body.numbers[1:3].astype(int),)) != grid:
+        if body.kind == "heights" and (shape := (*map(int, body.numbers[1:3]),)) != grid:
             raise InputError(f"heights are over {shape} nodes, not {grid}", field="obstacle")
     rows = np.array([body.numbers for body in bodies]).reshape(-1, NUMBERS)
     sizes = [body.pool.size for body in bodies]
@@ -190,7 +202,10 @@ def _pool(kind: str, size: Array, data: ArrayLike | None) -> Array:
         return field.reshape(-1, 1)
     if kind == "mesh":
         return _hull(finite("data", data, (-1, 3)))
-    return finite("data", data, (-1, 3, 3)).reshape(-1, 9)
+    corners = finite("data", data, (-1, 3, 3)).reshape(-1, 9)
+    if not len(corners):
+        raise InputError("has no triangle", field="data")
+    return corners
 
 
 def _hull(vertices: Array) -> Array:
@@ -214,7 +229,10 @@ def _rotation(R_SO: ArrayLike | None) -> Array:
         return _NOT_TURNED
     given = np.asarray(R_SO, dtype=float)
     if given.shape == (4,):
-        w, x, y, z = finite("R_SO", given / max(float(np.linalg.norm(given)), 1e-300), (4,))
+        length = float(np.linalg.norm(finite("R_SO", given, (4,))))
+        if abs(length - 1) > _UNIT:
+            raise InputError(f"is a quaternion of length {length:g}, not 1", field="R_SO")
+        w, x, y, z = given / length
         given = np.array([
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
             [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],

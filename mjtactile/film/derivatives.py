@@ -93,11 +93,13 @@ def changed_bodies(
             number of bodies after a step.
     """
     at = bodies.finite("numbers", numbers, (-1,))
-    by = _STEP * np.maximum(1, np.abs(at)) if steps is None else np.asarray(steps, dtype=float)
-    if by.shape != at.shape or not (np.isfinite(by) & (by != 0)).all():
-        raise InputError("are not as many finite numbers that are not zero", field="steps")
+    by = _STEP * np.maximum(1, np.abs(at))
+    if steps is not None:
+        by = bodies.finite("steps", steps, at.shape)
+        if not by.all():
+            raise InputError("must not be zero", field="steps")
     made = [shape(place) for place in (at, *(at + np.diag(by)))]
-    listed = [[one] if isinstance(one, Obstacle) else list(one) for one in made]
+    listed = [bodies.listed(one, "shape") for one in made]
     if len({len(one) for one in listed}) != 1:
         raise InputError("gives another number of bodies after a step", field="shape")
     return listed, by
@@ -139,7 +141,7 @@ def derived(
         The derivatives.
 
     Raises:
-        InputError: The state is about to lose its balance.
+        InputError: The state is about to lose its balance, or rests on something else.
     """
     if not film._derive_room.size:
         film._derive_room = np.empty(kernel("film_derive_room")(film._numbers))
@@ -151,8 +153,10 @@ def derived(
     pooled = 0 if pool is None else pool.size
     given = (rows.shape[1], count, rows, pooled, pool, by, state.x, state.force)
     try:
-        kernel("film_derive")(*fixed, *given, by_x, by_force, by_found)
+        elsewhere = kernel("film_derive")(*fixed, *given, by_x, by_force, by_found)
     except np.linalg.LinAlgError as error:
         raise InputError("loses its balance here", field="state") from error
+    if elsewhere:
+        raise InputError("does not rest on these bodies, but elsewhere", field="state")
     picked = (by_found[:, place] for place in (PRESSURE, VOLUME, AREA))
     return FilmDerivatives(by_x, by_force, by_found[:, WRENCH], *picked)

@@ -159,7 +159,7 @@ class Film:
             InputError: An obstacle touches the rim, lies on the glass, pulls the sheet inside out
                 or too far, or goes through between nodes.
         """
-        listed = _listed(obstacles)
+        listed = bodies.listed(obstacles, "obstacles")
         rows, pool = bodies.pooled(listed, self.grid)
         start = self.rest if state is None or not state.converged else state
         if start.x.shape != self.rest.x.shape:
@@ -199,11 +199,11 @@ class Film:
             InputError: no environment, or another number of bodies in one, or of environments in
                 `batch` or `into`.
         """
-        counts = {len(one) for one in obstacles}
-        if len(counts) != 1:
+        listed = [bodies.listed(one, "obstacles") for one in obstacles]
+        if len({len(one) for one in listed}) != 1:
             raise InputError("every environment wants as many bodies", field="obstacles")
-        count = len(obstacles)
-        rows, pool = bodies.pooled([body for one in obstacles for body in one], self.grid)
+        count = len(listed)
+        rows, pool = bodies.pooled([body for one in listed for body in one], self.grid)
         for field, given in (("batch", batch), ("into", into)):
             if given is not None and given.x.shape != (count, 3, *self.grid):
                 raise InputError(
@@ -232,7 +232,7 @@ class Film:
             for what is round and eight spacings wide, up to 0.25, at a cone's tip 0.4, on nodes
             2 mm apart. Shallow contacts of few nodes are in `FilmState.doubt` as well.
         """
-        return doubt(_listed(obstacles), self.spacing)
+        return doubt(bodies.listed(obstacles, "obstacles"), self.spacing)
 
     def fine_enough(self, obstacles: Obstacle | Sequence[Obstacle], within: float = 0.03) -> Film:
         """Find a film of this sensor on a grid that is as fine as what presses it wants.
@@ -249,7 +249,7 @@ class Film:
             nodes along each side that is, and where none is, the finest: ask its `doubt`. The
             same object each time. States are of their own film's grid.
         """
-        listed = _listed(obstacles)
+        listed = bodies.listed(obstacles, "obstacles")
         enough = (by for by in REFINED if doubt(listed, self.spacing / by) <= within)
         by = next(enough, REFINED[-1])
         if by == 1:
@@ -275,8 +275,8 @@ class Film:
             The derivatives, by each number.
 
         Raises:
-            InputError: A state that is none, or is about to lose its balance, numbers or steps that
-                are not finite.
+            InputError: A state that is none, rests on something else, or is about to lose its
+                balance; numbers or steps that are not finite.
         """
         self._require_rest(state)
         listed, by = changed_bodies(shape, numbers, steps)
@@ -300,7 +300,7 @@ class Film:
                 bodies that are heights over nodes, which have no pose.
         """
         self._require_rest(state)
-        pressing = _listed(state.pressed_by[1])
+        pressing = state.pressed_by[1]
         if not pressing and state.force.any():
             raise InputError("is of a batch, and does not know its bodies", field="state")
         if any(body.kind == "heights" for body in pressing):
@@ -356,7 +356,7 @@ class Film:
         Returns:
             (n,) m; infinite where there is no body.
         """
-        listed = _listed(obstacles)
+        listed = bodies.listed(obstacles, "obstacles")
         rows, pool = bodies.pooled(listed, self.grid)
         where = np.asarray(places, dtype=float).reshape(-1, 2)
         heights = np.empty(len(where))
@@ -379,10 +379,6 @@ class Film:
         return (*law, *kept, self._rest, room.size, room)
 
 
-def _listed(obstacles: Obstacle | Sequence[Obstacle]) -> Sequence[Obstacle]:
-    return (obstacles,) if isinstance(obstacles, Obstacle) else obstacles
-
-
 def _judged(state: FilmState) -> FilmState:
     complaint = _COMPLAINTS.get(state.status)
     if complaint is not None:
@@ -391,7 +387,10 @@ def _judged(state: FilmState) -> FilmState:
 
 
 def _grid(grid: tuple[int, int]) -> tuple[int, int]:
-    counts = tuple(int(count) for count in grid)
+    try:
+        counts = tuple(int(count) for count in grid)
+    except (TypeError, ValueError):
+        counts = ()
     if len(counts) != 2 or not all(_LEAST_NODES <= count <= _MOST_NODES for count in counts):
         raise InputError(
             f"{grid} must be two numbers of nodes, {_LEAST_NODES} to {_MOST_NODES}", field="grid"

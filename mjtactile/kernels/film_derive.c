@@ -16,6 +16,8 @@
 #define SWEEPS_AT_EDGES 3
 #define FINE_HALVES 36       /* edges are wanted to less than a difference of 1e-6 m shows */
 #define SLIDE 1e-6           /* m, by which slopes are asked for their own */
+#define ELSEWHERE 1e-4       /* m off a body, where a film does not rest on it */
+#define BEHIND_MOST 10       /* times that may be behind what is thin, which is moved under nodes */
 
 typedef struct {
     Seen seen;
@@ -181,15 +183,18 @@ static void times_springs(const Film *f, const Tangent *t, const Eight *what, Ei
 
 /* -- bodies ------------------------------------------------------------------------------------------------------------ */
 
-/* What bodies do to nodes (4, count), on the lines where they are seen: forces, and how far what touches is off its body. */
-static void press(const Film *f, const Bodies *bodies, const double *x, const double *force, Tangent *t, double *out) {
+/* What bodies do to nodes (4, count), on the lines where they are seen: forces, and how far what touches is off its body. Returns
+   the force on nodes that are on none. */
+static double press(const Film *f, const Bodies *bodies, const double *x, const double *force, Tangent *t, double *out) {
     Seen *w = &t->seen;
     const long count = f->count;
+    double missed = 0;
     see_bodies(f, bodies, x, w);
     for (long k = w->box[0] * f->line; k < w->box[1] * f->line; k++) {
         if (!w->touching[k]) continue;
         find_edges(f, bodies, x, k, FINE_HALVES, w);
         if (isfinite(w->obstacle[k])) continue; /* else it is on the very edge */
+        missed += force[k];
         w->obstacle[k] = t->obstacle[k], w->slope[k] = t->slope[k], w->slope[count + k] = t->slope[count + k];
     }
     lower_round_bodies(f, w);
@@ -206,6 +211,18 @@ static void press(const Film *f, const Bodies *bodies, const double *x, const do
             out[2 * count + k] -= pull, out[2 * count + k + film_next(f, side)] += pull;
         }
     }
+    return missed;
+}
+
+/* Whether bodies are where the film says: not off what bears its force, nor behind it. */
+static int is_elsewhere(const Film *f, const double *x, const double *force, double missed, const Tangent *t) {
+    const double *z = x + 2 * f->count;
+    double total = 0, off = ELSEWHERE * missed, deepest = 0;
+    for (long k = t->seen.box[0] * f->line; k < t->seen.box[1] * f->line; k++) {
+        total += force[k], off += force[k] * fabs(t->base[3 * f->count + k]) / 2;
+        deepest = most(deepest, z[k] - t->seen.obstacle[k]);
+    }
+    return off > ELSEWHERE / 2 * total || deepest > (total > 0 ? BEHIND_MOST : 1) * ELSEWHERE;
 }
 
 /* Where lane `lane` of what was found so far takes the film, near bodies, by `step` of its change. */
@@ -337,7 +354,8 @@ static void hand_over(const Film *f, const Eight *found, long many, double *by_x
             }
 }
 
-/* Where the film is: what touches and how, pressure, tension, and how these hang on displacements. Returns the number of sweeps. */
+/* Where the film is: what touches and how, pressure, tension, and how these hang on displacements. Returns the number of sweeps; 0:
+   it does not rest on these bodies. */
 static int begin(const Film *f, const Settings *set, const Bodies *bodies, const double *x, const double *force, Tangent *t) {
     const long count = f->count;
     see_touch(f, force, &t->seen), look_narrowly(f, bodies, &t->seen);
@@ -346,7 +364,7 @@ static int begin(const Film *f, const Settings *set, const Bodies *bodies, const
     t->tension = sums.tension;
     gas_of(f, set, sums.volume, &t->pressure, &t->gas_stiffness);
     memcpy(t->obstacle, x + 2 * count, count * sizeof *t->obstacle); /* of what touches beside its body's very edge */
-    press(f, bodies, x, force, t, t->base);
+    if (is_elsewhere(f, x, force, press(f, bodies, x, force, t, t->base), t)) return 0;
     t->sums[PRESSURE] = t->pressure, t->sums[TENSION] = t->tension;
     find_sums(f, x, force, t, t->sums);
     memcpy(t->slope, t->seen.slope, 2 * count * sizeof *t->slope), memcpy(t->spring, t->seen.spring, 4 * count * sizeof *t->spring);
@@ -369,6 +387,7 @@ int64_t film_derive(const double *numbers, const double *law, int64_t columns, i
     film_pad(&f, 3, at, t.at), film_pad(&f, 1, pressed, t.pressed);
     const double *x = t.at, *force = t.pressed;
     const int sweeps = begin(&f, (const Settings *)settings, &base, x, force, &t);
+    if (!sweeps) return 1;
     if (make_tangent(&f, &base, x, force, &t)) return NOT_DEFINITE;
     for (long first = 0; first < changes; first += AT_ONCE) {
         const long many = changes - first < AT_ONCE ? changes - first : AT_ONCE;

@@ -297,7 +297,8 @@ int64_t draw_errors(int64_t loads, const double *load /* loads */, const double 
                     double *felt /* 6 */, double *cov /* 6, 6 */);
 int64_t film_derive_room(const double *numbers /* 17 */);
 /* Of a film at rest with `x` and `force`, derivatives by `changes` of its bodies: `body` as they are, then for each change those
-   that are `steps` of it farther. Out: of displacements, forces and what film_solve finds. */
+   that are `steps` of it farther. Out: of displacements, forces and what film_solve finds.
+   Returns 1 where the film does not rest on these bodies. */
 int64_t film_derive(const double *numbers /* 17 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t roomy,
                     double *room /* roomy */, const double *settings /* 6 */, int64_t bodies, int64_t changes,
                     const double *body /* 1 + changes, bodies, 20 */, int64_t pooled, const double *pool /* pooled or NULL */,

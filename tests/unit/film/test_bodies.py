@@ -220,6 +220,24 @@ def test_nothing_that_cannot_be_is_taken(film):
         film.solve(film.obstacle("heights", data=np.zeros((5, 5))))
 
 
+def test_what_is_no_body_is_refused_in_one_line(film):
+    ball = film.obstacle("sphere", (8e-3,), (0, 0, 9e-3))
+    for none in (None, 3.0, "sphere", [ball, 1.0]):
+        with pytest.raises(InputError, match=r"is no body; Film\.obstacle makes them"):
+            film.solve(none)
+    with pytest.raises(InputError, match="no body"):
+        film.solve_batch([[ball], [None]])
+    with pytest.raises(InputError, match="length 0"):  # it was taken as not turned
+        film.obstacle("box", (1e-3, 1e-3, 1e-3), R_SO=(0, 0, 0, 0))
+    with pytest.raises(InputError, match="no triangle"):
+        film.obstacle("triangles", data=np.zeros((0, 3, 3)))
+    same = film.solve(one for one in [ball])  # anything that goes through bodies will do
+    assert same.force_normal == film.solve(ball).force_normal
+    for grid in ("ab", (np.nan, 16), 21):
+        with pytest.raises(InputError, match="two numbers of nodes"):
+            Film("dense", grid)
+
+
 @pytest.mark.parametrize("at", [(0.0, 0.0), (7e-4, 3e-4)])
 @pytest.mark.parametrize("wide", [2e-3, 0.67e-3])
 def test_a_cone_too_steep_for_the_grid_is_refused_and_not_missed(at, wide):

@@ -121,7 +121,17 @@ def test_what_has_no_derivative_is_refused(monkeypatch):
         film.derivatives(film.rest, shape, [np.nan, 0, 0.02, 8e-3])
     with pytest.raises(InputError, match="steps"):
         film.derivatives(film.rest, shape, [0, 0, 0.02, 8e-3], steps=[1e-6])
-    with pytest.raises(InputError, match="steps"):
+    with pytest.raises(InputError, match="steps: is not finite"):
         film.derivatives(film.rest, shape, [0, 0, 0.02, 8e-3], steps=[1e-6, 0, 1e-6, np.inf])
+    with pytest.raises(InputError, match="steps: must not be zero"):
+        film.derivatives(film.rest, shape, [0, 0, 0.02, 8e-3], steps=[1e-6, 0, 1e-6, 1e-6])
+    with pytest.raises(InputError, match="does not rest on these bodies"):  # 2 mm deep
+        film.derivatives(film.rest, shape, [0, 0, 9e-3, 8e-3])
+    pressed = film.solve(shape([0, 0, 9e-3, 8e-3]))
+    for other in ([0, 0, 8.7e-3, 8e-3], [0, 0, 0.02, 8e-3], [0.012, 0, 9e-3, 8e-3]):
+        with pytest.raises(InputError, match="does not rest on these bodies"):
+            film.derivatives(pressed, shape, other)
+    with pytest.raises(InputError, match="shape: None is no body"):
+        film.derivatives(pressed, lambda numbers: None, [0.0])
     nothing = film.derivatives(film.rest, shape, [0, 0, 0.02, 8e-3])
     assert not nothing.displacements.any() and not nothing.wrench.any()  # it touches nothing
