@@ -23,7 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 
-from mjtactile.core.bspline import hats
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, Markers, Traction
 from mjtactile.kernels import kernel
@@ -31,9 +30,10 @@ from mjtactile.sensing.force.camera import CameraSeen, known_modes
 from mjtactile.sensing.force.doubt import AXES, Doubt, Felt
 from mjtactile.sensing.force.drift import CameraBelief, camera_modes, drift_of
 from mjtactile.sensing.force.gain import Gain, Shape
+from mjtactile.sensing.force.loaded import LoadedSheet
 from mjtactile.sensing.force.prior import LoadPrior
-from mjtactile.sensing.force.rest import InverseRest, MarkedSheet, darker
-from mjtactile.sensing.force.sheet import State, Stiffness, product
+from mjtactile.sensing.force.rest import InverseRest, darker
+from mjtactile.sensing.force.sheet import State, Stiffness
 from mjtactile.sensing.force.slopes import MarkerSlopes
 from mjtactile.sensing.settings import (
     DEFAULTS,
@@ -47,11 +47,18 @@ REWEIGHTED = 4  # from a cold start: before, loads and a camera that drifted sha
 STEPS_MAX = 8
 STEP_LIMIT = 2e-3  # m
 SETTLED = 1e-4  # m: a step that ends the iteration
-REFINE = 5  # cells of the fine grid, for outlines, to a cell of the traction grid
 
 
-class InverseMembrane(MarkedSheet):
-    """Traction estimator of one sensor; the inner grid lines of its sheet carry the nodes."""
+class InverseMembrane(LoadedSheet):
+    """Traction estimator of one sensor.
+
+    Args:
+        design: The sensor's values.
+        settings: Of the fit.
+        prior: What is believed of tractions.
+        doubt: What is added to the wrench's covariance.
+        fiducials: Of a camera that fiducials show.
+    """
 
     def __init__(
         self,
@@ -63,48 +70,20 @@ class InverseMembrane(MarkedSheet):
     ):
         super().__init__(design, settings)
         self._known = fiducials
-        ax, ay = self.sheet.axes
-        self.x = ax.breaks
-        self.y = ay.breaks
-        hat_x = hats(self.x, ax.points)[0][:, 1:-1]
-        hat_y = hats(self.y, ay.points)[0][:, 1:-1]
-        load_x, load_y = (
-            (a.at(a.points) * a.weights[:, None]).T @ h for a, h in ((ax, hat_x), (ay, hat_y))
-        )
-        self._hats = (hat_x, hat_y)
-        own = product(self.x[1:-1], self.y[1:-1])
-        # (J,) m^2 of the sheet's own coordinates, and of the mounted sheet to one of these:
-        # kernels have tractions by the former, so that their integrals are products
-        self._cells = np.outer(ax.weights @ hat_x, ay.weights @ hat_y).ravel()
-        self._density = self.sheet.density(own)
-        self.node_area = self._cells * self._density  # (J,) m^2
         self.prior = LoadPrior(self.x[1:-1], self.y[1:-1], prior)
         # nodes in each direction, generalised forces (kx, jx), (ky, jy) of one pascal at each, and
         # the prior's roots
         self._nodes = (
             len(self.x) - 2,
             len(self.y) - 2,
-            *map(np.ascontiguousarray, (load_x, load_y, *self.prior.root)),
+            *map(np.ascontiguousarray, (*self.node_loads(), *self.prior.root)),
         )
-        self.nodes = self.sheet.places(own)
-        self._flat_nodes = np.column_stack([self.nodes, np.zeros(len(self.nodes))])
-        self._at_nodes = self.sheet.basis(own)
-        self._shared = self._sharing()
         self._doubt = Doubt(design, self.nodes, doubt)
         self._posterior_share = np.array(settings.posterior_share)[AXES]
-        fine = [np.linspace(-a.length / 2, a.length / 2, REFINE * a.spans + 1) for a in (ax, ay)]
-        self._at_fine = [a.at(g) for a, g in zip((ax, ay), fine, strict=True)]
-        self._fine = self.sheet.places(product(*fine)).T.reshape(2, *map(len, fine))
-        sparse = design.markers.pitch_x * design.markers.pitch_y > settings.slopes_cell
-        self._slopes = (
-            MarkerSlopes(self.sheet, self._material, design.camera.distance, settings)
-            if sparse
-            else None
-        )
-
-    def force(self, shape: Shape) -> Array:
-        """Net force (3,) N on the sheet."""
-        return shape.traction @ self.node_area
+        self._slopes: MarkerSlopes | None = None
+        if design.markers.pitch_x * design.markers.pitch_y > settings.slopes_cell:
+            distance = design.camera.distance
+            self._slopes = MarkerSlopes(self.sheet, self._material, distance, settings)
 
     # -- one frame
     # --------------------------------------------------------------------------------
@@ -191,15 +170,15 @@ class InverseMembrane(MarkedSheet):
                 axis=1
             )
         return Shape(
-            c,
-            traction,
-            pressure,
-            float(misfit @ noise) / len(misfit),
-            gain,
-            count,
-            excess,
-            drift_of(drift, gain.drift_seen),
-            drift[1:],
+            c=c,
+            traction=traction,
+            pressure_gauge=pressure,
+            misfit=float(misfit @ noise) / len(misfit),
+            gain=gain,
+            steps=count,
+            excess=excess,
+            drift=drift_of(drift, gain.drift_seen),
+            camera=drift[1:],
         )
 
     def _sight(
@@ -228,6 +207,7 @@ class InverseMembrane(MarkedSheet):
         camera: CameraBelief | CameraSeen,
         lost: bool,
     ) -> Gain:
+        """The linearisation at `c` for these markers; `before` is what was found last."""
         state = self._state(c, rest)
         ids = markers.ids
         _, stiffness = self.sheet.linearise(state, rest.gas)
@@ -236,50 +216,43 @@ class InverseMembrane(MarkedSheet):
         prior = self.prior.first() if before is None else self.prior.after(before.traction)
         prior *= np.tile(self._density, 3)
         pressure, load = self._gas_drift(state, rest, self._known.gas_lost if lost else None)
-        rows = (3 if tilts is None else 5) * len(ids)
-        half = np.empty((rows, 3 * len(self.nodes)))
         changed = darker(markers, rest)
         modes = self._camera_modes(self.positions(c)[ids], changed, camera)
-        root = camera.root
-        drift = np.zeros((rows, 1 + root.shape[1]))
-        # slopes hardly see the camera move
-        drift[: 3 * len(ids), 1:] = (weights @ modes @ root).reshape(3 * len(ids), -1)
-        bulge_seen = np.empty(rows)
+        rows = (3 if tilts is None else 5) * len(ids)
+        half = np.empty((rows, 3 * len(self.nodes)))
+        gas_seen = np.empty(rows)
         kernel("inverse_gain")(
             *self._sight(stiffness, ids, weights, tilts),
             *self._nodes,
             prior,
             stiffness.solve(load),
             half,
-            bulge_seen,
+            gas_seen,
         )
-        drift[:, 0] = bulge_seen
-        innovation = half @ half.T + drift @ drift.T
-        innovation[np.diag_indices_from(innovation)] += 1.0
-        innovation = np.linalg.cholesky(innovation)
+        drift = _drift_seen(gas_seen, weights @ modes @ camera.root)
+        innovation = _innovation(half, drift)
         known = drift.T @ cho_solve((innovation, True), drift, check_finite=False)
-        seen = np.maximum(np.diagonal(known), 1e-6)
         return Gain(
-            c,
-            ids,
-            stiffness,
-            half,
-            weights,
-            slope_weights,
-            tilts,
-            distrust,
-            drift,
-            (pressure, load),
-            seen,
-            prior,
-            innovation,
-            0 if before is None else before.gain.reweighted + 1,
-            ((rest.gas_sd is not None, rest.gas.constant is None), rest.gas_sd or 0.0),
-            changed,
-            camera,
-            lost,
-            modes,
-            np.eye(len(known) - 1) - known[1:, 1:],
+            c=c,
+            ids=ids,
+            stiffness=stiffness,
+            half=half,
+            weights=weights,
+            slope_weights=slope_weights,
+            tilts=tilts,
+            distrust=distrust,
+            drift=drift,
+            drift_gas=(pressure, load),
+            drift_seen=np.maximum(np.diagonal(known), 1e-6),
+            prior=prior,
+            innovation=innovation,
+            reweighted=0 if before is None else before.gain.reweighted + 1,
+            gas=((rest.gas_sd is not None, rest.gas.constant is None), rest.gas_sd or 0.0),
+            darker=changed,
+            camera=camera,
+            lost=lost,
+            modes=modes,
+            left=np.eye(len(known) - 1) - known[1:, 1:],
         )
 
     def _weights(
@@ -363,48 +336,6 @@ class InverseMembrane(MarkedSheet):
         cov[np.diag_indices(6)] += self._doubt.variance(felt)
         return Traction(self.x, self.y, nodal, wrench, cov, shape.pressure_gauge, method="inverse")
 
-    def _on_grid(self, force: Array) -> Array:
-        """Forces (3, J) N of the nodes on the regular grid of `Traction`, (ny, nx, 3): those of a
-        node that stands between its lines are shared so that sum and place stay."""
-        nodal = np.zeros((len(self.y), len(self.x), 3))
-        if self._shared is None:
-            inner = force.reshape(3, len(self.x) - 2, len(self.y) - 2)
-            nodal[1:-1, 1:-1] = inner.transpose(2, 1, 0)
-            return nodal
-        for rows, columns, share in self._shared:
-            np.add.at(nodal, (rows, columns), share[:, None] * force.T)
-        return nodal
-
-    def _sharing(self) -> list[tuple[NDArray[np.int64], NDArray[np.int64], Array]] | None:
-        """Rows, columns and shares (J,) of the four grid places around each node; None where nodes
-        stand on the grid."""
-        if self.design.frame.outline is None:
-            return None
-        places = []
-        for lines, at in zip((self.x, self.y), self.nodes.T, strict=True):
-            step = (at - lines[0]) / (lines[1] - lines[0])
-            first = np.clip(step.astype(np.int64), 0, len(lines) - 2)
-            places.append(((first, 1 - step + first), (first + 1, step - first)))
-        return [(row, column, by * bx) for column, bx in places[0] for row, by in places[1]]
-
-    def node_positions(self, c: Array) -> Array:
-        """Where the nodes are now, (J, 3) m in S."""
-        return self._flat_nodes + self._at_nodes @ c.T
-
-    def fine_positions(self, c: Array) -> Array:
-        """Where the points of the fine grid are now, (3, a, b) m in S."""
-        moved = self._at_fine[0] @ c.reshape(3, *self.sheet.shape) @ self._at_fine[1].T
-        moved[:2] += self._fine
-        return moved
-
-    def pressing_at_points(self, shape: Shape) -> Array:
-        """Force per cell of the sheet's Gauss points (qx, qy) with which the outside presses, N;
-        never negative."""
-        hat_x, hat_y = self._hats
-        pressure = np.maximum(-shape.traction[2], 0.0) * self._density
-        pressure = pressure.reshape(hat_x.shape[1], hat_y.shape[1])
-        return self.sheet.cells * (hat_x @ pressure @ hat_y.T)
-
     def _posterior(self, shape: Shape, positions: Array) -> Array:
         """Posterior covariance (6, 6) of the wrench of tractions on nodes at `positions` (J, 3) m:
         what the prior leaves open between markers, and their noise."""
@@ -436,3 +367,21 @@ def _net(force: Array, positions: Array) -> Array:
     """Net force and torque (6,) about the origin of forces (3, J) at `positions` (J, 3)."""
     M = force @ positions
     return np.array([*force.sum(axis=1), M[2, 1] - M[1, 2], M[0, 2] - M[2, 0], M[1, 0] - M[0, 1]])
+
+
+def _drift_seen(gas: Array, camera: Array) -> Array:
+    """The whitened markers' response (r, 1 + modes) to one sd of drift: of the `gas` (r,), and of
+    the `camera`'s modes (m, 3, modes). Slopes, the rows after 3 m, hardly see the camera move."""
+    markers, _, modes = camera.shape
+    drift = np.zeros((len(gas), 1 + modes))
+    drift[:, 0] = gas
+    drift[: 3 * markers, 1:] = camera.reshape(3 * markers, modes)
+    return drift
+
+
+def _innovation(half: Array, drift: Array) -> Array:
+    """Lower factor (r, r) of the whitened markers' covariance, as tractions, drift and their own
+    noise predict it."""
+    cov = half @ half.T + drift @ drift.T
+    cov[np.diag_indices_from(cov)] += 1.0
+    return np.linalg.cholesky(cov)

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from mjtactile.core.types import Array, Contact
 from mjtactile.kernels import kernel
 from mjtactile.sensing.force.gain import Shape
-from mjtactile.sensing.force.inverse import REFINE, InverseMembrane
+from mjtactile.sensing.force.inverse import InverseMembrane
+from mjtactile.sensing.force.loaded import REFINE
 from mjtactile.sensing.force.rest import InverseRest
 from mjtactile.sensing.settings import DEFAULTS, PatchSettings, as_numbers
 

@@ -1,0 +1,105 @@
+"""A sensor's sheet with the nodes that carry tractions, and where these are: on the inner lines of
+a regular grid, in the sheet's own coordinates."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.core.bspline import hats
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.types import Array
+from mjtactile.sensing.force.gain import Shape
+from mjtactile.sensing.force.rest import MarkedSheet
+from mjtactile.sensing.force.sheet import product
+from mjtactile.sensing.settings import InverseSettings
+
+REFINE = 5  # cells of the fine grid, for outlines, to a cell of the traction grid
+
+
+class LoadedSheet(MarkedSheet):
+    """The sheet of one sensor, its markers, and J nodes on its inner grid lines `x` (nx,), `y`
+    (ny,) m.
+
+    Args:
+        design: The sensor's values.
+        settings: The stage's chosen numbers.
+    """
+
+    def __init__(self, design: SensorDesign, settings: InverseSettings):
+        super().__init__(design, settings)
+        ax, ay = self.sheet.axes
+        self.x = ax.breaks
+        self.y = ay.breaks
+        hat_x = hats(self.x, ax.points)[0][:, 1:-1]
+        hat_y = hats(self.y, ay.points)[0][:, 1:-1]
+        self._hats = (hat_x, hat_y)
+        own = product(self.x[1:-1], self.y[1:-1])
+        # (J,) m^2 of the sheet's own coordinates, and of the mounted sheet to one of these:
+        # kernels have tractions by the former, so that their integrals are products
+        self._cells = np.outer(ax.weights @ hat_x, ay.weights @ hat_y).ravel()
+        self._density = self.sheet.density(own)
+        self.node_area = self._cells * self._density  # (J,) m^2
+        self.nodes = self.sheet.places(own)
+        self._flat_nodes = np.column_stack([self.nodes, np.zeros(len(self.nodes))])
+        self._at_nodes = self.sheet.basis(own)
+        self._shared = self._sharing()
+        fine_x = np.linspace(-ax.length / 2, ax.length / 2, REFINE * ax.spans + 1)
+        fine_y = np.linspace(-ay.length / 2, ay.length / 2, REFINE * ay.spans + 1)
+        self._at_fine = (ax.at(fine_x), ay.at(fine_y))
+        fine = self.sheet.places(product(fine_x, fine_y))
+        self._fine = fine.T.reshape(2, len(fine_x), len(fine_y))
+
+    def node_loads(self) -> tuple[Array, Array]:
+        """Generalised forces (kx, jx), (ky, jy) of one pascal at each node, along x and y."""
+        ax, ay = self.sheet.axes
+        hat_x, hat_y = self._hats
+        along_x = (ax.at(ax.points) * ax.weights[:, None]).T @ hat_x
+        along_y = (ay.at(ay.points) * ay.weights[:, None]).T @ hat_y
+        return along_x, along_y
+
+    def force(self, shape: Shape) -> Array:
+        """Net force (3,) N on the sheet."""
+        return shape.traction @ self.node_area
+
+    def node_positions(self, c: Array) -> Array:
+        """Where the nodes are now, (J, 3) m in S."""
+        return self._flat_nodes + self._at_nodes @ c.T
+
+    def fine_positions(self, c: Array) -> Array:
+        """Where the points of the fine grid are now, (3, a, b) m in S."""
+        moved = self._at_fine[0] @ c.reshape(3, *self.sheet.shape) @ self._at_fine[1].T
+        moved[:2] += self._fine
+        return moved
+
+    def pressing_at_points(self, shape: Shape) -> Array:
+        """Force per cell of the sheet's Gauss points (qx, qy) with which the outside presses, N;
+        never negative."""
+        hat_x, hat_y = self._hats
+        pressure = np.maximum(-shape.traction[2], 0.0) * self._density
+        pressure = pressure.reshape(hat_x.shape[1], hat_y.shape[1])
+        return self.sheet.cells * (hat_x @ pressure @ hat_y.T)
+
+    def _on_grid(self, force: Array) -> Array:
+        """Forces (3, J) N of the nodes on the regular grid of `Traction`, (ny, nx, 3): those of a
+        node that stands between its lines are shared so that sum and place stay."""
+        nodal = np.zeros((len(self.y), len(self.x), 3))
+        if self._shared is None:
+            inner = force.reshape(3, len(self.x) - 2, len(self.y) - 2)
+            nodal[1:-1, 1:-1] = inner.transpose(2, 1, 0)
+            return nodal
+        for rows, columns, share in self._shared:
+            np.add.at(nodal, (rows, columns), share[:, None] * force.T)
+        return nodal
+
+    def _sharing(self) -> list[tuple[NDArray[np.int64], NDArray[np.int64], Array]] | None:
+        """Rows, columns and shares (J,) of the four grid places around each node; None where nodes
+        stand on the grid."""
+        if self.design.frame.outline is None:
+            return None
+        places = []
+        for lines, at in zip((self.x, self.y), self.nodes.T, strict=True):
+            step = (at - lines[0]) / (lines[1] - lines[0])
+            first = np.clip(step.astype(np.int64), 0, len(lines) - 2)
+            places.append(((first, 1 - step + first), (first + 1, step - first)))
+        return [(row, column, by * bx) for column, bx in places[0] for row, by in places[1]]
