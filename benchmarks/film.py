@@ -10,8 +10,6 @@ they are as large as their convex hull.
 from __future__ import annotations
 
 import json
-import multiprocessing
-import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import cache
@@ -20,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import film_fineness
+from benchmarks import film_fineness, film_times
 from mjtactile import Film, FilmState, Obstacle, load_sensor
 from mjtactile.core.types import Array
 from mjtactile.report.figures import new_figure
@@ -33,10 +31,6 @@ USUAL = {"thickness_mm": 0.3, "pre_stretch": 1.05, "rest_Pa": 1000.0}
 OTHER = "paper16"
 """It has the sheet, frame and gas of `dense`, so that the same references hold for its file."""
 PLACES, PLACES_QUICK = 12, 2
-BURSTS, BURSTS_QUICK = 20, 2
-AT_ONCE = 64
-_SECONDS = 1.0  # of two processes at once
-_STEPS = 10  # of a burst, each 0.05 mm deeper
 _TIMES = {
     "a step of 0.05 mm after another": "step_us",
     "the same without what came before": "alone_us",
@@ -73,7 +67,7 @@ def run(out: Path, *, quick: bool = False, say: Say | None = None) -> dict[str, 
         {"grid": list(grid), **_scatter(grid, PLACES_QUICK if quick else PLACES)} for grid in PLACED
     ]
     narrow = film_fineness.run(GRIDS, quick)
-    times = [_times(grid, BURSTS_QUICK if quick else BURSTS) for grid in TIMED]
+    times = [film_times.times(grid, quick) for grid in TIMED]
     _draw(out / "film.png", references["profiles"])
     found = {"rows": rows, "sticking": sticking, "places": places}
     return found | {"narrow": narrow, "times": times}
@@ -193,108 +187,6 @@ def _summary(forces: Array) -> dict[str, float]:
     return {"force_N": mean, "spread": spread, "lost": len(forces) - len(found)}
 
 
-# -- time ------------------------------------------------------------------------------------------
-
-
-def _bowl(numbers: Array) -> Obstacle:
-    """A quadric of six numbers: place, two curvatures, and a turn about z."""
-    c, s = np.cos(numbers[5]), np.sin(numbers[5])
-    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
-    return Film.obstacle("quadric", (*numbers[3:5], 0.012), numbers[:3], turn)
-
-
-def _deeper(film: Film) -> list[Obstacle]:
-    """Balls, each 0.05 mm deeper than the one before."""
-    heights = [0.0095 - 5e-5 * k for k in range(_STEPS + 1)]
-    return [film.obstacle("sphere", (8e-3,), (0, 0, height)) for height in heights]
-
-
-def _times(grid: tuple[int, int], bursts: int) -> dict[str, Any]:
-    """Best times, us, of a step from the one before, 0.05 mm deeper, and of films at once."""
-    film = Film("dense", grid, 1000.0)
-    balls = _deeper(film)
-    start = film.solve(balls[0])
-    best = {trend: np.full(_STEPS, np.inf) for trend in (True, False)}
-    steps = 0
-    for _ in range(bursts):
-        for trend, least in best.items():
-            state = start
-            for k, one in enumerate(balls[1:]):
-                begin = time.perf_counter()
-                state = film.solve(one, state if trend else replace(state, trend=None))
-                least[k] = min(least[k], time.perf_counter() - begin)
-                steps = max(steps, state.steps)
-    derived, posed = np.inf, np.inf
-    numbers = np.array([1e-3, 0.0, 1.5e-3, 120.0, 60.0, 0.1])
-    pressed = film.solve(_bowl(numbers))
-    for _ in range(bursts):
-        begin = time.perf_counter()
-        film.derivatives(pressed, _bowl, numbers)
-        between = time.perf_counter()
-        film.derivatives_by_pose(pressed)
-        derived = min(derived, between - begin)
-        posed = min(posed, time.perf_counter() - between)
-    rates = {
-        f"{size}, {threads}": _rate(film, balls, size, threads, bursts)
-        for size, threads in ((1, 1), (8, 1), (AT_ONCE, 1), (256, 1), (AT_ONCE, 2))
-    }
-    return {"grid": list(grid), "step_us": 1e6 * float(np.median(best[True])),
-            "alone_us": 1e6 * float(np.median(best[False])), "most_steps": steps,
-            "derivatives_us": 1e6 * derived, "by_pose_us": 1e6 * posed, "batch_per_s": rates,
-            "ceiling": _ceiling(grid, _SECONDS * bursts / BURSTS)}  # fmt: skip
-
-
-def _rate(film: Film, balls: list[Obstacle], size: int, threads: int, bursts: int) -> float:
-    """Films a second of `size` at once, which are at rest already."""
-    solve = _at_rest(film, balls, size, threads)
-    return size / min(solve() for _ in range(bursts))
-
-
-def _at_rest(film: Film, balls: list[Obstacle], size: int, threads: int) -> Callable[[], float]:
-    """Times, s, of `size` films at once, each time anew from where they are at rest already."""
-    many = [[balls[k % 8]] for k in range(size)]
-    batch = film.solve_batch(many)
-    spare, batch = batch, film.solve_batch(many, batch)
-
-    def solve() -> float:
-        begin = time.perf_counter()
-        film.solve_batch(many, batch, threads=threads, into=spare)
-        return time.perf_counter() - begin
-
-    return solve
-
-
-def _ceiling(grid: tuple[int, int], seconds: float) -> float:
-    """What a second processor adds at most: the rate of two processes, which share nothing, over
-    that of one. Two threads cannot do better: processors share caches and memory, if not more."""
-    context = multiprocessing.get_context("spawn")
-    rates = {}
-    for count in (1, 2):
-        together = context.Barrier(count)
-        found: Any = context.SimpleQueue()
-        given = (grid, seconds, together, found)
-        workers = [context.Process(target=_alone, args=given) for _ in range(count)]
-        for worker in workers:
-            worker.start()
-        rates[count] = sum(found.get() for _ in workers)
-        for worker in workers:
-            worker.join()
-    return rates[2] / rates[1]
-
-
-def _alone(grid: tuple[int, int], seconds: float, together: Any, found: Any) -> None:
-    """In a process of its own: the best rate of a batch in one thread, over some time that begins
-    when all are `together`."""
-    film = Film("dense", grid, 1000.0)
-    solve = _at_rest(film, _deeper(film), AT_ONCE, 1)
-    together.wait()
-    end = time.perf_counter() + seconds
-    least = np.inf
-    while time.perf_counter() < end:
-        least = min(least, solve())
-    found.put(AT_ONCE / least)
-
-
 # -- picture and table -----------------------------------------------------------------------------
 
 
@@ -401,7 +293,7 @@ def table(result: dict[str, Any]) -> str:
     ceilings = [t["ceiling"] for t in times]
     shares = (100 * gain / most for gain, most in zip(gains, ceilings, strict=True))
     lines += [
-        f"| {AT_ONCE} at once: rate of two threads over one | {_row(gains, '.2f')} |",
+        f"| {film_times.AT_ONCE} at once: rate of two threads over one | {_row(gains, '.2f')} |",
         f"| two processes, which share nothing, over one | {_row(ceilings, '.2f')} |",
         f"| what two threads reach of that, % | {_row(shares, '.0f')} |",
     ]

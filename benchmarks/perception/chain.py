@@ -26,7 +26,8 @@ from mjtactile.core.types import Array, Image
 from mjtactile.sensing.chain import Chain
 from mjtactile.sensing.image.markers import detect
 from mjtactile.sensing.pose.circles import estimate_poses
-from mjtactile.sensing.shape.surface import Spline, grid_of, reconstruct_delaunay
+from mjtactile.sensing.shape.delaunay import reconstruct_delaunay
+from mjtactile.sensing.shape.surface import Spline, grid_of
 
 # radius m, indentation m, 1/m
 _BALL = 0.010

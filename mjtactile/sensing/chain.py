@@ -26,7 +26,6 @@ from mjtactile.core.optics import Camera
 from mjtactile.core.status import OK, Status
 from mjtactile.core.types import Array, FeltShape, Image, Markers, PressureReading, Surface, Touch
 from mjtactile.sensing.body.finder import ShapeFinder
-from mjtactile.sensing.body.motion import rubber_step
 from mjtactile.sensing.estimate import ShapeEstimator
 from mjtactile.sensing.force import bulge
 from mjtactile.sensing.force.inverse import InverseMembrane
@@ -36,11 +35,10 @@ from mjtactile.sensing.judgement import TouchJudge
 from mjtactile.sensing.pose.reference import FlatReference, measure_flat
 from mjtactile.sensing.settings import DEFAULTS, Settings
 from mjtactile.sensing.shape.surface import SurfaceFitter
-from mjtactile.sensing.shaped import finder_gauge, with_shape
+from mjtactile.sensing.shaped import after_shape, finder_gauge, rubber_between
 from mjtactile.sensing.sight import MarkerSight, average, moved
 from mjtactile.sensing.state import ChainState, Reference
 from mjtactile.sensing.touch import slip
-from mjtactile.sensing.touch.moving import with_motion
 
 
 class Chain:
@@ -104,7 +102,6 @@ class Chain:
         return self.set_rest(state, rest.markers, rest.pressure_gauge, sealed=rest.sealed)
 
     # -- the sensor's own reference
-    # --------------------------------------------------------------------------------
 
     def take_flat(self, state: ChainState, images: Sequence[Image]) -> ChainState:
         """Measure the camera's pose and each marker's radius on the flat membrane.
@@ -236,7 +233,6 @@ class Chain:
         return self.inverse.rubber.begin(rest.c, rest.young, inflated_s, time)
 
     # -- what touches
-    # --------------------------------------------------------------------------------
 
     def shape_finder(self, state: ChainState) -> ShapeFinder:
         """Make what finds shapes with this rest; a tenth of a second, once for a rest.
@@ -251,7 +247,7 @@ class Chain:
         Raises:
             DeviceError: The rest reference is missing.
         """
-        reference = self._require_reference(state, "a shape")
+        reference = state.required(self.design.name, "a shape")
         return ShapeFinder(self.design, reference.first, finder_gauge(reference), self.settings)
 
     def find_shape(
@@ -289,31 +285,16 @@ class Chain:
         Raises:
             DeviceError: The rest reference is missing.
         """
-        rubber = None
-        if before.slip is not None and after.slip is not None:
-            rubber = rubber_step(
-                (before.slip.weight, after.slip.weight), (before.slip.position, after.slip.position)
-            )
+        rubber = rubber_between(before, after)
         found = finder.follow(touch, before.press, self._rest_markers(after), rubber)
-        felt = with_shape(touch, found.shape, found.load)
-        after = replace(after, press=found.press)
-        if felt.slip is None:
-            return felt, after
-        judged, history = with_motion(felt.slip, after.slip, found.shape.motion, self.settings.slip)
-        return replace(felt, slip=judged), replace(after, slip=history)
-
-    def _require_reference(self, state: ChainState, what: str) -> Reference:
-        if state.reference is None:
-            raise DeviceError(f"sensor {self.design.name}: {what} before the rest reference")
-        return state.reference
+        return after_shape(touch, found, after, self.settings.slip)
 
     def _rest_markers(self, state: ChainState) -> Array:
         """Where they stand at rest, (N, 3) m in S."""
-        rest = self._require_reference(state, "a shape").rest
+        rest = state.required(self.design.name, "a shape").rest
         return self.inverse.positions(rest.c) + rest.offset
 
     # -- an image
-    # --------------------------------------------------------------------------------
 
     def step(
         self, state: ChainState, image: Image, now: float, reading: PressureReading | None = None
@@ -393,12 +374,10 @@ class Chain:
         Raises:
             DeviceError: The rest reference is missing.
         """
-        if state.reference is None:
-            raise DeviceError(f"sensor {self.design.name}: markers before the rest reference")
+        reference = state.required(self.design.name, "markers")
         unknown = Touch(time, 0.0, np.nan, np.nan, False, surface=surface, markers=markers)
         if (status := self.enough(markers)) != OK:
             return replace(unknown, status=status), state
-        reference = state.reference
         if state.rubber is not None:
             rest = self.inverse.at_rest(replace(reference.rest, faded=state.rubber.total))
             reference = replace(reference, rest=rest)

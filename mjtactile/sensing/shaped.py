@@ -6,8 +6,12 @@ import math
 from dataclasses import replace
 
 from mjtactile.core.types import Contact, FeltShape, Touch
+from mjtactile.sensing.body.finder import Found
 from mjtactile.sensing.body.fuse import Borne, with_load
-from mjtactile.sensing.state import Reference
+from mjtactile.sensing.body.motion import Rubber, rubber_step
+from mjtactile.sensing.settings import SlipSettings
+from mjtactile.sensing.state import ChainState, Reference
+from mjtactile.sensing.touch.moving import with_motion
 
 _GAUGE_STEP = 1.02  # of the gas at rest, after which shapes want another film
 
@@ -48,6 +52,37 @@ def with_shape(touch: Touch, shape: FeltShape, load: Borne | None = None) -> Tou
     by_body = replace(contact, area=shape.area, outline=shape.outline, area_from=shape.family)
     patches = (by_body,) if len(touch.patches) == 1 else _patches_of(touch.patches, shape.parts)
     return replace(felt, shape=shape, contact=by_body, patches=patches)
+
+
+def after_shape(
+    touch: Touch, found: Found, after: ChainState, settings: SlipSettings
+) -> tuple[Touch, ChainState]:
+    """A touch with the body that was `found`, by whose motion its slip is judged.
+
+    Args:
+        touch: As the nodal estimate has it.
+        found: The body, and what the press has told of it so far.
+        after: The state after the image.
+        settings: Of slip.
+
+    Returns:
+        The touch, and the state that remembers the press.
+    """
+    felt = with_shape(touch, found.shape, found.load)
+    after = replace(after, press=found.press)
+    if felt.slip is None:
+        return felt, after
+    judged, history = with_motion(felt.slip, after.slip, found.shape.motion, settings)
+    return replace(felt, slip=judged), replace(after, slip=history)
+
+
+def rubber_between(before: ChainState, after: ChainState) -> Rubber | None:
+    """How the rubber that touches has moved from one image to the next; None: unknown."""
+    if before.slip is None or after.slip is None:
+        return None
+    return rubber_step(
+        (before.slip.weight, after.slip.weight), (before.slip.position, after.slip.position)
+    )
 
 
 def _patches_of(patches: tuple[Contact, ...], bodies: tuple[FeltShape, ...]) -> tuple[Contact, ...]:

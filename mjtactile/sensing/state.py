@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Array, FiducialsSeen, Surface
 from mjtactile.sensing.body.press import Press
 from mjtactile.sensing.force import zero
@@ -69,6 +70,12 @@ class ChainState:
     press: Press | None = None
     flat_at: float = -math.inf
     rubber: RubberMemory | None = None
+
+    def required(self, sensor: str, what: str) -> Reference:
+        """The rest reference. Raises DeviceError, of `what` came before it, where there is none."""
+        if self.reference is None:
+            raise DeviceError(f"sensor {sensor}: {what} before the rest reference")
+        return self.reference
 
     def without_history(self) -> ChainState:
         """The same references, as if no image had been seen since; what is known of the gas

@@ -12,7 +12,8 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, Touch
 from mjtactile.film import obstacle
 from mjtactile.sensing.body import fit
-from mjtactile.sensing.body.families import FAMILIES, Family, Hint
+from mjtactile.sensing.body.bodies import Hint
+from mjtactile.sensing.body.families import FAMILIES, Family
 from mjtactile.sensing.body.fit import Data, Prior
 from mjtactile.sensing.body.forward import Forward
 from mjtactile.sensing.body.words import said_cov

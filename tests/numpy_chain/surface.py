@@ -13,7 +13,8 @@ from mjtactile.core.bspline import Cubic
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
 from mjtactile.sensing.settings import DEFAULTS, SurfaceSettings
-from mjtactile.sensing.shape.surface import grid_of, slope_sd
+from mjtactile.sensing.shape.slope import slope_sd
+from mjtactile.sensing.shape.surface import grid_of
 
 _GAUSS = 4
 

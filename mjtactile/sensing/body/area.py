@@ -10,7 +10,8 @@ from scipy.special import ndtr
 
 from mjtactile.core.types import Array
 from mjtactile.film.state import TENSION
-from mjtactile.sensing.body.families import Family, Hint, face_of
+from mjtactile.sensing.body.bodies import Hint
+from mjtactile.sensing.body.families import Family, face_of
 from mjtactile.sensing.body.fit import Fit
 from mjtactile.sensing.body.forward import SUM_AREA, Forward
 from mjtactile.sensing.settings import BodySettings

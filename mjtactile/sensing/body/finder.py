@@ -13,7 +13,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.status import OK, Status, StatusCode
 from mjtactile.core.types import SHAPES, Array, Contact, FeltShape, Touch
 from mjtactile.sensing.body.area import area_sd, areas, interval
-from mjtactile.sensing.body.families import Hint
+from mjtactile.sensing.body.bodies import Hint
 from mjtactile.sensing.body.fit import Data
 from mjtactile.sensing.body.forward import Forward
 from mjtactile.sensing.body.fuse import Borne, borne

@@ -11,7 +11,8 @@ from scipy.linalg import solve_triangular
 
 from mjtactile.core.types import Array, Touch
 from mjtactile.film import FilmState
-from mjtactile.sensing.body.families import Family, Hint
+from mjtactile.sensing.body.bodies import Hint
+from mjtactile.sensing.body.families import Family
 from mjtactile.sensing.body.forward import SUMS, Forward, converged
 from mjtactile.sensing.settings import BodySettings
 
@@ -269,12 +270,12 @@ def refine(
     """
     sd = family.sd
     damping = _DAMPING[0] if slopes is None else _DAMPING[1]
-    fresh = False
-    if slopes is None or slopes.worn(family, at.theta):
+    fresh = slopes is None or slopes.worn(family, at.theta)
+    if slopes is None or fresh:
         slopes = find_slopes(forward, family, hint, at)
-        fresh = True
     for count in range(rounds):
-        if count >= _TRIED and at.cost > _HOPELESS * (known + len(at.residual)):
+        is_hopeless = at.cost > _HOPELESS * (known + len(at.residual))
+        if count >= _TRIED and is_hopeless:
             break
         step, promised = _step(data.root @ slopes.heights[data.ids], at, sd, prior, damping)
         if promised < _SETTLED:
@@ -283,27 +284,28 @@ def refine(
         if new is None or new.cost > at.cost:
             if damping > _DAMPING[2]:
                 break
-            if not fresh:
+            if fresh:
+                damping = max(10 * damping, 1e-2)
+            else:
                 slopes = find_slopes(forward, family, hint, at)
                 fresh = True
-            else:
-                damping = max(10 * damping, 1e-2)
             continue
         gained = at.cost - new.cost
-        moved = (new.theta - at.theta) / sd
-        sums = new.state.found[SUMS] - at.state.found[SUMS]
-        if slopes.worn(family, new.theta):
-            slopes = find_slopes(forward, family, hint, new)
-            fresh = True
-        else:
-            slopes = slopes.learnt(moved, new.heights - at.heights, sums)
-            fresh = False
+        fresh = slopes.worn(family, new.theta)
+        slopes = find_slopes(forward, family, hint, new) if fresh else _learnt(slopes, sd, at, new)
         at = new
         damping = max(damping / 10, _DAMPING[1])
         if gained < _SETTLED:
             break
     J = data.root @ slopes.heights[data.ids]
     return Fit(family, hint, at, prior, J.T @ J, slopes)
+
+
+def _learnt(slopes: Slopes, sd: Array, at: At, new: At) -> Slopes:
+    """Slopes that say of the step from `at` to `new` what came of it."""
+    moved = (new.theta - at.theta) / sd
+    sums = new.state.found[SUMS] - at.state.found[SUMS]
+    return slopes.learnt(moved, new.heights - at.heights, sums)
 
 
 def find_slopes(forward: Forward, family: Family, hint: Hint, at: At) -> Slopes:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from mjtactile.core.types import SHAPES, Array, Touch
-from mjtactile.sensing.body.families import principal
+from mjtactile.sensing.body.bodies import principal
 from mjtactile.sensing.body.fit import Fit
 from mjtactile.sensing.body.forward import Forward
 from mjtactile.sensing.body.press import Press

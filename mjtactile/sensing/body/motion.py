@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjtactile.core.types import Array, BodyMotion
-from mjtactile.sensing.body.families import place_of
+from mjtactile.sensing.body.bodies import place_of
 from mjtactile.sensing.body.fit import Fit
 from mjtactile.sensing.settings import BodySettings
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from mjtactile.core.types import Array
 from mjtactile.sensing.body.area import FACES
-from mjtactile.sensing.body.families import FAMILIES, Family, Hint, kinds_of, several
+from mjtactile.sensing.body.bodies import Hint
+from mjtactile.sensing.body.families import FAMILIES, Family, kinds_of, several
 from mjtactile.sensing.body.fit import Data, Fit, Prior, begin, refine
 from mjtactile.sensing.body.motion import Track
 from mjtactile.sensing.body.search import Films, approach, search

@@ -11,7 +11,8 @@ import numpy as np
 
 from mjtactile.core.types import Array
 from mjtactile.film import FilmState
-from mjtactile.sensing.body.families import Family, Hint
+from mjtactile.sensing.body.bodies import Hint
+from mjtactile.sensing.body.families import Family
 from mjtactile.sensing.body.fit import At, Data, Fit, Prior, begin, refine
 from mjtactile.sensing.body.forward import Forward, converged
 

@@ -12,7 +12,8 @@ import numpy as np
 
 from mjtactile.core.types import SHAPES, Array, FeltShape
 from mjtactile.sensing.body.area import areas, nearest_part, shares
-from mjtactile.sensing.body.families import Family, Hint, about, kinds_of, place_of, principal
+from mjtactile.sensing.body.bodies import Hint, about, place_of, principal
+from mjtactile.sensing.body.families import Family, kinds_of
 from mjtactile.sensing.body.fit import Fit
 from mjtactile.sensing.body.forward import Forward
 from mjtactile.sensing.body.stick import sticks

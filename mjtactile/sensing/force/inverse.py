@@ -86,7 +86,6 @@ class InverseMembrane(LoadedSheet):
             self._slopes = MarkerSlopes(self.sheet, self._material, distance, settings)
 
     # -- one frame
-    # --------------------------------------------------------------------------------
 
     def estimate(
         self,
@@ -302,7 +301,6 @@ class InverseMembrane(LoadedSheet):
         return pressure, pressure * state.gradient
 
     # -- what it means
-    # --------------------------------------------------------------------------------
 
     def traction(
         self,

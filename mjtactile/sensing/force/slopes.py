@@ -14,7 +14,7 @@ from mjtactile.core import geometry
 from mjtactile.core.types import Array, Markers
 from mjtactile.sensing.force.sheet import Sheet
 from mjtactile.sensing.settings import InverseSettings
-from mjtactile.sensing.shape.surface import slope_sd
+from mjtactile.sensing.shape.slope import slope_sd
 
 
 class MarkerSlopes:

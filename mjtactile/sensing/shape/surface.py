@@ -1,7 +1,6 @@
-"""The membrane's shape from marker poses: a smoothing spline fitted straight to the markers, and
-the paper's route.
+"""The membrane's shape from marker poses: a smoothing spline fitted straight to the markers.
 
-`SurfaceFitter` (default): a tensor-product cubic B-spline z(x, y) over the frame's opening whose
+`SurfaceFitter`: a tensor-product cubic B-spline z(x, y) over the frame's opening whose
 boundary coefficients are left out, so that it is exactly zero on the frame. Its coefficients c
 minimise
 
@@ -23,8 +22,7 @@ fourth term, much weakened, keeps the fit finite.
 The arithmetic is in mjtactile/kernels/surface.c. The Hessian is a band, since splines overlap only
 their neighbours.
 
-`reconstruct_delaunay` (paper, II-B.3): Delaunay triangles of the marker centres and points on the
-frame, barycentric interpolation on a Cartesian grid, B-spline surface through it.
+The paper's own route is in `mjtactile.sensing.shape.delaunay`.
 """
 
 from __future__ import annotations
@@ -48,16 +46,12 @@ GRID_STEP = 1e-3
 """Largest spacing of the height grid, m."""
 # nodes in each interval: exact for products of two splines' derivatives up to degree 5, of two
 # cubics to 1e-6
-_GAUSS = 4
+GAUSS = 4
 _MARGIN = 4  # intervals beyond an outline, on both sides together
 _RIM_SD = 20e-6  # m: less bends the splines where the outline crosses their cells
 _RIM_POINTS = 4  # to an interval of the longer side
 _BEYOND = 1e-4  # of the fourth term's weight
-_ASPECT_PER_DEPTH = np.sqrt(8 / 3)
-"""sd of an ellipse's axis ratio over the relative sd of its depth. With independent radial errors
-along the outline the axis ratio, 1 - 2 c / r with c the second harmonic, has sqrt(8) times the mean
-radius's relative sd, and the depth, whose tilt is fitted too, sqrt(3) times. Normals measured on
-rendered images have 0.8 to 0.9 of the sd that follows."""
+_BENT = (((2, 0), (0, 2)),)  # the Laplacian, of which `_energy` takes the square
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,52 +126,34 @@ class SurfaceFitter:
         frame = design.frame
         layout = design.markers
         nx, ny = (max(8, n + 2 + n % 2) for n in (layout.columns, layout.rows))
-        # half a pitch of a curvature k / 2
-        slope_off = settings.laplacian / 4 * max(layout.pitch_x, layout.pitch_y)
         more = 0 if frame.outline is None else _MARGIN
-        length, width = frame.length * (1 + more / nx), frame.width * (1 + more / ny)
-        self.basis_x = Cubic(length, nx + more, _GAUSS)
-        self.basis_y = Cubic(width, ny + more, _GAUSS)
+        length = frame.length * (1 + more / nx)
+        width = frame.width * (1 + more / ny)
+        self.basis_x = Cubic(length, nx + more, GAUSS)
+        self.basis_y = Cubic(width, ny + more, GAUSS)
+        self.width = 3 * self.basis_x.count + 3
         self.x, self.y = grid_of(frame)
         self.grid_x = [self.basis_x.at(self.x, d) for d in range(3)]
         self.grid_y = [self.basis_y.at(self.y, d) for d in range(3)]
         if frame.outline is None:  # exactly, not only to rounding
             self.grid_x[0][[0, -1]] = self.grid_y[0][[0, -1]] = 0.0
-        quad_x, quad_y = (
-            [a.at(a.points, d) for d in range(4)] for a in (self.basis_x, self.basis_y)
-        )
-        self._quad = quad_x, quad_y
-        wx = self.basis_x.weights
-        wy = self.basis_y.weights
-        weights = wy[:, None] * wx * self._share_inside(frame)
-        self.width = 3 * self.basis_x.count + 3
-        beyond = None if frame.outline is None else wy[:, None] * wx - weights
-        inside = None if beyond is None else weights
-        stiffness = banded(self._energy(inside, ((1, 0),), ((0, 1),)), self.width)
-        volume_c = quad_y[0].T @ weights @ quad_x[0]  # of the volume by the coefficients
-        self.tables = (
-            np.ascontiguousarray(self.grid_x[0].T),
-            self.grid_y[0],
-            len(wx),
-            len(wy),
-            np.stack([quad_x[0].T, quad_x[1].T]),
-            np.stack(quad_y[:2]),
-            weights,
-            volume_c,
-            stiffness,
-        )
-        bent = ((2, 0), (0, 2))
-        self.prior = self._energy(inside, ((3, 0), (1, 2)), ((2, 1), (0, 3))) / (
-            settings.roughness**2 * frame.area
-        ) + self._energy(inside, bent) / (settings.laplacian**2 * frame.area)
+        self._quad = (_derivatives(self.basis_x), _derivatives(self.basis_y))
+        everywhere = self.basis_y.weights[:, None] * self.basis_x.weights
+        weights = everywhere * self._share_inside(frame)
+        inside = None if frame.outline is None else weights
+        self.tables = self._tables(weights, inside)
+        self.prior = self._prior(frame, inside)
         self.outside = None
         if frame.outline is not None:
             rim = self.rows(*frame.outline.points(_RIM_POINTS * 2 * max(nx, ny)).T)
             self.prior += rim.T @ rim / _RIM_SD**2
-            self.prior += _BEYOND * self._energy(beyond, bent) / settings.laplacian**2 / frame.area
+            beyond = self._energy(everywhere - weights, *_BENT)
+            self.prior += _BEYOND * beyond / settings.laplacian**2 / frame.area
             places = np.stack(np.meshgrid(self.x, self.y), axis=-1).reshape(-1, 2)
             self.outside = (frame.inside(places) <= 0).reshape(len(self.y), len(self.x))
         self._prior_band = banded(self.prior, self.width)
+        # half a pitch of a curvature k / 2
+        slope_off = settings.laplacian / 4 * max(layout.pitch_x, layout.pitch_y)
         self._numbers = np.array(
             [
                 length,
@@ -190,6 +166,31 @@ class SurfaceFitter:
                 settings.outlier_least,
                 settings.outliers_leave,
             ]
+        )
+
+    def _tables(self, weights: Array, inside: Array | None) -> tuple[object, ...]:
+        """What the kernel measures a surface with, over Gauss points of `weights` (qy, qx) m^2:
+        `inside` an outline; None: in the rectangle."""
+        quad_x, quad_y = self._quad
+        return (
+            np.ascontiguousarray(self.grid_x[0].T),
+            self.grid_y[0],
+            len(self.basis_x.weights),
+            len(self.basis_y.weights),
+            np.stack([quad_x[0].T, quad_x[1].T]),
+            np.stack(quad_y[:2]),
+            weights,
+            quad_y[0].T @ weights @ quad_x[0],  # of the volume by the coefficients
+            banded(self._energy(inside, ((1, 0),), ((0, 1),)), self.width),
+        )
+
+    def _prior(self, frame: Frame, inside: Array | None) -> Array:
+        """The third and fourth term of the module's docstring, as a matrix of the coefficients."""
+        settings = self.settings
+        rough = self._energy(inside, ((3, 0), (1, 2)), ((2, 1), (0, 3)))
+        bent = self._energy(inside, *_BENT)
+        return rough / (settings.roughness**2 * frame.area) + bent / (
+            settings.laplacian**2 * frame.area
         )
 
     def fit(self, markers: Markers, *, normals: bool = True) -> Surface:
@@ -232,7 +233,7 @@ class SurfaceFitter:
             found,
         )
         misfit, markers = found.tolist()
-        return Spline(self, c, factor, misfit, _enough(int(markers), self.settings.markers_least))
+        return Spline(self, c, factor, misfit, enough(int(markers), self.settings.markers_least))
 
     def rows(self, x: ArrayLike, y: ArrayLike, dx: int = 0, dy: int = 0) -> Array:
         """Design matrix (N, ny * nx): z or its derivative of order (dx, dy) at `x`, `y` (N,) m per
@@ -279,6 +280,11 @@ class SurfaceFitter:
         return total
 
 
+def _derivatives(basis: Cubic) -> list[Array]:
+    """The splines and their first three derivatives at their Gauss points."""
+    return [basis.at(basis.points, d) for d in range(4)]
+
+
 def banded(matrix: Array, width: int) -> Array:
     """The lower triangle of a symmetric `matrix` (n, n) that vanishes beyond `width` from its
     diagonal, as kernels/band.h has it: (n, stride), row j column j from its diagonal on."""
@@ -286,33 +292,6 @@ def banded(matrix: Array, width: int) -> Array:
     for below in range(min(width + 1, len(matrix))):
         band[: len(matrix) - below, below] = np.diagonal(matrix, -below)
     return band
-
-
-def slope_sd(n: Array, p_CM: Array, variance: Array) -> Array:
-    """Standard deviation (N,) of slopes measured at markers with unit normals `n` at `p_CM` (N, 3)
-    m from the camera, whose depths have this `variance` (N,) m^2; see `slope_sd_of`."""
-    far = np.sqrt(np.einsum("ni,ni->n", p_CM, p_CM))
-    return slope_sd_of(n, p_CM / far[:, None], _ASPECT_PER_DEPTH * np.sqrt(variance) / far)
-
-
-def slope_sd_of(n: ArrayLike, view: ArrayLike, aspect_sd: ArrayLike) -> Array:
-    """Standard deviation (N,) of the slopes of markers with unit normals `n`, seen along unit rays
-    `view` (N, 3).
-
-    The tilt t against the line of sight comes from the ellipse's axis ratio cos(t), known to
-    `aspect_sd` (N,): d t = aspect_sd / sin(t), and face-on at most sqrt(aspect_sd). Its direction
-    comes from the ellipse's axes: with the same second harmonic's noise, sin(t) d(angle) =
-    aspect_sd sin(t) / (2 (1 - cos(t))), to 5 % the same up to 35 degrees. A slope is tan of an
-    angle to the axis: d tan = d t / n_z^2.
-    """
-    n = np.asarray(n, dtype=float)
-    aspect_sd = np.asarray(aspect_sd, dtype=float)
-    sine2 = 1 - np.einsum("ni,ni->n", n, np.asarray(view, dtype=float)) ** 2
-    return (
-        aspect_sd
-        / np.sqrt(np.maximum(sine2, np.maximum(aspect_sd, 1e-12)))
-        / np.maximum(n[:, 2] ** 2, 1e-6)
-    )
 
 
 def grid_of(frame: Frame, step: float = GRID_STEP) -> tuple[Array, Array]:
@@ -323,75 +302,11 @@ def grid_of(frame: Frame, step: float = GRID_STEP) -> tuple[Array, Array]:
     )
 
 
-def reconstruct_delaunay(
-    design: SensorDesign, p_SM: ArrayLike, *, grid_step: float = GRID_STEP
-) -> Surface:
-    """The paper's route: triangles, barycentric grid with the frame as boundary, B-spline surface.
-
-    `p_SM` (N, 3) m. The "low resolution" grid that the spline goes through has half the markers'
-    pitch. The paper gives no uncertainty: `area_sd`, `volume_sd` are NaN.
-    """
-    # lazily: only the paper's route needs it
-    from scipy.interpolate import LinearNDInterpolator, RectBivariateSpline
-
-    p_SM = np.asarray(p_SM, dtype=float).reshape(-1, 3)
-    p_SM = p_SM[np.isfinite(p_SM).all(axis=1)]
-    frame = design.frame
-    layout = design.markers
-    rim = _rim_points(frame, layout.columns + 1, layout.rows + 1)
-    heights = LinearNDInterpolator(
-        np.concatenate([p_SM[:, :2], rim]), np.append(p_SM[:, 2], np.zeros(len(rim)))
-    )
-    coarse_x = np.linspace(-frame.length / 2, frame.length / 2, 2 * layout.columns + 3)
-    coarse_y = np.linspace(-frame.width / 2, frame.width / 2, 2 * layout.rows + 3)
-    z = np.nan_to_num(heights(*np.meshgrid(coarse_x, coarse_y)))
-    z[[0, -1]] = 0.0
-    z[:, [0, -1]] = 0.0
-    spline = RectBivariateSpline(coarse_y, coarse_x, z)
-    (qx, wx), (qy, wy) = (
-        (axis.points, axis.weights)
-        for axis in (
-            Cubic(frame.length, 2 * layout.columns + 2, _GAUSS),
-            Cubic(frame.width, 2 * layout.rows + 2, _GAUSS),
-        )
-    )
-    stretch = np.sqrt(1 + spline(qy, qx, dy=1) ** 2 + spline(qy, qx, dx=1) ** 2)
-    area = float(wy @ stretch @ wx)
-    volume = float(wy @ spline(qy, qx) @ wx)
-    x, y = grid_of(frame, grid_step)
-    return Surface(
-        x,
-        y,
-        spline(y, x),
-        area,
-        volume,
-        np.nan,
-        np.nan,
-        _enough(len(p_SM), DEFAULTS.surface.markers_least),
-    )
-
-
-def _enough(markers: int, least: int) -> Status:
+def enough(markers: int, least: int) -> Status:
+    """Whether so many markers carry a surface, of which there must be `least`."""
     if markers >= least:
         return OK
     return Status(StatusCode.TOO_FEW_MARKERS, f"too few markers: {markers} of at least {least}")
-
-
-def _rim_points(frame: Frame, nx: int, ny: int) -> Array:
-    """Points (M, 2) all round the opening, nx and ny to a side."""
-    t = np.linspace(-1, 1, nx, endpoint=False)[:, None]
-    s = np.linspace(-1, 1, ny, endpoint=False)[:, None]
-    one_t = np.ones_like(t)
-    one_s = np.ones_like(s)
-    square = np.concatenate(
-        [
-            np.hstack([t, -one_t]),
-            np.hstack([one_s, s]),
-            np.hstack([-t, one_t]),
-            np.hstack([-one_s, -s]),
-        ]
-    )
-    return square * [frame.length / 2, frame.width / 2]
 
 
 def _products(down: Array, across: Array) -> Array:

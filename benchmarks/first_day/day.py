@@ -1,0 +1,327 @@
+"""The day's steps: one folder with the user's files, and the emulated hardware on the table."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import shutil
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.first_day.person import Person, photograph_board
+from mjtactile.calibrate.setup import setup
+from mjtactile.cli import main
+from mjtactile.commands.emulate import client_text
+from mjtactile.core import pace, resources
+from mjtactile.core.calibration import load_calibration
+from mjtactile.core.design import load_sensor
+from mjtactile.core.errors import MjtactileError
+from mjtactile.core.scenario import Scenario
+from mjtactile.core.toml import read_json
+from mjtactile.core.types import FINGERS
+from mjtactile.devices.rig import build_device_rig
+from mjtactile.devices.valve.driver import connect_valves
+from mjtactile.emulator.process import EmulatorProcess
+from mjtactile.experiments.stage import NOTHING, record_stage
+from mjtactile.recording.files import write_json
+from mjtactile.recording.stage import Stage, read_moves
+from mjtactile.recording.writer import Recorder
+from mjtactile.rig.file import load_rig_file
+from mjtactile.rig.specimen import SpecimenConfig, true_design
+from mjtactile.run.controller import load_controller
+from mjtactile.run.session import Session
+
+RIG = "emulated_first_day"
+ASKED = 0.04  # N, felt less true
+SEEDS = (11, 12, 13)
+HOLD = 60  # images of each grasp's hold that are compared
+_PRESSES = (("press_05", 500.0), ("press_3", 3000.0))
+_STILL = 40.0  # s that a membrane is watched after it was inflated
+_NOWHERE = {
+    "servo": "/dev/none",
+    "valve": "/dev/none",
+    "cameras": {"left": "http://127.0.0.1:9/1", "right": "http://127.0.0.1:9/2"},
+}
+
+
+class Day:
+    """One folder with the user's files, and the emulated hardware on the table."""
+
+    def __init__(self, out: Path, say: Callable[[str], None]):
+        self.folder = out / "day"
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self._out = out
+        self._say = say
+        kept = out / "first_day.json"
+        self.rows: list[dict[str, Any]] = read_json(kept)["steps"] if kept.exists() else []
+        self.world = resources.find(RIG, "models/rigs", ".toml")
+        self.file = self.folder / "my_gripper.toml"
+        # fitted, it is the same sensor to its calibration files: by its name
+        self._fitted = self.folder / "fitted" / "dense.toml"
+        self.sensor = str(self._fitted) if self._fitted.exists() else "dense"
+
+    def step(self, name: str, do: Callable[[], Mapping[str, Any]]) -> None:
+        """Do it, unless it was done, and keep what came of it; a step that fails is told, and the
+        day goes on."""
+        if any(row["step"] == name and "failed" not in row for row in self.rows):
+            return
+        begin = time.monotonic()
+        try:
+            row: dict[str, Any] = {"step": name, **do()}
+        except MjtactileError as error:
+            row = {"step": name, "failed": str(error)}
+        row.setdefault("seconds", _since(begin))
+        self.rows = [*(one for one in self.rows if one["step"] != name), row]
+        write_json(self._out / "first_day.json", self.told())
+        self._say(f"{name}: {row}")
+
+    def told(self) -> dict[str, Any]:
+        """All that was done."""
+        return {"asked_N": ASKED, "slow": pace.slow(), "steps": self.rows}
+
+    @contextlib.contextmanager
+    def hardware(self, seed: int = 0) -> Iterator[EmulatorProcess]:
+        """The emulated gripper, switched on: its world's sensors are `dense` and what they are
+        beside that."""
+        emulator = EmulatorProcess(
+            load_rig_file(self.world), load_sensor("dense"), object_name="egg", seed=seed
+        )
+        try:
+            yield emulator
+        finally:
+            emulator.close()
+
+    @contextlib.contextmanager
+    def plugged_in(self, file: Path, seed: int = 0) -> Iterator[EmulatorProcess]:
+        """The same, with `file` naming today's ports."""
+        with self.hardware(seed) as emulator:
+            text = file.read_text(encoding="utf-8")
+            ends = emulator.endpoints
+            cameras = iter(ends["cameras"].values())
+            text = re.sub(
+                r'^source = ".*"', lambda _: f'source = "{next(cameras)}"', text, flags=re.M
+            )
+            ports = iter([ends["servo"], ends["valve"], ends["valve"]])
+            text = re.sub(r'^port = ".*"', lambda _: f'port = "{next(ports)}"', text, flags=re.M)
+            file.write_text(text, encoding="utf-8")
+            yield emulator
+
+    def bare(self) -> Path:
+        """A rig file without anything measured."""
+        path = self.folder / "bare.toml"
+        path.write_text(client_text(self.world, _NOWHERE), encoding="utf-8")
+        return path
+
+    def set_up(self) -> dict[str, Any]:
+        """`mjtactile setup`: ports, servos and cameras found; the chamber of the finger that is to
+        be pressed is filled. Then calibration files are named."""
+        like = self.bare()
+        asked: list[str] = []
+        pressed: list[Any] = []
+
+        def ask(question: str) -> str:
+            asked.append(question)
+            if finger := re.search(r"of the (\w+) finger", question):
+                while pressed:
+                    pressed.pop().close(quiet=True)
+                boards, valves = connect_valves(load_rig_file(self.file).valves)
+                valves[FINGERS.index(finger[1])].open(1000.0)
+                pressed.extend(boards)
+            return ""
+
+        with self.hardware() as emulator:
+            ends = emulator.endpoints
+            try:
+                setup(
+                    self.file,
+                    like=like,
+                    ports=[ends["valve"], ends["servo"]],
+                    cameras=[ends["cameras"]["right"], ends["cameras"]["left"]],
+                    ask=ask,
+                    say=lambda _: None,
+                )
+            finally:
+                for board in pressed:
+                    board.close(quiet=True)
+            rig = load_rig_file(self.file)
+            right = [camera.source for camera in rig.cameras] == [
+                ends["cameras"][finger] for finger in FINGERS
+            ]
+        text = self.file.read_text(encoding="utf-8")
+        text = text.replace("[gripper]\n", '[gripper]\ncalibration = "gripper.json"\n')
+        for finger in FINGERS:
+            named = f'[[camera]]\ncalibration = "{finger}.json"\nfinger = "{finger}"'
+            text = text.replace(f'[[camera]]\nfinger = "{finger}"', named)
+        self.file.write_text(text, encoding="utf-8")
+        return {"questions": len(asked), "cameras_told_apart": right}
+
+    def _specimen(self, finger: str) -> SpecimenConfig:
+        emulator = load_rig_file(self.world).emulator
+        assert emulator is not None
+        return emulator.specimen(finger)
+
+    def lens(self, finger: str) -> dict[str, Any]:
+        """`calibrate camera` from twelve pictures of a printed board."""
+        photos = self.folder / f"photos_{finger}"
+        true = true_design(load_sensor("dense"), self._specimen(finger)).camera
+        photograph_board(photos, true)
+        self._command("camera", str(photos), "--rig", str(self.file), "--finger", finger)
+        lens = load_calibration(self.folder / f"{finger}.json").lens
+        assert lens is not None
+        return {"fx_px": [true.fx, lens.fx], "cx_px": [true.cx, lens.cx]}
+
+    def _command(self, *options: str) -> None:
+        code = main(["calibrate", *options])
+        if code:
+            raise MjtactileError(f"calibrate {options[0]}: exit code {code}")
+
+    def calibrate(self, *options: str) -> dict[str, Any]:
+        """One `mjtactile calibrate`, on the live rig."""
+        with self.plugged_in(self.file) as emulator:
+            person = Person(emulator)
+            with person.at_the_terminal():
+                code = main(
+                    ["calibrate", *options, "--rig", str(self.file)]
+                    + ([] if options[0] == "gripper" else ["--sensor", self.sensor])
+                )
+        said = "".join(person.read)
+        return {"exit_code": code} if code == 0 else {"exit_code": code, "failed": said[-400:]}
+
+    def fit(self) -> dict[str, Any]:
+        """`record` on a stand, and `fit --relaxation`: the left finger's sheet and gas."""
+        specimen = self._specimen("left")
+        nominal = load_sensor("dense")
+        true = true_design(nominal, specimen)
+        chamber = replace(nominal.chamber, leak_conductance=specimen.leak)
+        true = replace(true, camera=nominal.camera, markers=nominal.markers, chamber=chamber)
+        folders = []
+        for number, (name, pressure) in enumerate((*_PRESSES, ("still", 2000.0))):
+            folders.append(self.folder / name)
+            if folders[-1].exists():  # of a day that was cut off
+                continue
+            stage = NOTHING
+            if name != "still":
+                stage = Stage("sphere:8", (0.0, 0.0), read_moves("press"))
+            header = {"sensor": "dense", "rig": "stage", "design": "dense", "seed": number}
+            part = self.folder / f"{name}.part"
+            shutil.rmtree(part, ignore_errors=True)
+            with Recorder(part / "recording", header) as recorder:
+                record_stage(
+                    replace(true, chamber=replace(chamber, supply_gauge=pressure)),
+                    stage,
+                    recorder,
+                    seconds=_STILL if name == "still" else 9.0,
+                    seed=number,
+                )
+            part.rename(folders[-1])
+        out = self._fitted
+        out.parent.mkdir(exist_ok=True)
+        out.unlink(missing_ok=True)
+        code = main(
+            ["fit", "--relaxation", str(folders[-1]), "--out", str(out)]
+            + [word for folder in folders for word in ("--recording", str(folder))]
+        )
+        if code:
+            raise MjtactileError(f"fit: exit code {code}")
+        self.sensor = str(out)
+        found = load_sensor(out)
+        faded = 0.0 if found.relaxation is None else found.relaxation.quick - 1
+        return {
+            "young_MPa": [1e-6 * true.membrane.young, 1e-6 * found.membrane.young],
+            "pre_stretch": [true.membrane.pre_stretch, found.membrane.pre_stretch],
+            "quick_over_lasting_less_1": [
+                true.relaxation.quick - 1 if true.relaxation else 0,
+                faded,
+            ],
+        }
+
+    def grasps(self, sensor: str, file: Path, seeds: tuple[int, ...]) -> dict[str, Any]:
+        """An egg is grasped and held, by each seed: felt less true on each finger, N."""
+        errors = []
+        seconds = 0.0
+        for seed in seeds:
+            where = self.folder / ("before" if file.name == "bare.toml" else "after") / str(seed)
+            kept = where / "felt_less_true.json"
+            if not kept.exists():
+                shutil.rmtree(where, ignore_errors=True)  # of a day that was cut off
+                begin = time.monotonic()
+                found = self._grasp(sensor, file, seed, where)
+                write_json(kept, {"errors_N": found.tolist(), "seconds": _since(begin)})
+            one = read_json(kept)
+            errors.append(np.array(one["errors_N"], float))
+            seconds += one["seconds"]
+        mean = np.array([np.nanmean(one, axis=0) for one in errors])
+        return {
+            "mean_N": mean.tolist(),
+            "worst_mean_N": float(np.abs(mean).max()),
+            "rms_N": float(np.sqrt(np.nanmean(np.concatenate(errors) ** 2))),
+            "worst_N": float(np.nanmax(np.abs(np.concatenate(errors)))),
+            "seconds": round(seconds, 1),
+        }
+
+    def _grasp(self, sensor: str, file: Path, seed: int, where: Path) -> np.ndarray:
+        """One grasp, recorded in `where`: felt less true (images, fingers), N."""
+        header = Scenario(object="egg", sensor=sensor, rig=str(file), seed=seed).header()
+        with self.plugged_in(file, seed) as emulator:
+            rig = build_device_rig(load_rig_file(file), load_sensor(sensor))
+            try:
+                return _held_error(rig, emulator, where, header)
+            finally:
+                rig.close()
+
+    def shadow(self) -> dict[str, Any]:
+        """`mjtactile shadow` of the first grasp after it all."""
+        recording = self.folder / "after" / str(SEEDS[0])
+        page = self.folder / "shadow"
+        code = main(
+            ["shadow", str(recording), "--until-s", "6", "--out", str(page), "--workers", "2"]
+        )
+        if code not in (0, 1):
+            raise MjtactileError(f"shadow: exit code {code}")
+        found = read_json(page / "shadow.json")
+        return {"verdict": found["verdict"], "apart": found["apart"]}
+
+
+def _since(begin: float) -> float:
+    """Seconds of the emulated rig's time since `begin`, of the monotonic clock."""
+    return round((time.monotonic() - begin) / pace.slow(), 1)
+
+
+def _held_error(
+    rig: Any, emulator: EmulatorProcess, where: Path, header: dict[str, Any]
+) -> np.ndarray:
+    """(images, fingers) Felt less true while an egg is held, N."""
+    errors: list[list[float]] = []
+    controller = load_controller("gentle")
+    with Recorder(where / "recording", header) as recorder:
+        session = Session(rig, threads=0)  # no time-out of a thread that a busy computer keeps
+        recorder.begin(session)
+        session.take_references(recorder)
+
+        class Brief:
+            path = Path("gentle")
+
+            def step(self, observation: Any) -> Any:
+                command = controller.step(observation)
+                return replace(command, phase="done") if len(errors) >= HOLD else command
+
+        def on_cycle(cycle: Any) -> None:
+            recorder.add(cycle)
+            if cycle.sent.phase == "hold":
+                truth = emulator.truth()
+                errors.append(
+                    [
+                        one.force_normal - truth[f"contact_{k}"]
+                        for k, one in enumerate(cycle.touch, 1)
+                    ]
+                )
+
+        session.run(Brief(), time_limit=60.0, on_cycle=on_cycle)
+    if not errors:
+        raise MjtactileError("nothing was held")
+    return np.array(errors)

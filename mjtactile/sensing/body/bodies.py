@@ -1,0 +1,178 @@
+"""Bodies of a few numbers each: what a film rests on, and where a fit starts.
+
+Places are in mm from where the touch was felt, curvatures in 1/m, angles in rad. Frame S; a body
+comes from +z."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mjtactile.core.types import Array
+from mjtactile.film import Obstacle, obstacle
+
+_FLAT = 0.2  # 1/m: what is less curved is as good as flat over a sensor
+_RIM_SLOPE = 2.0  # of the flank beyond a rim
+_RIM_OUT = 1.4  # roundings by which a round rim's own lies outside of what it stands for
+
+
+@dataclass(frozen=True, eq=False)
+class Hint:
+    """Where a fit starts: `place` (2,) m in S of the touch, `height` m of the sheet's outer face
+    there, `area` m^2 and `angle` rad of the patch as the nodal estimate has it, and half sides
+    `frame` (2,) m of where a body may be; places x, y (nx, ny) m of the film's `nodes`, and the
+    `rounding` m of what is sharp; the normal `force` N that it was felt with, and, where it is
+    touched at several places, the hint of each of the `parts`, the strongest first."""
+
+    place: Array
+    height: float
+    area: float
+    angle: float
+    frame: Array
+    nodes: tuple[Array, Array]
+    rounding: float
+    force: float
+    parts: tuple[Hint, ...] = ()
+
+    def on(self, nodes: tuple[Array, Array], rounding: float) -> Hint:
+        """The same over another film's nodes."""
+        parts = tuple(part.on(nodes, rounding) for part in self.parts)
+        return replace(self, nodes=nodes, rounding=rounding, parts=parts)
+
+
+def about(axis: int, angle: float) -> Array:
+    """Rotation (3, 3) by `angle` rad about an axis."""
+    c = math.cos(angle)
+    s = math.sin(angle)
+    R = np.eye(3)
+    i = (axis + 1) % 3
+    j = (axis + 2) % 3
+    R[i, i] = R[j, j] = c
+    R[i, j] = -s
+    R[j, i] = s
+    return R
+
+
+def place_of(theta: Array, hint: Hint) -> Array:
+    """The body's point that its first three numbers tell, (3,) m in S."""
+    return np.array([*(hint.place + 1e-3 * theta[:2]), hint.height + 1e-3 * theta[2]])
+
+
+def principal(theta: Array) -> tuple[float, float, float]:
+    """Curvatures (1/m), the larger first, and the direction (rad from x) of the smaller."""
+    kxx, kxy, kyy = theta[3:6]
+    middle = (kxx + kyy) / 2
+    half = math.hypot((kxx - kyy) / 2, kxy)
+    direction = 0.5 * math.atan2(2 * kxy, kxx - kyy) + math.pi / 2
+    return middle + half, middle - half, direction % math.pi
+
+
+def smooth(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
+    """An ellipsoid whose lowest point and curvatures are given: a ball, a lying cylinder, a plane
+    are exact."""
+    most, least, direction = principal(theta)
+    tall = 1 / max(most, _FLAT)
+    sizes = (math.sqrt(tall / max(least, _FLAT)), math.sqrt(tall / max(most, _FLAT)), tall)
+    place = place_of(theta, hint) + (0, 0, tall)
+    return (obstacle("ellipsoid", sizes, place, about(2, direction)),)
+
+
+def smooth_starts(hint: Hint) -> tuple[Array, ...]:
+    c = math.cos(hint.angle)
+    s = math.sin(hint.angle)
+    along = np.array([c * c, c * s, s * s])  # of the curvature along the patch's longer axis
+    across = np.array([s * s, -c * s, c * c])
+    return tuple(
+        np.array([0, 0, 0, *(a * along + b * across)])
+        for a, b in ((60.0, 60.0), (20.0, 150.0), (150.0, 20.0))
+    )
+
+
+def ball(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
+    radius = 1 / max(theta[3], _FLAT)
+    return (obstacle("sphere", (radius,), place_of(theta, hint) + (0, 0, radius)),)
+
+
+def cylinder(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
+    """Lying, as long as the sensor is; its ends are before the frame."""
+    radius = 1 / max(theta[3], _FLAT)
+    R = about(2, theta[4]) @ about(1, theta[5])
+    place = place_of(theta, hint)
+    back, forth = _ways_to(hint.frame, place, R[:, 0])
+    middle = place + R[:, 0] * (forth - back) / 2 + R[:, 2] * radius
+    turned = np.column_stack([R[:, 1], R[:, 2], R[:, 0]])
+    return (obstacle("cylinder", (radius, (back + forth) / 2), middle, turned),)
+
+
+def _soft(off: Array, rounding: float) -> Array:
+    """What a rim's flank rises over a face, m: nothing far inside, steeply outside, round between.
+
+    A sharp rim's film depends on where its nodes are, in steps; one that is as round as half a
+    spacing does not, and is found from any start.
+    """
+    return _RIM_SLOPE / 2 * (off + np.sqrt(off**2 + rounding**2))
+
+
+def off_middle(theta: Array, hint: Hint) -> tuple[Array, Array, Array]:
+    """Nodes' places from the body's middle, (nx, ny) m, and the tilted face's heights there."""
+    place = place_of(theta, hint)
+    x = hint.nodes[0] - place[0]
+    y = hint.nodes[1] - place[1]
+    return x, y, place[2] + theta[3] * y - theta[4] * x
+
+
+def disc(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
+    x, y, face = off_middle(theta, hint)
+    off = np.hypot(x, y) - 1e-3 * theta[5] - _RIM_OUT * hint.rounding
+    return (obstacle("heights", data=face + _soft(off, hint.rounding)),)
+
+
+def disc_starts(hint: Hint) -> tuple[Array, ...]:
+    return tuple(np.array([0, 0, 0, 0, 0, radius]) for radius in (3.2, 5.2))
+
+
+def block(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
+    x, y, face = off_middle(theta, hint)
+    c = math.cos(theta[5])
+    s = math.sin(theta[5])
+    flanks = np.zeros_like(x)
+    for along, half in ((c * x + s * y, theta[6]), (c * y - s * x, theta[7])):
+        off = np.abs(along) - 1e-3 * half - _RIM_OUT * hint.rounding
+        flanks += _soft(off, hint.rounding)
+    return (obstacle("heights", data=face + flanks),)
+
+
+def block_starts(hint: Hint) -> tuple[Array, ...]:
+    return tuple(
+        np.array([0, 0, 0, 0, 0, hint.angle + turn, half, half])
+        for half in (4.0,)
+        for turn in (0.0, math.pi / 4)
+    )
+
+
+def _ways_to(frame: Array, place: Array, along: Array) -> tuple[float, float]:
+    """How far, m, a line through `place` goes back and forth before a rectangle of half sides
+    `frame` (2,)."""
+    ways = []
+    for sign in (-1.0, 1.0):
+        far = [
+            (side - at if sign * way > 0 else side + at) / abs(way)
+            for side, at, way in zip(frame, place, along, strict=False)
+            if abs(way) > 1e-9
+        ]
+        ways.append(max(min(far), 1e-3))
+    return ways[0], ways[1]
+
+
+def lying_starts(curvatures: tuple[float, ...]) -> Callable[[Hint], tuple[Array, ...]]:
+    turns = np.arange(4) * math.pi / 4
+
+    def starts(hint: Hint) -> tuple[Array, ...]:
+        return tuple(
+            np.array([0, 0, 0, k, hint.angle + turn, 0]) for k in curvatures for turn in turns
+        )
+
+    return starts

@@ -1,0 +1,80 @@
+"""The paper's route from markers to a surface (II-B.3): Delaunay triangles of the marker centres
+and points on the frame, barycentric interpolation on a Cartesian grid, B-spline surface through it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mjtactile.core.bspline import Cubic
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.sensor_parts import Frame
+from mjtactile.core.types import Array, Surface
+from mjtactile.sensing.settings import DEFAULTS
+from mjtactile.sensing.shape.surface import GAUSS, GRID_STEP, enough, grid_of
+
+
+def reconstruct_delaunay(
+    design: SensorDesign, p_SM: ArrayLike, *, grid_step: float = GRID_STEP
+) -> Surface:
+    """The paper's route: triangles, barycentric grid with the frame as boundary, B-spline surface.
+
+    `p_SM` (N, 3) m. The "low resolution" grid that the spline goes through has half the markers'
+    pitch. The paper gives no uncertainty: `area_sd`, `volume_sd` are NaN.
+    """
+    # lazily: only the paper's route needs it
+    from scipy.interpolate import LinearNDInterpolator, RectBivariateSpline
+
+    p_SM = np.asarray(p_SM, dtype=float).reshape(-1, 3)
+    p_SM = p_SM[np.isfinite(p_SM).all(axis=1)]
+    frame = design.frame
+    layout = design.markers
+    rim = _rim_points(frame, layout.columns + 1, layout.rows + 1)
+    heights = LinearNDInterpolator(
+        np.concatenate([p_SM[:, :2], rim]), np.append(p_SM[:, 2], np.zeros(len(rim)))
+    )
+    coarse_x = np.linspace(-frame.length / 2, frame.length / 2, 2 * layout.columns + 3)
+    coarse_y = np.linspace(-frame.width / 2, frame.width / 2, 2 * layout.rows + 3)
+    z = np.nan_to_num(heights(*np.meshgrid(coarse_x, coarse_y)))
+    z[[0, -1]] = 0.0
+    z[:, [0, -1]] = 0.0
+    spline = RectBivariateSpline(coarse_y, coarse_x, z)
+    (qx, wx), (qy, wy) = (
+        (axis.points, axis.weights)
+        for axis in (
+            Cubic(frame.length, 2 * layout.columns + 2, GAUSS),
+            Cubic(frame.width, 2 * layout.rows + 2, GAUSS),
+        )
+    )
+    stretch = np.sqrt(1 + spline(qy, qx, dy=1) ** 2 + spline(qy, qx, dx=1) ** 2)
+    area = float(wy @ stretch @ wx)
+    volume = float(wy @ spline(qy, qx) @ wx)
+    x, y = grid_of(frame, grid_step)
+    return Surface(
+        x,
+        y,
+        spline(y, x),
+        area,
+        volume,
+        np.nan,
+        np.nan,
+        enough(len(p_SM), DEFAULTS.surface.markers_least),
+    )
+
+
+def _rim_points(frame: Frame, nx: int, ny: int) -> Array:
+    """Points (M, 2) all round the opening, nx and ny to a side."""
+    t = np.linspace(-1, 1, nx, endpoint=False)[:, None]
+    s = np.linspace(-1, 1, ny, endpoint=False)[:, None]
+    one_t = np.ones_like(t)
+    one_s = np.ones_like(s)
+    square = np.concatenate(
+        [
+            np.hstack([t, -one_t]),
+            np.hstack([one_s, s]),
+            np.hstack([-t, one_t]),
+            np.hstack([-one_s, -s]),
+        ]
+    )
+    return square * [frame.length / 2, frame.width / 2]
