@@ -2,8 +2,8 @@
 `mjtactile.Film`.
 
 What it is. The sensor's sheet with its own rubber (neo-Hookean, pre-stretched) on a regular grid of
-1 to 2 mm, over its gas, at rest on bodies that are heights over it. Nodes move in all three
-directions. Each step solves twice: for the heights with a film's stiffness under the sheet's
+1 to 2 mm, which an outline that is no rectangle cuts (`cutting.py`), over its gas, at rest on bodies
+that are heights over it. Nodes move in all three directions. Each step solves twice: for the heights with a film's stiffness under the sheet's
 tension, and in the plane with one constant matrix; residuals are the sheet's own, so that the
 result is the sheet's, not the matrices'. A state goes on as it came (`FilmState.trend`): bodies
 that move evenly want one step.
@@ -29,7 +29,7 @@ or beyond what its rubber's law is known for, or goes through between nodes. Wha
 says so in `state.converged`, and its numbers are NaN.
 
 Frame S, SI units; p V^gamma with the design's gamma, or a pressure that is held. Equations:
-docs/equations.md, X1-X7. Why so: docs/decisions/0025-film.md.
+docs/equations.md, X1-X8. Why so: docs/decisions/0025-film.md.
 """
 
 from mjtactile.film.bodies import KINDS, Obstacle, obstacle

@@ -14,6 +14,7 @@ from mjtactile.core.types import Array
 from mjtactile.film import bodies
 from mjtactile.film.batch import at_once, new_batch
 from mjtactile.film.bodies import Obstacle
+from mjtactile.film.cutting import cut_by
 from mjtactile.film.derivatives import (
     POSE_STEP,
     FilmDerivatives,
@@ -49,7 +50,8 @@ class Film:
     """A sensor's sheet as a film. Makes no state: `solve` takes one and gives one.
 
     `x` (nx,) and `y` (ny,) are the nodes' places on the mounted flat sheet, m, the frame's among
-    them, `spacing` the wider of theirs; `rest` is where it rests without a touch.
+    them, `spacing` the wider of theirs; `rest` is where it rests without a touch. Nodes beyond an
+    outline that is no rectangle do not move.
     """
 
     def __init__(
@@ -63,7 +65,7 @@ class Film:
         """Inflate a film.
 
         Args:
-            design: the sensor; rectangles only.
+            design: the sensor, of any outline.
             grid: nodes along x and y, those on the frame among them.
             pressure_gauge: of the gas at rest, Pa; None: the sensor file's supply.
             sealed: whether the gas stays in, p V^gamma constant, or a valve holds its pressure.
@@ -72,7 +74,6 @@ class Film:
             InputError: a grid or a pressure that is none, or with which the sheet finds no rest.
         """
         self.design = design = load_sensor(design)
-        design.require_rectangle("the film")
         self.grid = _grid(grid)
         frame, chamber, sheet = design.frame, design.chamber, design.membrane
         self.pressure_gauge = float(
@@ -94,7 +95,10 @@ class Film:
         depths = (sheet.thickness / 2, chamber.depth)
         stretch = sheet.pre_stretch**2
         self.spacing = max(float(line[1] - line[0]) for line in (self.x, self.y))
-        self._numbers = np.array([*sides, *self.grid, stretch, *law, *tensions, *gas, *depths])
+        self._cut, opening = cut_by(frame, self.x, self.y)
+        sheet_numbers = (*sides, *self.grid, stretch, *law, *tensions)
+        self._numbers = np.array([*sheet_numbers, *gas, *depths, opening, 0.0])
+        self._point_at_cut()
         self._room = np.empty(kernel("film_room")(self._numbers))
         self._kept = np.empty(kernel("film_kept")(self._numbers), np.float32)
         self._rest = np.zeros((3, *self.grid))
@@ -108,6 +112,10 @@ class Film:
         volume = design.chamber_volume_flat + self.rest.volume
         self._gas = absolute * volume**chamber.heat_ratio if sealed else self.pressure_gauge
 
+    def _point_at_cut(self) -> None:
+        """Where kernels find what the outline leaves of the grid; of a rectangle, all."""
+        self._numbers[-1] = self._cut.ctypes.data if self._cut.size else 0.0
+
     def _bind(self) -> None:
         later = (1, 0, 1, *[...] * 9)
         self._solve_one = bound("film_solve", *self._fixed(self._room), *later)
@@ -118,6 +126,7 @@ class Film:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
+        self._point_at_cut()
         self._bind()
 
     @staticmethod

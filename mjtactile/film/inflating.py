@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -13,6 +14,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.film.bodies import NUMBERS
+from mjtactile.film.cutting import moving
 from mjtactile.film.state import FOUND, FilmState
 from mjtactile.kernels import kernel
 
@@ -34,6 +36,7 @@ class Uninflated(Protocol):
     y: Array
     _numbers: Array
     _law: Array
+    _cut: Array
     _room: Array
     _kept: NDArray[np.float32]
 
@@ -91,13 +94,25 @@ def _ways(stretch: float) -> Iterator[tuple[float, float]]:
 
 
 def _low_bulge(film: Uninflated) -> Array:
-    across = (film.x / film.x[-1])[:, None]
-    along = film.y / film.y[-1]
-    height = theory.bulge_height(film.design, _INFLATING[0] * film.pressure_gauge)
+    frame = film.design.frame
+    outline = frame.outline
+    known = (
+        film.design
+        if outline is None
+        else replace(film.design, frame=replace(frame, shape="ellipse"))
+    )
+    height = theory.bulge_height(known, _INFLATING[0] * film.pressure_gauge)
     if not np.isfinite(height):
-        height = 0.1 * min(film.design.frame.length, film.design.frame.width)
+        height = 0.1 * min(frame.length, frame.width)
     x = np.zeros((3, *film.grid))
-    x[2] = height * (1 - across**2) * (1 - along**2)
+    if outline is None:
+        across = (film.x / film.x[-1])[:, None]
+        along = film.y / film.y[-1]
+        x[2] = height * (1 - across**2) * (1 - along**2)
+    else:
+        places = np.stack(np.meshgrid(film.x, film.y, indexing="ij"), axis=-1).reshape(-1, 2)
+        within = 1 - np.square(outline.disc(places)).sum(axis=1)
+        x[2] = height * within.reshape(film.grid) * moving(film._cut, film.grid)
     return x
 
 

@@ -156,6 +156,8 @@ static int widen_window(const Film *f, double near, Work *w) {
     return 1;
 }
 
+static int is_free(const Film *f, long node) { return film_free(f, node / f->line, node % f->line); }
+
 /* Edges' springs into residual and links; `by` -1 takes them out again. */
 static void stiffen_edges(const Film *f, const double *z, double by, Work *w) {
     const Seen *s = &w->seen;
@@ -168,7 +170,8 @@ static void stiffen_edges(const Film *f, const double *z, double by, Work *w) {
             if (spring == 0) continue;
             const float force = (float)(-spring * rises_over_edge(f, s, z, k, side));
             *links[side] += spring;
-            residual[k] += force, residual[k + film_next(f, side)] -= force;
+            residual[k] += force;
+            if (is_free(f, k + film_next(f, side))) residual[k + film_next(f, side)] -= force;
         }
     }
 }
@@ -178,7 +181,7 @@ static int prepare_heights(const Film *f, const double *z, Work *w) {
     Whole *all = &w->whole;
     const float over_tension = (float)(1 / most(w->sums.tension, 1e-3));
     for (long k = 0; k < f->count; k++) all->area_by[k] = w->pulls[k] * over_tension, all->volume_by[k] = w->swells[k];
-    all->tension = f->numbers.tension_slope / (f->numbers.length_x * f->numbers.length_y), all->gas = w->gas_stiffness;
+    all->tension = f->numbers.tension_slope / f->numbers.opening, all->gas = w->gas_stiffness;
     w->heights.scale = (float)w->sums.tension / *w->heights.rest->tension;
     return film_heights_factor(f, z, &w->seen, &w->heights);
 }
@@ -220,7 +223,7 @@ static int decide_contact(const Film *f, const Bodies *bodies, double loose, int
     int changed = 0;
     for (long i = most(s->box[0], 1); i < least(s->box[1], f->columns - 1); i++)
         for (long k = i * f->line + s->box[2]; k < i * f->line + s->box[3]; k++) {
-            if (k % f->line < 1 || k % f->line > f->rows - 2) continue;
+            if (!film_free(f, i, k % f->line)) continue;
             const double over = z[k] + (after_step ? (double)w->moved[k] : 0) - s->obstacle[k] + s->lower[k];
             const double force = after_step ? (double)w->pushed[k] : w->force[k];
             const int touches = s->touching[k] ? isfinite(over) && (!may_release || force > released) : over > attached;
@@ -356,7 +359,8 @@ static int come_to_rest(const Film *f, const Settings *set, const Bodies *bodies
     int far = 0;
     Learnt *l = &w->learnt;
     film_forget(l);
-    w->heights.first = trend ? f->columns : 0, w->heights.last = trend ? -1 : f->columns - 1; /* second tries see all */
+    const int narrow = trend && !f->lopsided; /* second tries see all; beyond a window the sheet is what it is when turned */
+    w->heights.first = narrow ? f->columns : 0, w->heights.last = narrow ? -1 : f->columns - 1;
     see_touch(f, w->force, &w->seen);
     for (int step = 0; step < (int)set->most_steps; step++) {
         look(f, bodies, lifted, step, w);

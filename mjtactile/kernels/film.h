@@ -18,11 +18,17 @@ typedef struct {
     double shell;                            /* Young's modulus times thickness, N/m */
     double chamber_flat, ambient, heat_ratio;
     double half_thickness, depth;            /* of the sheet; of the chamber behind it */
+    double opening;                          /* m^2 of the frame's */
+    double cut;                              /* address of what its outline leaves of the grid (film_cut.h); 0: all, of a rectangle */
 } FilmNumbers;
 
 typedef struct {
     FilmNumbers numbers;
     const double *law;
+    const double *inside, *whole; /* over all nodes, of an outline: see film_cut.h; 0 of a rectangle */
+    const double *cuts;       /* triangles of the cells that it cuts, in groups of eight */
+    long groups;
+    int lopsided;             /* whether half a turn, or a mirror along y, makes another outline of it */
     long columns, rows;       /* of all nodes: along x, along y */
     long inner_rows, inner;   /* of those that move */
     long line, count;         /* nodes of a padded line; of all lines */
@@ -30,6 +36,11 @@ typedef struct {
 } Film;
 
 Film film_of(const double *numbers, const double *law);
+
+static inline int film_free(const Film *film, long i, long j) { /* whether node (i, j) moves */
+    const int within = i > 0 && i < film->columns - 1 && j > 0 && j < film->rows - 1;
+    return within && (!film->inside || film->inside[i * film->rows + j] > 0);
+}
 
 /* One body, as Python describes it. */
 typedef struct {

@@ -194,6 +194,91 @@ INLINE void TYPE(gather)(const Film *f, REAL *restrict before, const REAL *restr
     for (long j = f->rows - 1; j < line; j++) to[j] = 0;
 }
 
+/* Triangles of cells that the outline cuts: eight at a time what each does, then added up. */
+typedef REAL TYPE(Vector) __attribute__((vector_size(LANES * sizeof(REAL)), aligned(8)));
+typedef struct { TYPE(Vector) elastic[3][3], gradient[3][3], link[3]; } TYPE(Borne);
+
+INLINE TYPE(Vector) TYPE(vector_of)(const double *from) {
+    Lanes here;
+    memcpy(&here, from, sizeof here);
+    return __builtin_convertvector(here, TYPE(Vector));
+}
+
+INLINE void TYPE(see_group)(const Film *f, const TYPE(Numbers) *o, const CutGroup *cut, const double *x, int parts, TYPE(Borne) *to,
+                            SheetSums *sums, double *tension, double *area) {
+    const TYPE(Vector) weight = TYPE(vector_of)(cut->area);
+    TYPE(Vector) bx[3], by[3], g1[3], g2[3], mean = 0 * weight, root;
+    for (int k = 0; k < 3; k++) g1[k] = 0 * weight + (REAL)(k == 0), g2[k] = 0 * weight + (REAL)(k == 1);
+    for (int a = 0; a < 3; a++) {
+        bx[a] = TYPE(vector_of)(cut->by_x[a]), by[a] = TYPE(vector_of)(cut->by_y[a]);
+        for (int k = 0; k < 3; k++) {
+            TYPE(Vector) u;
+            for (int n = 0; n < LANES; n++) u[n] = (REAL)x[k * f->count + (long)cut->node[a][n]];
+            g1[k] += u * bx[a], g2[k] += u * by[a];
+            if (k == 2) mean += u / 3;
+        }
+    }
+    const TYPE(Vector) C11 = o->lambda2 * (g1[0] * g1[0] + g1[1] * g1[1] + g1[2] * g1[2]);
+    const TYPE(Vector) C22 = o->lambda2 * (g2[0] * g2[0] + g2[1] * g2[1] + g2[2] * g2[2]);
+    const TYPE(Vector) C12 = o->lambda2 * (g1[0] * g2[0] + g1[1] * g2[1] + g1[2] * g2[2]);
+    const TYPE(Vector) det = C11 * C22 - C12 * C12, M = weight * o->modulus, turn = g1[0] * g2[1] - g1[1] * g2[0];
+    for (int n = 0; n < LANES; n++) root[n] = 1 / SQRT(det[n] > (REAL)LEAST_DET ? det[n] : (REAL)LEAST_DET);
+    TYPE(Vector) S11, S22, S12;
+    if (f->numbers.neo_hookean != 0) {
+        const TYPE(Vector) t = (root - o->middle) * o->per_unit;
+        TYPE(Vector) q = 0 * t + o->law[FILM_LAW - 1];
+        for (int k = FILM_LAW - 2; k >= 0; k--) q = q * t + o->law[k];
+        S11 = M - M * q * C22, S22 = M - M * q * C11, S12 = M * q * C12;
+    } else {
+        const TYPE(Vector) E11 = (C11 - 1) / 2, E22 = (C22 - 1) / 2;
+        S11 = M * (E11 + o->poisson * E22), S22 = M * (E22 + o->poisson * E11), S12 = M * (1 - o->poisson) * C12 / 2;
+    }
+    const TYPE(Vector) stressed = (S11 * C11 + S22 * C22 + 2 * S12 * C12) * root / 2, bulge = weight * turn * mean;
+    for (int n = 0; n < LANES; n++) {
+        if (weight[n] > 0) sums->least_turn = least(sums->least_turn, (double)turn[n]);
+        if (weight[n] > 0) sums->least_root = least(sums->least_root, (double)root[n]);
+        *tension += (double)stressed[n], *area += (double)(weight[n] / root[n]), sums->volume += (double)bulge[n];
+    }
+    for (int a = 0; a < 3; a++) {
+        for (int k = parts & FILM_PLANE ? 0 : 2; k < 3; k++)
+            to->elastic[a][k] = (S11 * g1[k] + S12 * g2[k]) * bx[a] + (S22 * g2[k] + S12 * g1[k]) * by[a];
+        to->gradient[a][0] = weight * mean * (g2[1] * bx[a] - g1[1] * by[a]);
+        to->gradient[a][1] = weight * mean * (g1[0] * by[a] - g2[0] * bx[a]);
+        to->gradient[a][2] = weight * turn / 3;
+    }
+    if (!(parts & FILM_HEIGHTS)) return;
+    const TYPE(Vector) flat = 1 / (1 + g1[2] * g1[2] + g2[2] * g2[2]);
+    TYPE(Vector) xx, yy;
+    for (int n = 0; n < LANES; n++) {
+        const REAL fair = (REAL)LEAST_TENSION * (stressed[n] > 0 ? stressed[n] : 0);
+        xx[n] = S11[n] > fair ? S11[n] : fair, yy[n] = S22[n] > fair ? S22[n] : fair;
+    }
+    for (int a = 0; a < 3; a++) /* of the side from a corner to the next */
+        to->link[a] = -flat * (xx * bx[a] * bx[(a + 1) % 3] + yy * by[a] * by[(a + 1) % 3]);
+}
+
+static void TYPE(see_cuts)(const Film *f, const double *x, int parts, long first, long last, const TYPE(SheetFields) *to,
+                           SheetSums *sums, double *tension, double *area) {
+    const TYPE(Numbers) o = TYPE(numbers_of)(f);
+    const long count = f->count;
+    const int low = parts & FILM_PLANE ? 0 : 2, high = parts & FILM_HEIGHTS ? 3 : 2;
+    for (long g = 0; g < f->groups; g++) {
+        const CutGroup *cut = film_cut(f, g);
+        TYPE(Borne) borne;
+        TYPE(see_group)(f, &o, cut, x, parts, &borne, sums, tension, area);
+        for (int n = 0; n < LANES; n++)
+            for (int a = 0; a < 3; a++) {
+                const long node = (long)cut->node[a][n];
+                for (int k = low; k < high && node; k++) to->elastic[k * count + node] += borne.elastic[a][k][n];
+                for (int k = parts & FILM_PLANE ? 0 : 2; k < 3 && node; k++) to->gradient[k * count + node] += borne.gradient[a][k][n];
+                const long link = (long)cut->link[a][n] / 2, line = link / f->line;
+                if (!link || !(parts & FILM_HEIGHTS) || line < first || line > last) continue;
+                if ((long)cut->link[a][n] % 2) to->along_y[link] += borne.link[a][n];
+                else if (line < last) to->along_x[link] += borne.link[a][n];
+            }
+    }
+}
+
 SheetSums TYPE(film_sheet)(const Film *f, const double *x, int parts, long first, long last, const TYPE(SheetFields) *to) {
     const long line = f->line, count = f->count;
     REAL numbers[LINES * (FILM_MOST_LINE + 16)];
@@ -213,6 +298,8 @@ SheetSums TYPE(film_sheet)(const Film *f, const double *x, int parts, long first
     SheetSums sums = {.least_turn = INFINITY, .least_root = INFINITY};
     TYPE(see_edges)(at, above, 1 / f->dy, 1, lambda2, line, &l.along[1]);
     for (long i = 0; i < f->columns - 1; i++) {
+        if (f->whole)
+            for (long j = 0; j < f->rows - 1; j++) l.weight[j] = (REAL)(f->whole[i * f->rows + j] * (f->dx * f->dy / 4));
         const TYPE(Edges) kept = l.along[0];
         const TYPE(Loads) done = l.left;
         l.along[0] = l.along[1], l.along[1] = kept, l.left = l.right, l.right = done;
@@ -252,12 +339,13 @@ SheetSums TYPE(film_sheet)(const Film *f, const double *x, int parts, long first
             memset(to->elastic + here, 0, line * sizeof *to->elastic), memset(to->gradient + here, 0, line * sizeof *to->gradient);
         }
     double tension = 0, area = 0;
+    if (f->groups) TYPE(see_cuts)(f, x, parts, first, last, to, &sums, &tension, &area);
     for (long j = 0; j < line; j++) {
         tension += (double)l.tension[j], area += (double)l.area[j];
         if ((double)l.turn[j] < sums.least_turn) sums.least_turn = (double)l.turn[j];
         if ((double)l.root[j] < sums.least_root) sums.least_root = (double)l.root[j];
     }
-    sums.tension = tension / (f->numbers.length_x * f->numbers.length_y), sums.area = area / f->numbers.lambda2;
+    sums.tension = tension / f->numbers.opening, sums.area = area / f->numbers.lambda2;
     return sums;
 }
 #undef LINES

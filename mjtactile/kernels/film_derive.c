@@ -108,7 +108,7 @@ static void add_pairs(const Film *f, const Tangent *t) {
             for (int pair = 0; pair < PAIRS; pair++) {
                 const long first = 3 * film_inner(f, node), other = 3 * film_inner(f, node + film_pair(f, pair));
                 double K[3][3];
-                if (other < 0) continue;
+                if (first < 0 || other < 0) continue;
                 eliminate(f, t, pair, node, K);
                 for (int k = 0; k < 3; k++) {
                     float *column = t->band + (first + k) * height - (first + k) / PANEL * PANEL + other;
@@ -166,6 +166,8 @@ static int make_tangent(const Film *f, const Bodies *bodies, const double *x, co
     for (long k = 3 * f->inner; k < panels_of(f) * PANEL; k++) t->band[k * height + k % PANEL] = 1; /* behind the last */
     film_stencil(f, x, t->pressure, &t->stiffness), film_stencil_singles(f, &t->stiffness, t->singles);
     add_pairs(f, t), add_springs(f, t), add_bends(f, bodies, x, force, t);
+    for (long k = 0; k < 3 * f->inner && f->inside; k++) /* what an outline holds has a row of its own */
+        if (t->band[k * height + k % PANEL] == 0) t->band[k * height + k % PANEL] = 1;
     return panels_factor(panels_of(f), 0, height, t->band);
 }
 

@@ -40,7 +40,7 @@ static double shell_at(const Film *f, const double *z, long k) {
 typedef struct { double before, behind, own; } Shares;
 
 static int is_free(const Film *f, const uint8_t *touching, long i, long j) {
-    return i > 0 && i < f->columns - 1 && j > 0 && j < f->rows - 1 && !touching[i * f->line + j];
+    return film_free(f, i, j) && !touching[i * f->line + j];
 }
 
 static void put_line(const Film *f, const double *z, const Seen *seen, long i, Shares share, int last, float *block) {
@@ -77,7 +77,7 @@ int film_heights_rest(const Film *f, const double *x, const SheetFields *fields,
             const long k = i * line + j, down = j / PANEL * PANEL;
             for (long r = j; r < line; r++) left[j * line + r] = block[j * height + r - down];
             left[j * line + j] -= (float)(fields->along_x[k] + (fields->along_y[k] + fields->along_y[k - 1] + shell_at(f, z, k)) / 2);
-            left[j * line + j + 1] += (float)(fields->along_y[k] / 2);
+            if (film_free(f, i, j + 1)) left[j * line + j + 1] += (float)(fields->along_y[k] / 2);
         }
         for (long r = f->rows - 1; r < line; r++)
             for (long j = 0; j < line; j++) left[j * line + r] = 0;
@@ -150,7 +150,7 @@ void film_heights_times(const Film *f, const double *z, const Seen *seen, const 
     const long line = f->line;
     for (long i = most(h->first, 1); i <= least(h->last, f->columns - 2); i++)
         for (long k = i * line + 1; k < i * line + f->rows - 1; k++) {
-            if (seen->touching[k] != touching) continue;
+            if (seen->touching[k] != touching || (f->inside && !film_free(f, i, k - i * line))) continue;
             double sum = shell_at(f, z, k) * what[k];
             sum += seen->along_x[k] * (what[k] - what[k + line]) + seen->along_x[k - line] * (what[k] - what[k - line]);
             sum += seen->along_y[k] * (what[k] - what[k + 1]) + seen->along_y[k - 1] * (what[k] - what[k - 1]);

@@ -330,12 +330,16 @@ void lower_round_bodies(const Film *f, Seen *seen) {
         }
 }
 
+static int is_rim(const Film *f, long i, long j) {
+    return f->inside ? f->inside[i * f->rows + j] == 0 : i == 0 || j == 0 || i == f->columns - 1 || j == f->rows - 1;
+}
+
 int against_the_frame(const Film *f, const Settings *set, const Seen *seen) {
     const double *h = seen->obstacle;
     for (long i = seen->box[0]; i < seen->box[1]; i++)
         for (long j = seen->box[2]; j < seen->box[3]; j++) {
             const long k = i * f->line + j;
-            if ((i == 0 || j == 0 || i == f->columns - 1 || j == f->rows - 1) && h[k] < -set->below_rim) return AT_THE_RIM;
+            if (is_rim(f, i, j) && h[k] < -set->below_rim) return AT_THE_RIM;
             if (h[k] - f->numbers.half_thickness <= -f->numbers.depth) return ON_THE_GLASS;
         }
     return CONVERGED;
@@ -357,6 +361,7 @@ static double least_height(const Film *f, const double *x, const Seen *seen, con
 /* How far a body is behind the sheet over a place in the cell of node `k`, where the sheet is flat. */
 static int is_behind(const Film *f, const Bodies *bodies, const double *x, const Seen *seen, long k, double at_x, double at_y, double behind) { /* `behind`: spacings */
     const long corners[4] = {k, k + 1, k + f->line, k + f->line + 1};
+    if (f->whole && f->whole[k / f->line * f->rows + k % f->line] == 0) return 0; /* the rim is asked instead */
     double height, slope[2], z = 0;
     int touches = 0;
     for (int c = 0; c < 4; c++) z += x[2 * f->count + corners[c]] / 4, touches |= seen->touching[corners[c]];

@@ -5,12 +5,12 @@
 #include "panels.h"
 
 #define HALF 0.70710678f /* a pair's even and odd parts are its sum and difference over sqrt(2) */
-enum { EVEN, ODD };      /* along x; along y it is the other way round */
+enum { EVEN, ODD };      /* along x; along y it is the other way round. A lopsided outline has all in what is even */
 
 typedef struct { long half, order, panels, height; } Halves; /* nodes of half a line, unknowns, panels and their height */
 
 static Halves halves_of(const Film *f) {
-    Halves h = {.half = (f->inner_rows + 1) / 2};
+    Halves h = {.half = f->lopsided ? f->inner_rows : (f->inner_rows + 1) / 2};
     h.order = (f->columns - 2) * 2 * h.half;
     h.panels = (h.order + PANEL - 1) / PANEL, h.height = panels_height(2 * h.half + 3);
     return h;
@@ -30,9 +30,9 @@ long film_plane_room(const Film *f) {
 
 /* Of a displacement along `axis` of a node: its unknown, and by how much of the node's that is, for what is even or odd. */
 static long unknown_of(const Film *f, const Halves *h, long node, int axis, int kind, double *share) {
-    const long i = node / f->line, j = node % f->line, mirrored = f->rows - 1 - j;
+    const long i = node / f->line, j = node % f->line, mirrored = f->lopsided ? f->rows : f->rows - 1 - j;
     const int odd = axis == 0 ? kind == ODD : kind == EVEN;
-    *share = j == mirrored ? !odd : j > mirrored && odd ? -(double)HALF : (double)HALF;
+    *share = f->lopsided ? kind == EVEN : j == mirrored ? !odd : j > mirrored && odd ? -(double)HALF : (double)HALF;
     return ((i - 1) * h->half + (j < mirrored ? j : mirrored) - 1) * 2 + axis;
 }
 
@@ -67,12 +67,26 @@ int film_plane_factor(const Film *f, const Stencil *s, float *factor) {
     return panels_factor(h.panels, 0, h.height, factor) || panels_factor(h.panels, 0, h.height, factor + size);
 }
 
+static void solve_whole(const Film *f, const Halves *h, const float *factor, float *residual, float *x) {
+    for (long i = 1; i < f->columns - 1; i++)
+        for (long j = 1; j < f->rows - 1; j++)
+            for (int axis = 0; axis < 2; axis++) x[2 * ((i - 1) * h->half + j - 1) + axis] = residual[axis * f->count + i * f->line + j];
+    panels_forward(h->panels, h->height, factor, 1, apart_of(h), x), panels_backward(h->panels, h->height, factor, 1, apart_of(h), x);
+    for (long i = 1; i < f->columns - 1; i++)
+        for (long j = 1; j < f->rows - 1; j++)
+            for (int axis = 0; axis < 2; axis++) residual[axis * f->count + i * f->line + j] = x[2 * ((i - 1) * h->half + j - 1) + axis];
+}
+
 void film_plane_solve(const Film *f, const float *factor, float *residual, float *room) {
     const Halves h = halves_of(f);
     const long size = h.panels * PANEL * h.height, apart = apart_of(&h), count = f->count;
     const int middle = f->inner_rows % 2;
     float *even = room, *odd = room + apart;
     memset(room, 0, 2 * apart * sizeof *room);
+    if (f->lopsided) {
+        solve_whole(f, &h, factor, residual, room);
+        return;
+    }
     for (long i = 1; i < f->columns - 1; i++) {
         float *low = residual + i * f->line, *high = low + f->rows - 1;
         float *at_even = even + 2 * h.half * (i - 1), *at_odd = odd + 2 * h.half * (i - 1);

@@ -2,8 +2,10 @@
 #include "film_sheet.h"
 
 #include <math.h>
+#include <stdint.h>
 #include <string.h>
 
+#include "film_cut.h"
 #include "small.h"
 
 #define INLINE static inline __attribute__((always_inline)) /* else loops over them are no vectors */
@@ -22,6 +24,11 @@ Film film_of(const double *numbers, const double *law) {
     film.inner_rows = film.rows - 2, film.inner = (film.columns - 2) * film.inner_rows;
     film.line = (film.rows + 7) / 8 * 8, film.count = film.columns * film.line;
     film.dx = film.numbers.length_x / (film.columns - 1), film.dy = film.numbers.length_y / (film.rows - 1);
+    const double *cut = (const double *)(uintptr_t)film.numbers.cut;
+    if (!cut) return film;
+    const long nodes = film.columns * film.rows;
+    film.lopsided = cut[0] != 0, film.groups = (long)cut[1];
+    film.inside = cut + 2, film.whole = film.inside + nodes, film.cuts = film.whole + nodes;
     return film;
 }
 

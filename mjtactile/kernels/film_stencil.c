@@ -1,5 +1,7 @@
 #include "film_stencil.h"
 
+#include "film_cut.h"
+
 #include <math.h>
 #include <string.h>
 
@@ -69,7 +71,7 @@ static void strain(const Film *f, Corner *c, Lanes weight) {
     Lanes tension[3];
     for (int e = 0; e < 3; e++) {
         tension[e] = root * (own[e] + C[0] * D[0][e] + C[1] * D[1][e] + 2 * C[2] * D[2][e]) + energy * root_by * det_by[e];
-        tension[e] *= weight / (2 * f->numbers.length_x * f->numbers.length_y);
+        tension[e] *= weight / (2 * f->numbers.opening);
     }
     for (int k = 0; k < 3; k++) {
         c->tension_by[0][k] = tension[0] * c->g[0][k] + tension[2] * c->g[1][k];
@@ -110,6 +112,7 @@ static void add_corner(const Film *f, const double *x, double pressure, long i, 
     Corner c = {.over = {(ci ? -1 : 1) / f->dx, (cj ? -1 : 1) / f->dy}, .height = lanes_at(x + 2 * count + node)};
     Lanes weight, turn_by[2][3] = {{{0}}}, across[3][3], own[3][3] = {{{0}}};
     for (int n = 0; n < LANES; n++) weight[n] = j + n < f->rows - 1 ? f->dx * f->dy / 4 : 0;
+    for (int n = 0; n < LANES && f->whole && j + n < f->rows - 1; n++) weight[n] *= f->whole[i * f->rows + j + n];
     for (int a = 0; a < 2; a++)
         for (int k = 0; k < 3; k++)
             c.g[a][k] = (k == a) + c.over[a] * (lanes_at(x + k * count + end[a]) - lanes_at(x + k * count + node));
@@ -138,11 +141,62 @@ static void add_corner(const Film *f, const double *x, double pressure, long i, 
     add_block(to, ci == cj ? PAIR_FALLING : PAIR_RISING, i * line + j + (ci == cj), !ci, across);
 }
 
+/* Of two corners of eight triangles: the energy's second derivatives by their displacements, less what the gas does, whose volume
+   is the corners' mean height times (g1 x g2)_z. */
+static void between_corners(const CutGroup *cut, const Corner *c, double pressure, int a, int b, Lanes block[3][3]) {
+    const Lanes own[2] = {lanes_at(cut->by_x[a]), lanes_at(cut->by_y[a])}, other[2] = {lanes_at(cut->by_x[b]), lanes_at(cut->by_y[b])};
+    const Lanes push = pressure * lanes_at(cut->area), third = push / 3;
+    for (int k = 0; k < 3; k++)
+        for (int m = 0; m < 3; m++) {
+            block[k][m] = 0 * push;
+            for (int p = 0; p < 2; p++)
+                for (int q = 0; q < 2; q++) block[k][m] += own[p] * other[q] * c->by[p][q][k][m];
+        }
+    const Lanes turn = push * c->height * (own[0] * other[1] - own[1] * other[0]);
+    block[0][1] -= turn, block[1][0] += turn;
+    block[0][2] -= third * (c->g[1][1] * own[0] - c->g[0][1] * own[1]), block[1][2] -= third * (c->g[0][0] * own[1] - c->g[1][0] * own[0]);
+    block[2][0] -= third * (c->g[1][1] * other[0] - c->g[0][1] * other[1]), block[2][1] -= third * (c->g[0][0] * other[1] - c->g[1][0] * other[0]);
+}
+
+static void add_entries(const Film *f, const Stencil *to, long node, long other, const Lanes block[3][3], int lane) {
+    for (int pair = 0; pair < PAIRS; pair++)
+        for (int k = 0; k < 3 && other == node + film_pair(f, pair); k++)
+            for (int m = 0; m < 3; m++) to->block[pair][(3 * k + m) * to->apart + node] += block[k][m][lane];
+}
+
+static void add_cuts(const Film *f, const double *x, double pressure, const CutGroup *cut, const Stencil *to) {
+    Corner c = {.height = lanes_at(cut->area) * 0};
+    for (int p = 0; p < 2; p++)
+        for (int k = 0; k < 3; k++) {
+            c.g[p][k] = (k == p) + 0 * c.height;
+            for (int a = 0; a < 3; a++)
+                for (int n = 0; n < LANES; n++)
+                    c.g[p][k][n] += (p ? cut->by_y : cut->by_x)[a][n] * x[k * f->count + (long)cut->node[a][n]];
+        }
+    for (int a = 0; a < 3; a++)
+        for (int n = 0; n < LANES; n++) c.height[n] += x[2 * f->count + (long)cut->node[a][n]] / 3;
+    strain(f, &c, lanes_at(cut->area));
+    for (int a = 0; a < 3; a++) {
+        for (int k = 0; k < 3; k++) {
+            const Lanes by = lanes_at(cut->by_x[a]) * c.tension_by[0][k] + lanes_at(cut->by_y[a]) * c.tension_by[1][k];
+            for (int n = 0; n < LANES; n++)
+                if (cut->node[a][n] > 0) to->tension_by[k * to->apart + (long)cut->node[a][n]] += by[n];
+        }
+        for (int b = 0; b < 3; b++) {
+            Lanes block[3][3];
+            between_corners(cut, &c, pressure, a, b, block);
+            for (int n = 0; n < LANES; n++)
+                if (cut->node[a][n] > 0 && cut->node[b][n] > 0) add_entries(f, to, (long)cut->node[a][n], (long)cut->node[b][n], block, n);
+        }
+    }
+}
+
 void film_stencil(const Film *f, const double *x, double pressure, const Stencil *to) {
     memset(to->block[0], 0, film_stencil_size(f) * sizeof *to->block[0]);
     for (long i = 0; i < f->columns - 1; i++)
         for (long j = 0; j < f->line; j += LANES)
             for (int corner = 0; corner < 4; corner++) add_corner(f, x, pressure, i, j, corner / 2, corner % 2, to);
+    for (long g = 0; g < f->groups; g++) add_cuts(f, x, pressure, film_cut(f, g), to);
 }
 
 void film_stencil_singles(const Film *f, const Stencil *s, float *singles) {
@@ -188,4 +242,6 @@ void film_stencil_band(const Film *f, const Stencil *s, double *band) {
                 for (int l = pair == PAIR_OWN ? k : 0; l < 3; l++)
                     band[(first + k) * stride + other + l - first - k] = film_block(s, pair, k, l, node);
         }
+    for (long k = 0; k < 3 * f->inner; k++) /* what an outline holds has a row of its own */
+        if (band[k * stride] == 0) band[k * stride] = 1;
 }

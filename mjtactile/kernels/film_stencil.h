@@ -39,7 +39,7 @@ static inline double film_block(const Stencil *s, int pair, int row, int column,
 /* Number of a node among those that move, or -1. */
 static inline long film_inner(const Film *film, long node) {
     const long i = node / film->line, j = node % film->line;
-    return i < 1 || j < 1 || i > film->columns - 2 || j > film->rows - 2 ? -1 : (i - 1) * film->inner_rows + j - 1;
+    return film_free(film, i, j) ? (i - 1) * film->inner_rows + j - 1 : -1;
 }
 
 #endif

@@ -218,24 +218,24 @@ int64_t update_stiction(int64_t contacts, int64_t list, const int64_t *layout /*
 
 /* film/: the sheet of `numbers` and `law` as film.h has them, on nodes (columns, rows) of which the frame's are part. Out: heights
    over `places` of `bodies`, whose planes, triangles and fields are in `pool`; infinite where there are none. */
-int64_t film_heights(const double *numbers /* 17 */, int64_t bodies, const double *body /* bodies, 20 */, int64_t pooled,
+int64_t film_heights(const double *numbers /* 19 */, int64_t bodies, const double *body /* bodies, 20 */, int64_t pooled,
                      const double *pool /* pooled or NULL */, int64_t count, const double *places /* count, 2 */,
                      double *out /* count */);
 /* Out: the band's Cholesky `factor` of the stiffness at displacements `x`, over a gas that stays at `pressure`; x, y and height of a
    node together. */
-int64_t film_stiffness(const double *numbers /* 17 */, const double *law /* 11 */, int64_t columns, int64_t rows,
+int64_t film_stiffness(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows,
                        const double *x /* 3, columns, rows */, double pressure, int64_t roomy, double *room /* roomy */,
                        double *factor /* 3 * (columns - 2) * (rows - 2), BAND_STRIDE(3 * rows - 1) */);
-int64_t film_room(const double *numbers /* 17 */); /* doubles of `room` that a solution wants */
-int64_t film_kept(const double *numbers /* 17 */); /* floats of `kept`: what all solutions of a film share */
+int64_t film_room(const double *numbers /* 19 */); /* doubles of `room` that a solution wants */
+int64_t film_kept(const double *numbers /* 19 */); /* floats of `kept`: what all solutions of a film share */
 /* Out: `kept`, factors of the sheet's stiffness at rest, in the plane and of heights, at displacements `x`. */
-int64_t film_keep(const double *numbers /* 17 */, const double *law /* 11 */, int64_t columns, int64_t rows,
+int64_t film_keep(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows,
                   const double *x /* 3, columns, rows */, int64_t roomy, double *room /* roomy */, int64_t keeping,
                   float *kept /* keeping */);
 /* Of environments `begin` to `end` - 1, each with `settings` (see film.c) and `bodies`: displacements `x` and the contact's
    forces `force` along -z, from where they are to where the film rests; `trend`, the change of both that led to where they are,
    becomes this one. Out: `found`, see film.c. */
-int64_t film_solve(const double *numbers /* 17 */, const double *law /* 11 */, int64_t columns, int64_t rows,
+int64_t film_solve(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows,
                    int64_t keeping, const float *kept /* keeping */, const double *rest /* 3, columns, rows */, int64_t roomy, double *room /* roomy */, int64_t environments,
                    int64_t begin, int64_t end, const double *settings /* environments, 6 */, int64_t bodies,
                    const double *body /* environments, bodies, 20 */, int64_t pooled, const double *pool /* pooled or NULL */,
@@ -243,7 +243,7 @@ int64_t film_solve(const double *numbers /* 17 */, const double *law /* 11 */, i
                    double *trend /* environments, 4, columns, rows */, double *found /* environments, 14 */);
 /* The same of as many `environments` as nobody has taken yet, whose number `next` counts for all threads, each with a room of its own:
    where they begin is `from_...`, or at rest where that is none, or has found no rest. */
-int64_t film_share(const double *numbers /* 17 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
+int64_t film_share(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
                    const float *kept /* keeping */, const double *rest /* 3, columns, rows */, int64_t roomy,
                    double *room /* roomy */, int64_t environments, int64_t *next /* 1 */,
                    const double *settings /* environments, 6 */, int64_t bodies, const double *body /* environments, bodies, 20 */,
@@ -257,7 +257,7 @@ int64_t film_share(const double *numbers /* 17 */, const double *law /* 11 */, i
 /* sim/sensor/film_sensor.py: a film in a scene that moves. `given` and `memory`: see film_hold.c. From the poses of MuJoCo's bodies and
    geoms: `body` in the frame of the body `carrier`, the film at rest on them as film_solve has it (or, where they hardly went, as
    a spring), what sticks and slides. `touched`: nodes in the grip, and at the last solution; `before`: x and y then, and room. */
-int64_t film_follow(const double *numbers /* 17 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
+int64_t film_follow(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
                     const float *kept /* keeping */, const double *rest /* 3, columns, rows */, int64_t roomy,
                     double *room /* roomy */, const double *settings /* 6 */, int64_t geoms, double *body /* geoms, 20 */,
                     int64_t pooled, const double *pool /* pooled or NULL */, double *x /* 3, columns, rows */,
@@ -295,11 +295,11 @@ int64_t draw_errors(int64_t loads, const double *load /* loads */, const double 
                     const double *spread /* 6, 6 */, const double *said_correlation /* 6, 6 */, const double *settings /* 6 */,
                     const double *normals /* 12 */, const double *wrench /* 6 */, double *slow /* 6 */, double *row /* 23 */,
                     double *felt /* 6 */, double *cov /* 6, 6 */);
-int64_t film_derive_room(const double *numbers /* 17 */);
+int64_t film_derive_room(const double *numbers /* 19 */);
 /* Of a film at rest with `x` and `force`, derivatives by `changes` of its bodies: `body` as they are, then for each change those
    that are `steps` of it farther. Out: of displacements, forces and what film_solve finds.
    Returns 1 where the film does not rest on these bodies. */
-int64_t film_derive(const double *numbers /* 17 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t roomy,
+int64_t film_derive(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t roomy,
                     double *room /* roomy */, const double *settings /* 6 */, int64_t bodies, int64_t changes,
                     const double *body /* 1 + changes, bodies, 20 */, int64_t pooled, const double *pool /* pooled or NULL */,
                     const double *steps /* changes */, const double *x /* 3, columns, rows */,

@@ -32,6 +32,7 @@ def add_feeler(body: mujoco.MjsBody, design: SensorDesign) -> None:
 @lru_cache(maxsize=64)
 def film_of(design: SensorDesign, grid: tuple[int, int]) -> Film:
     """The film of a sensor, made once a process and shared: nothing in it changes."""
+    design.require_rectangle("the film beside a simulation")
     return Film(design, grid)
 
 

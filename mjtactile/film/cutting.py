@@ -1,0 +1,210 @@
+"""What an outline that is no rectangle leaves of a film's grid.
+
+Nodes outside are held. Cells inside are whole; what the outline leaves of those that it cuts is a
+polygon of nodes and of the places where the grid's lines cross the outline, divided into triangles
+on which displacements are linear and vanish at the crossings. A quadrilateral is divided along both
+diagonals, each for half of it, as the kernel has whole cells: what is symmetric stays so. Left out
+is what lies between the outline and its chord in a cell, whose area falls with the spacing's
+square, as the error of whole cells does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.core.outline import Outline
+from mjtactile.core.sensor_parts import Frame
+from mjtactile.core.types import Array
+
+_POINTS = 4096  # of the outline, between which it is straight: 0.005 um of a circle of 30 mm
+_NEAREST = 0.01  # of a spacing: a node nearer to the outline than that is held on it
+_TOGETHER = 8  # triangles, as kernels/film_cut.h has them
+_HEADER = 2  # numbers
+_NOTHING = 1e-9  # of a cell
+_SAME = 1e-6  # of a spacing, to which an outline is the same mirrored
+_DIVISIONS = {
+    3: [((0, 1, 2), 1.0)],
+    4: [((0, 1, 2), 0.5), ((0, 2, 3), 0.5), ((1, 2, 3), 0.5), ((0, 1, 3), 0.5)],
+}
+_CORNERS = ((0, 0), (1, 0), (1, 1), (0, 1))  # of a cell, counter-clockwise
+
+
+def cut_by(frame: Frame, x: Array, y: Array) -> tuple[Array, float]:
+    """What a frame leaves of a grid.
+
+    Args:
+        frame: Of any outline.
+        x: (nx,) m, its lines, from edge to edge of the rectangle about the outline.
+        y: (ny,) m.
+
+    Returns:
+        What kernels/film_cut.h reads, nothing of a rectangle; the area within, m^2.
+    """
+    if frame.outline is None:
+        return np.empty(0), frame.length * frame.width
+    crossings = _Crossings.of(frame.outline, x, y)
+    inside = crossings.inside
+    free_corners = sum(
+        inside[i : len(x) - 1 + i, j : len(y) - 1 + j].astype(int) for i, j in _CORNERS
+    )
+    whole = np.zeros(inside.shape)
+    whole[:-1, :-1] = free_corners == 4
+    padded = np.pad(inside, 1)
+    shifts = [(1 + i, 1 + j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+    near = np.any([padded[i : len(x) + i, j : len(y) + j] for i, j in shifts], axis=0)
+    cells = np.argwhere((free_corners > 0) & (free_corners < 4))
+    triangles = [one for i, j in cells for one in _triangles(crossings, int(i), int(j))]
+    cell = float((x[1] - x[0]) * (y[1] - y[0]))
+    groups, area = _grouped(triangles, len(y), cell)
+    nodes = np.where(inside, 1, np.where(near, 0, -1))
+    header = (float(crossings.lopsided), float(len(groups)))
+    kept = np.concatenate([header, nodes.ravel(), whole.ravel(), groups.ravel()])
+    return kept, area + cell * float(whole.sum())
+
+
+def moving(cut: Array, grid: tuple[int, int]) -> NDArray[np.bool_]:
+    """Which nodes (nx, ny) an outline leaves free, of what `cut_by` gives of one."""
+    return cut[_HEADER : _HEADER + grid[0] * grid[1]].reshape(grid) > 0
+
+
+@dataclass(frozen=True, eq=False)
+class _Crossings:
+    """A grid and an outline: `inside` (nx, ny) says which nodes are free; line k along y, at x[k],
+    crosses it at `across_y` (2, nx), lower and upper, line k along x at `across_x` (2, ny)."""
+
+    x: Array
+    y: Array
+    inside: NDArray[np.bool_]
+    across_x: Array
+    across_y: Array
+
+    @classmethod
+    def of(cls, outline: Outline, x: Array, y: Array) -> _Crossings:
+        points = outline.points(_POINTS)
+        across_y, across_x = _chains(points, x), _chains(points[:, ::-1], y)
+        near_x, near_y = _NEAREST * (x[1] - x[0]), _NEAREST * (y[1] - y[0])
+        along_y = (y > across_y[0][:, None] + near_y) & (y < across_y[1][:, None] - near_y)
+        along_x = (x > across_x[0][:, None] + near_x) & (x < across_x[1][:, None] - near_x)
+        return cls(x, y, along_y & along_x.T, across_x, across_y)
+
+    @property
+    def lopsided(self) -> bool:
+        """Whether it is another one when mirrored along x or along y."""
+        spacings = (self.y[1] - self.y[0], self.x[1] - self.x[0])
+        off = 0.0
+        for across, spacing in zip((self.across_x, self.across_y), spacings, strict=True):
+            for other in (across[:, ::-1], -across[::-1]):
+                off = max(off, float(np.nanmax(np.abs(across - other))) / spacing)
+        return off > _SAME
+
+    def between(self, free: tuple[int, int], held: tuple[int, int]) -> tuple[float, float]:
+        """Place, m, where the link from a free node to a held neighbour ends."""
+        (i, j), (k, m) = free, held
+        if i == k:
+            end = self.across_y[int(m > j), i]
+            return self.x[i], float(np.clip(end, *sorted((self.y[j], self.y[m]))))
+        end = self.across_x[int(k > i), j]
+        return float(np.clip(end, *sorted((self.x[i], self.x[k])))), self.y[j]
+
+
+def _chains(points: Array, at: Array) -> Array:
+    """Where lines at the first coordinate `at` (n,) cross a convex polygon: the lower and upper
+    second coordinate (2, n), NaN where they do not."""
+    turned = np.roll(points, -int(points[:, 0].argmin()), axis=0)
+    far = int(turned[:, 0].argmax())
+    one, other = turned[: far + 1], np.concatenate([turned[far:], turned[:1]])[::-1]
+    found = [np.interp(at, *chain.T, left=np.nan, right=np.nan) for chain in (one, other)]
+    return np.sort(found, axis=0)
+
+
+@dataclass(frozen=True)
+class _Corner:
+    """Of a polygon: its place, m; its node, or None where it is held."""
+
+    place: tuple[float, float]
+    node: tuple[int, int] | None
+
+
+@dataclass(frozen=True)
+class _Triangle:
+    """`share` of it counts. `towards`: nodes beside its own that are held, by node."""
+
+    corners: tuple[_Corner, _Corner, _Corner]
+    share: float
+    towards: dict[tuple[int, int], tuple[int, int]]
+
+
+def _triangles(grid: _Crossings, i: int, j: int) -> Iterator[_Triangle]:
+    """What is left of the cell from node (i, j) on."""
+    ring = [(i + a, j + b) for a, b in _CORNERS]
+    polygon: list[_Corner] = []
+    towards: dict[tuple[int, int], tuple[int, int]] = {}
+    for one, other in zip(ring, (*ring[1:], ring[0]), strict=True):
+        if grid.inside[one]:
+            polygon.append(_Corner((grid.x[one[0]], grid.y[one[1]]), one))
+        if grid.inside[one] != grid.inside[other]:
+            free, held = (one, other) if grid.inside[one] else (other, one)
+            polygon.append(_Corner(grid.between(free, held), None))
+            towards[free] = held
+    for part, share in _divided(polygon):
+        yield _Triangle(part, share, towards)
+
+
+def _divided(
+    polygon: Sequence[_Corner],
+) -> Iterator[tuple[tuple[_Corner, _Corner, _Corner], float]]:
+    """A convex polygon of 3 to 6 corners in triangles, and how much each counts."""
+    count = len(polygon)
+    if count <= 4:
+        for (a, b, c), share in _DIVISIONS[count]:
+            yield (polygon[a], polygon[b], polygon[c]), share
+        return
+    # from the free node after a crossing to the free node before the next one
+    first = next(k for k in range(count) if polygon[k].node is None and polygon[k - 1].node)
+    turned = [*polygon[first - 1 :], *polygon[: first - 1]]
+    yield from _divided(turned[:4])  # free, crossing, crossing, free
+    yield from _divided([turned[0], *turned[3:]])
+
+
+def _grouped(triangles: Sequence[_Triangle], rows: int, cell: float) -> tuple[Array, float]:
+    """Groups (n, 13, 8) of triangles for the kernel, and the area of all."""
+    line = -(-rows // _TOGETHER) * _TOGETHER
+    found = []
+    total = 0.0
+    for one in triangles:
+        p = np.array([corner.place for corner in one.corners])
+        doubled = float(np.linalg.det(p[1:] - p[0]))
+        next_, after = np.roll(p, -1, axis=0), np.roll(p, -2, axis=0)
+        if doubled < _NOTHING * cell:
+            continue
+        by_x, by_y = (next_ - after)[:, 1] / doubled, (after - next_)[:, 0] / doubled
+        nodes = [corner.node for corner in one.corners]
+        numbers = [0 if node is None else node[0] * line + node[1] for node in nodes]
+        links = [_link(nodes[a], nodes[(a + 1) % 3], one.towards, line) for a in range(3)]
+        total += one.share * doubled / 2
+        found.append([one.share * doubled / 2, *by_x, *by_y, *numbers, *links])
+    groups = np.zeros((-(-len(found) // _TOGETHER) * _TOGETHER, 13))
+    groups[: len(found)] = found
+    return np.ascontiguousarray(groups.reshape(-1, _TOGETHER, 13).swapaxes(1, 2)), total
+
+
+def _link(
+    one: tuple[int, int] | None,
+    other: tuple[int, int] | None,
+    towards: dict[tuple[int, int], tuple[int, int]],
+    line: int,
+) -> int:
+    """The link that stands for a triangle's side."""
+    free = one or other
+    if free is None:
+        return 0
+    if one is None or other is None:
+        if free not in towards:
+            return 0
+        one, other = free, towards[free]
+    (i, j), (k, m) = sorted((one, other))
+    return 0 if i != k and j != m else 2 * (i * line + j) + (i == k)

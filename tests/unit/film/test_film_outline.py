@@ -1,0 +1,139 @@
+"""The film in frames that are no rectangles: against closed forms, Ritz's method, and rectangles
+that are turned on the grid."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mjtactile import Film, InputError, load_sensor
+from mjtactile.core.ritz import inflated_height
+from mjtactile.core.rubber import Law
+
+PRESSURE = 1000.0
+HALF = 15e-3
+ROUND = load_sensor("round30")
+HEXAGON = tuple((HALF * np.cos(a), HALF * np.sin(a)) for a in np.arange(6) * np.pi / 3)
+OUTLINES = {
+    "circle": ROUND,
+    "ellipse": load_sensor("ellipse"),
+    "rounded": replace(
+        ROUND, frame=replace(ROUND.frame, shape="rounded", width=20e-3, corner_radius=4e-3)
+    ),
+    "hexagon": replace(
+        ROUND, frame=replace(ROUND.frame, shape="polygon", corners=HEXAGON, corner_radius=2e-3)
+    ),
+}
+SHAPES = pytest.mark.parametrize("design", OUTLINES.values(), ids=OUTLINES)
+
+
+@SHAPES
+def test_the_sheet_rests_where_ritz_s_does(design):
+    rest = Film(design, (41, 31), PRESSURE).rest
+    # 0.05 % of the rectangle at this spacing; a staircase of held nodes moves the rim by half a spacing of 30
+    height = inflated_height(design, PRESSURE)
+    assert rest.heights[20, 15] == pytest.approx(height, rel=5e-4)
+
+
+def test_a_taut_circle_is_a_paraboloid():
+    membrane = replace(ROUND.membrane, law=Law.STVK)
+    pressure = 20.0
+    rest = Film(replace(ROUND, membrane=membrane), (41, 41), pressure).rest
+    height = pressure * HALF**2 / (4 * membrane.pretension)  # 39 um: stretched by 1e-5 more
+    # the chords that stand for the circle are 0.1 % of its radius inside, of a cell that varies
+    assert rest.heights[20, 20] == pytest.approx(height, rel=1e-3)
+    assert rest.volume == pytest.approx(height * np.pi * HALF**2 / 2, rel=3e-3)
+
+
+@SHAPES
+def test_what_the_outline_costs_falls_with_the_spacing_s_square(design):
+    volumes = [Film(design, (n, n), PRESSURE).rest.volume for n in (16, 31, 61)]
+    # 4; nodes come to lie anywhere beside an outline, which scatters it
+    assert 2.6 < (volumes[1] - volumes[0]) / (volumes[2] - volumes[1]) < 6
+
+
+def turned_square(angle):
+    """A square frame, its corners rounded as little as can be, turned on the film's grid, and how
+    it is turned."""
+    c, s = np.cos(angle), np.sin(angle)
+    R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    corners = HALF * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) @ R[:2, :2].T
+    side = 2 * np.abs(corners).max()
+    frame = replace(
+        ROUND.frame, shape="polygon", corners=tuple(map(tuple, corners)), corner_radius=0.5e-3,
+        length=side, width=side,
+    )  # fmt: skip
+    return replace(ROUND, frame=frame), R
+
+
+def square_film():
+    frame = replace(load_sensor("dense").frame, length=2 * HALF, width=2 * HALF)
+    return Film(replace(ROUND, frame=frame), (31, 31), PRESSURE)
+
+
+def bodies(film, R):
+    top = float(film.rest.heights.max())
+    place = (R @ [4e-3, 2e-3, top - 1.5e-3]) + [0, 0, 6e-3]
+    yield film.obstacle("sphere", (6e-3,), p_SO=place)
+    yield film.obstacle("cylinder", (4e-3, 6e-3), p_SO=place)
+    yield film.obstacle("sphere", (4e-3,), p_SO=(R @ [9e-3, 0, top - 2e-3]) + [0, 0, 4e-3])
+
+
+@pytest.mark.parametrize("degrees", [20, 45])
+def test_a_turned_square_is_a_square(degrees):
+    """At 45 degrees it is symmetric as the film's matrices are, at 20 it is not."""
+    design, R = turned_square(np.radians(degrees))
+    count = 2 * round(design.frame.length / 2e-3) + 1
+    film = Film(design, (count, count), PRESSURE)
+    plain = square_film()
+    assert film.rest.volume == pytest.approx(plain.rest.volume, rel=4e-3)  # spacings' squares
+    for turned, straight in zip(bodies(film, R), bodies(plain, np.eye(3)), strict=True):
+        state, other = film.solve(turned), plain.solve(straight)
+        assert state.converged
+        # on nodes 1 mm apart balls and faces are within 2 % of the full sheet (bench film)
+        assert state.force_normal == pytest.approx(other.force_normal, rel=0.03)
+        assert state.pressure_gauge == pytest.approx(other.pressure_gauge, rel=5e-3)
+        np.testing.assert_allclose(R.T @ state.wrench[:3], other.wrench[:3], atol=6e-3)
+        stuck, held = film.patches(state)[0], plain.patches(other)[0]
+        pulled = R[:2, :2].T @ stuck.stiffness[:2, :2] @ R[:2, :2]
+        # on whole nodes of a contact three to five of them wide
+        np.testing.assert_allclose(pulled, held.stiffness[:2, :2], atol=0.13 * pulled[0, 0])
+
+
+@pytest.mark.parametrize("name", ["circle", "hexagon"])
+def test_derivatives_are_differences(monkeypatch, name):
+    monkeypatch.setattr("mjtactile.film.film.TOLERANCE", 1e-10)  # m; differences are of 1e-6
+    film = Film(OUTLINES[name], (21, 17), PRESSURE)
+    top = float(film.rest.heights.max())
+
+    def settled(at, state=film.rest):
+        for _ in range(3):  # bodies are looked at for three steps of a solution only
+            state = film.solve(film.obstacle("sphere", (8e-3,), at), state)
+        return state
+
+    at = np.array([3.3e-3, -2.7e-3, top - 1e-3 + 8e-3])
+    state = settled(at)
+    by = film.derivatives(state, lambda n: film.obstacle("sphere", (8e-3,), n), at)
+    for k, step in enumerate(1e-6 * np.eye(3)):
+        low, high = settled(at - step, state), settled(at + step, state)
+        displaced = (high.displacements - low.displacements) / 2e-6
+        # what differences leave, as of rectangles
+        np.testing.assert_allclose(by.displacements[k], displaced, atol=1e-3 * np.ptp(displaced))
+        force = (high.force_normal - low.force_normal) / 2e-6
+        assert by.force_normal[k] == pytest.approx(force, rel=1e-3, abs=1e-3 * 150)  # N/m
+
+
+def test_what_touches_the_round_rim_is_told():
+    film = Film(ROUND, (21, 21), PRESSURE)
+    aside = HALF / np.sqrt(2)  # within the square about it, and over the rim
+    ball = film.obstacle("sphere", (5e-3,), p_SO=(aside, aside, 4e-3))
+    with pytest.raises(InputError, match="rim"):
+        film.solve(ball)
+
+
+def test_a_film_that_was_put_away_knows_its_outline():
+    film = Film(ROUND, (21, 21), PRESSURE)
+    again = pickle.loads(pickle.dumps(film))
+    ball = film.obstacle("sphere", (5e-3,), p_SO=(0, 0, 6e-3))
+    assert np.array_equal(again.solve(ball).heights, film.solve(ball).heights)
