@@ -2,11 +2,11 @@
 `mjtactile.Film`.
 
 What it is. The sensor's sheet with its own rubber (neo-Hookean, pre-stretched) on a regular grid of
-1 to 2 mm, which an outline that is no rectangle cuts (`cutting.py`), over its gas, at rest on bodies
-that are heights over it. Nodes move in all three directions. Each step solves twice: for the heights with a film's stiffness under the sheet's
-tension, and in the plane with one constant matrix; residuals are the sheet's own, so that the
-result is the sheet's, not the matrices'. A state goes on as it came (`FilmState.trend`): bodies
-that move evenly want one step.
+1 to 2 mm, which an outline that is no rectangle cuts (`cutting.py`), over its gas, at rest on
+bodies that are heights over it. Nodes move in all three directions. Each step solves twice: for the
+heights with a film's stiffness under the sheet's tension, and in the plane with one constant
+matrix; residuals are the sheet's own, so that the result is the sheet's, not the matrices'. A state
+goes on as it came (`FilmState.trend`): bodies that move evenly want one step.
 
 What it leaves out, and what that costs (docs/benchmarks.md, `bench film`):
 - Bending: nothing that a sheet of 0.3 mm shows, but for features narrower than about five
