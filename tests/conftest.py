@@ -3,6 +3,7 @@
 import gc
 import os
 import signal
+import sys
 
 import pytest
 
@@ -12,6 +13,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Emulated devices, their watchdogs and whoever talks to them: tests share their computer with each
 # other, and a rented one may stand still for half a second. Before anything imports mjtactile.
 os.environ.setdefault("MJTACTILE_SLOW", "3")
+# Where no bytecode may be written each process compiles what it imports: half a second for each
+# `mjtactile` that a test starts, and all tests anew in each worker. Before there are workers.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 for number, handler in {
     signal.SIGINT: signal.default_int_handler,
     signal.SIGQUIT: signal.SIG_DFL,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import importlib.machinery
 import importlib.util
 import queue
 import sys
@@ -161,6 +162,14 @@ def _line(path: Path, stack: traceback.StackSummary) -> str | None:
     return None
 
 
+class _AsItStands(importlib.machinery.SourceFileLoader):
+    """Compiles a file as it is now and keeps nothing beside it. What Python keeps of a file it
+    takes for current if time and length are the same: an edit within a second could be missed."""
+
+    def get_code(self, fullname: str) -> types.CodeType:
+        return self.source_to_code(self.get_data(self.path), self.path)
+
+
 def load_controller(name_or_path: str | Path) -> Controller:
     """Load a controller.
 
@@ -181,6 +190,8 @@ def load_controller(name_or_path: str | Path) -> Controller:
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise InputError("not a Python file", source=path, field="controller")
+    if isinstance(spec.loader, importlib.machinery.SourceFileLoader):
+        spec.loader = _AsItStands(name, str(path))
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # where dataclasses look up the types of their fields
     try:

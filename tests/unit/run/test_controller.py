@@ -1,5 +1,8 @@
 """Loading a user's controller file."""
 
+import os
+import sys
+
 import pytest
 
 from mjtactile.core.errors import ControllerError
@@ -41,3 +44,15 @@ def test_whatever_importing_raises_is_one_line(tmp_path, raised):
     path.write_text(f"raise {raised}\n")
     with pytest.raises(ControllerError, match=r"mine\.py: does not import: "):
         load_controller(path)
+
+
+def test_an_edit_of_the_same_length_within_a_second_is_seen_and_nothing_is_left(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    path = tmp_path / "mine.py"
+    for answer in ("1", "2"):
+        path.write_text(f"def step(observation):\n    return {answer}\n")
+        os.utime(path, (1.0, 1.0))
+        assert load_controller(path).function(None) == int(answer)
+    assert list(tmp_path.iterdir()) == [path]
