@@ -32,6 +32,7 @@ _FLAGS = [
     "-O3",
     "-fPIC",
     "-shared",
+    "-g0",
     "-fno-math-errno",
     "-fno-trapping-math",
     "-fno-signed-zeros",
@@ -48,6 +49,9 @@ PLATFORMS = {
     "darwin-arm64": ("aarch64-macos.11.0", "macosx_11_0_arm64"),
     "darwin-x86_64": ("x86_64-macos.11.0", "macosx_11_0_x86_64"),
 }
+# Without its own runtime library, of which the kernels need nothing: to compile that takes
+# as long as to compile them. What would be missing is an error of the build.
+_ZIG_FLAGS = {"linux": ["-nostdlib", "-Wl,-z,defs"], "darwin": ["-nostdlib"]}
 # Instruction sets that are worth a library of their own, the best first: what the processor must
 # have, and the flag.
 _X86_SETS = [("avx2", {"avx2", "fma", "bmi2"}, ["-mavx2", "-mfma", "-mbmi2"]), ("sse2", set(), [])]
@@ -140,7 +144,7 @@ def _processor_flags() -> set[str]:
 
 
 def _hash() -> str:
-    text = hashlib.sha256(repr((_FLAGS, PLATFORMS)).encode())
+    text = hashlib.sha256(repr((_FLAGS, PLATFORMS, _ZIG_FLAGS)).encode())
     for path in [*sources(), *sorted(FOLDER.glob("*.h"))]:
         text.update(path.read_bytes())
     return text.hexdigest()[:12]
@@ -161,7 +165,8 @@ def _compiler(target: str) -> list[str]:
         zig = [sys.executable, "-m", "ziglang", "cc"]
         # Without a target Zig compiles for this very processor, whatever it has.
         if target in PLATFORMS:
-            return [*zig, "-target", PLATFORMS[target][0]]
+            system = target.partition("-")[0]
+            return [*zig, "-target", PLATFORMS[target][0], *_ZIG_FLAGS[system]]
         return zig
     if target != this_platform():
         raise RuntimeError(f"only Zig compiles for {target} here: pip install ziglang")
@@ -175,7 +180,8 @@ def _compiler(target: str) -> list[str]:
 
 def _compile(out: Path, instructions: str, target: str) -> None:
     flags = next(flags for name, _, flags in _sets(target) if name == instructions)
-    command = [*_compiler(target), *_FLAGS, *flags, "-o", str(out), *map(str, sources()), "-lm"]
+    command = [*_compiler(target), *_FLAGS, *flags, "-o", str(out), *map(str, sources())]
+    command += ["-lc", "-lm"]
     # a build folder of its own: a user's home may not be writable
     environment = {
         **os.environ,
