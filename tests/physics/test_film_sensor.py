@@ -7,6 +7,7 @@ import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
+from mjtactile.sensing.force.sheet import Gas, Sheet
 from mjtactile.sim import truth
 from mjtactile.sim.attach import attach_membrane, recommend_options
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
@@ -218,3 +219,33 @@ def test_what_is_far_below_the_rim_stops_it_when_it_stays():
     for _ in range(30):
         sensor.update()
     assert "rim" in sensor.failure()
+
+
+@pytest.mark.parametrize("name", ["round30", "ellipse"])
+def test_in_a_round_frame_markers_stand_where_sensing_s_sheet_has_them(name):
+    """Whose splines are another method on another grid, right to 1e-5 (test_ritz.py)."""
+    design = load_sensor(name)
+    world = PressWorld(design, Indenter("sphere", 0.008), effects=FILM)
+    world.inflate(1000.0, seal=True)
+    found, normals = world.sensors[0].marker_poses()
+    sheet = Sheet(design, (14, 14))
+    c = sheet.equilibrium(Gas(1000.0))
+    flat = design.markers.p_SM
+    basis = sheet.basis(sheet.own(flat[:, :2]))
+    # on nodes 1.5 and 2 mm apart: 2.5 um and 4 um at the rim; the camera sees 19
+    np.testing.assert_allclose(found, flat + basis @ c.T, atol=6e-6)
+    assert np.abs(np.linalg.norm(normals, axis=1) - 1).max() < 1e-12
+    mesh = world.sensors[0].mesh
+    rim = np.setdiff1d(np.arange(len(mesh.p_SV)), mesh.interior)
+    assert np.array_equal(world.sensors[0].p_SV[rim], mesh.p_SV[rim])
+
+
+def test_in_a_round_frame_it_bears_what_the_mesh_bears():
+    design = load_sensor("round30")
+    force = []
+    for effects in (PHYSICS, FILM):
+        world = PressWorld(design, Indenter("sphere", 0.012), effects=effects, at=(3e-3, -2e-3))
+        world.inflate(1000.0, seal=True)
+        assert world.press(1.5e-3)
+        force.append(-truth.contact_force(world, 0)[2])
+    assert force[1] == pytest.approx(force[0], rel=0.035)  # as of `dense`

@@ -20,7 +20,7 @@ from mjtactile.film import Status
 from mjtactile.film.live import HEAT_RATIO, LiveFilm
 from mjtactile.kernels import bound, words
 from mjtactile.sim.sensor import limits
-from mjtactile.sim.sensor.films import FEELER, bulge_stiffness, film_of, sticking_of
+from mjtactile.sim.sensor.films import FEELER, bulge_stiffness, film_of, onto_mesh, sticking_of
 from mjtactile.sim.sensor.geoms import FeltGeoms
 from mjtactile.sim.sensor.mesh import MembraneMesh
 from mjtactile.sim.sensor.pushes import HOLD, pushes_of
@@ -55,13 +55,15 @@ class FilmSensor(SheetSensor):
         prefix: str,
         effects: frozenset[str],
     ):
-        """`mesh` is the film's grid. Raises InputError for a scene that a film cannot feel."""
+        """`mesh` is as fine as the film's grid, and the same of a rectangle. Raises InputError for
+        a scene that a film cannot feel."""
         super().__init__(model, data, design, mesh, prefix, effects)
         self._model = model
         self.flex_id = _NO_FLEX
         self.vertex_geom_ids = np.array([model.geom(prefix + FEELER).id])
         self.contact_ids = np.array([*self.vertex_geom_ids.repeat(2), self.flex_id])
         self._film = film = film_of(design, (mesh.nx, mesh.ny))
+        self._onto_mesh = onto_mesh(film, mesh)
         top = float(film.rest.x[2].max())
         half = math.hypot(design.frame.length, design.frame.width) / 2
         reach = math.hypot(half, top) + 1e-3
@@ -301,15 +303,16 @@ class FilmSensor(SheetSensor):
 
     @property
     def p_SV(self) -> Array:
-        """Positions (n, 3) m in S of the film's nodes now, the frame's among them."""
+        """Positions (n, 3) m in S of the mesh's vertices on the film now, the frame's among them:
+        of a rectangle, the film's nodes."""
         self._look()
-        p_SV = self.mesh.p_SV + self._live.x.reshape(3, -1).T
+        moved = self._live.x.reshape(3, -1).T.copy()
         strain = self._memory[_STRAIN]
         if self.is_touched and strain.any():
             held = np.where(self._touched[0], self._live.force + 1e-9, 0.0)
             spread = self._sticking.grip(self._live.x, held).spread
-            p_SV[self.mesh.interior, :2] += (spread @ strain).T
-        return p_SV
+            moved[self.mesh.interior, :2] += (spread @ strain).T
+        return self.mesh.p_SV + (moved if self._onto_mesh is None else self._onto_mesh @ moved)
 
     @property
     def heights(self) -> Array:

@@ -1,0 +1,74 @@
+"""What a film's nodes say of the places between them: cubic splines through all nodes.
+
+Beyond an outline that is no rectangle, nodes are held at nothing, where a spline would have a kink.
+So displacements are continued over the outline, on which they vanish: at each node outside by the
+quadratic polynomial that fits free nodes and the outline about the nearest place of it best.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjtactile.core.bspline import interpolating
+from mjtactile.core.types import Array
+from mjtactile.film.cutting import moving
+from mjtactile.film.film import Film
+
+_BEYOND = 4.0  # spacings that are continued; a spline forgets to a quarter with each
+_ABOUT = 3.0  # spacings, about the nearest place, that are fitted
+_POINTS = 1440  # of the outline
+_APART = 0.7  # spacings, of those that are fitted
+
+
+def carried(film: Film, places: Array) -> Array:
+    """How nodes' displacements carry over to places of the sheet.
+
+    Args:
+        film: Of any outline.
+        places: (n, 2) m, of the flat sheet.
+
+    Returns:
+        (n, nx * ny) of displacements there, by those of the nodes; the sheet does not move on the
+        frame.
+    """
+    across, along = (
+        interpolating(line, np.clip(at, line[0], line[-1]))[0]
+        for line, at in zip((film.x, film.y), np.asarray(places, dtype=float).T, strict=True)
+    )
+    by_node = (across[:, :, None] * along[:, None, :]).reshape(len(across), -1)
+    outline = film.design.frame.outline
+    if outline is None:
+        return by_node
+    outside, by_free = _continued(film)
+    return np.where(
+        outline.distance(places)[:, None] > 0, by_node + by_node[:, outside] @ by_free, 0
+    )
+
+
+def _continued(film: Film) -> tuple[Array, Array]:
+    """Numbers (m,) of the nodes beside an outline, and their displacements (m, nx * ny) by those of
+    all nodes."""
+    outline = film.design.frame.outline
+    assert outline is not None
+    spacing = np.array([film.x[1] - film.x[0], film.y[1] - film.y[0]])
+    nodes = np.stack(np.meshgrid(film.x, film.y, indexing="ij"), axis=-1).reshape(-1, 2)
+    free = moving(film._cut, film.grid).ravel()
+    rim = outline.points(_POINTS)
+    length = np.linalg.norm(rim - np.roll(rim, 1, axis=0), axis=1).sum()
+    fitted = rim[:: max(int(_APART * spacing.min() / length * _POINTS), 1)] / spacing
+    inner = np.flatnonzero(free)
+    candidates = np.flatnonzero(~free & (outline.distance(nodes) > -_BEYOND * spacing.max()))
+    by_free = np.zeros((len(candidates), len(nodes)))
+    for row, node in enumerate(candidates):
+        middle = rim[np.square((rim - nodes[node]) / spacing).sum(axis=1).argmin()] / spacing
+        near = inner[np.square(nodes[inner] / spacing - middle).sum(axis=1) < _ABOUT**2]
+        held = fitted[np.square(fitted - middle).sum(axis=1) < _ABOUT**2]
+        off = np.concatenate([nodes[near] / spacing, held]) - middle
+        fit = np.linalg.pinv(_powers(off))[:, : len(near)]
+        by_free[row, near] = (_powers(nodes[node][None] / spacing - middle) @ fit)[0]
+    return candidates, by_free
+
+
+def _powers(off: Array) -> Array:
+    x, y = off.T
+    return np.column_stack([np.ones(len(off)), x, y, x**2, x * y, y**2])
