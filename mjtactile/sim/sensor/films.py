@@ -6,14 +6,10 @@ from __future__ import annotations
 from functools import lru_cache
 
 import mujoco
-import numpy as np
 
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.types import Array
 from mjtactile.film import Film
 from mjtactile.film.live import Sticking
-from mjtactile.film.places import carried
-from mjtactile.sim.sensor.mesh import MembraneMesh
 
 FILM_GRID = (21, 16)
 FEELER = "feeler"
@@ -37,17 +33,6 @@ def add_feeler(body: mujoco.MjsBody, design: SensorDesign) -> None:
 def film_of(design: SensorDesign, grid: tuple[int, int]) -> Film:
     """The film of a sensor, made once a process and shared: nothing in it changes."""
     return Film(design, grid)
-
-
-def onto_mesh(film: Film, mesh: MembraneMesh) -> Array | None:
-    """Displacements of a mesh's vertices by those of a film's nodes, (n, nodes); None: both are the
-    same, as a rectangle's are."""
-    if film.design.frame.outline is None:
-        return None
-    by_node = carried(film, mesh.p_SV[:, :2])
-    frame = np.setdiff1d(np.arange(len(mesh.p_SV)), mesh.interior)
-    by_node[frame] = 0.0
-    return by_node
 
 
 @lru_cache(maxsize=64)
