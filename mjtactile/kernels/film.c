@@ -442,7 +442,7 @@ int64_t film_solve(const double *numbers, const double *law, int64_t columns, in
 
 /* The sheet's stiffness at `x`, less that of a gas, in memory of its own, to be freed by `block[0]`; 1: there is none left. */
 static int stiffness_at(const Film *f, const double *x, double pressure, Stencil *stencil) {
-    double *room = malloc(film_stencil_size(f) * sizeof *room);
+    float *room = malloc(film_stencil_size(f) * sizeof *room);
     if (!room) return 1;
     *stencil = film_stencil_in(f, &room);
     film_stencil(f, x, pressure, stencil);

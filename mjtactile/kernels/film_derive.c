@@ -23,7 +23,6 @@ typedef struct {
     Seen seen;
     SheetFields fields;                 /* (3, count) twice: forces, and the volume's slopes */
     Stencil stiffness;
-    float *singles;                     /* of the stiffness */
     float *band;                        /* of panels, 3 inner */
     double *slope, *spring, *obstacle;  /* where the film is: (2, count), (4, count), (count) */
     double *at, *pressed;               /* the film: (3, count), (count) */
@@ -45,8 +44,8 @@ static long band_of(const Film *f) { return panels_of(f) * PANEL * panels_height
 static long rows_of(const Film *f) { return panels_of(f) * PANEL + panels_height(FILM_WIDTH(f)); }
 
 static long room_of(const Film *f) {
-    const long singles = FILM_SINGLES(f) + band_of(f) + PANEL * (rows_of(f) + 14 * f->count);
-    return film_seen_size(f) + film_stencil_size(f) + singles / 2 + (3 + 3 + 4 + 7 + 4 + 8) * f->count + 32;
+    const long singles = film_stencil_size(f) + band_of(f) + PANEL * (rows_of(f) + 14 * f->count);
+    return film_seen_size(f) + singles / 2 + (3 + 3 + 4 + 7 + 4 + 8) * f->count + 32;
 }
 
 int64_t film_derive_room(const double *numbers) {
@@ -59,9 +58,9 @@ static Tangent tangent_in(const Film *f, double *room) {
     Tangent t = {.seen = film_seen_in(f, &room)};
     t.fields.elastic = film_take(&room, 3 * n), t.fields.gradient = film_take(&room, 3 * n);
     t.fields.along_x = t.seen.along_x, t.fields.along_y = t.seen.along_y;
-    t.stiffness = film_stencil_in(f, &room);
+    float *floats = (float *)film_take(&room, film_stencil_size(f) / 2);
+    t.stiffness = film_stencil_in(f, &floats);
     t.at = film_take(&room, 3 * n + 8), t.pressed = film_take(&room, n);
-    t.singles = (float *)film_take(&room, FILM_SINGLES(f) / 2); /* lines are whole eights */
     t.band = (float *)film_take(&room, band_of(f) / 2), t.rhs = (Eight *)film_take(&room, PANEL / 2 * rows_of(f));
     t.slope = film_take(&room, 2 * n), t.spring = film_take(&room, 4 * n), t.obstacle = film_take(&room, n);
     t.x = film_take(&room, 3 * n + 8), t.force = film_take(&room, n), t.base = film_take(&room, 4 * n), t.pressed_on = film_take(&room, 4 * n);
@@ -85,18 +84,18 @@ static void add_entry(const Film *f, float *band, long m, int k, long n, int l, 
 }
 
 /* Heights of what touches go with the slopes: their rows and columns are added to those in the plane. */
-static void eliminate(const Film *f, const Tangent *t, int pair, long node, double K[3][3]) {
+static void eliminate(const Film *f, const Tangent *t, int pair, long node, float K[3][3]) {
     const long other = node + film_pair(f, pair);
     for (int k = 0; k < 3; k++)
         for (int l = 0; l < 3; l++) K[k][l] = film_block(&t->stiffness, pair, k, l, node);
     if (t->seen.touching[node])
         for (int l = 0; l < 3; l++) {
-            for (int k = 0; k < 2; k++) K[k][l] += t->slope[k * f->count + node] * K[2][l];
+            for (int k = 0; k < 2; k++) K[k][l] += (float)t->slope[k * f->count + node] * K[2][l];
             K[2][l] = 0;
         }
     if (t->seen.touching[other])
         for (int k = 0; k < 3; k++) {
-            for (int l = 0; l < 2; l++) K[k][l] += t->slope[l * f->count + other] * K[k][2];
+            for (int l = 0; l < 2; l++) K[k][l] += (float)t->slope[l * f->count + other] * K[k][2];
             K[k][2] = 0;
         }
 }
@@ -107,15 +106,15 @@ static void add_pairs(const Film *f, const Tangent *t) {
         for (long node = i * f->line + 1; node < i * f->line + f->rows - 1; node++)
             for (int pair = 0; pair < PAIRS; pair++) {
                 const long first = 3 * film_inner(f, node), other = 3 * film_inner(f, node + film_pair(f, pair));
-                double K[3][3];
+                float K[3][3];
                 if (first < 0 || other < 0) continue;
                 eliminate(f, t, pair, node, K);
                 for (int k = 0; k < 3; k++) {
                     float *column = t->band + (first + k) * height - (first + k) / PANEL * PANEL + other;
                     const int below = pair != PAIR_OWN; /* written out: as a loop it becomes masked vectors, at three times the time */
-                    if (below || k == 0) column[0] += (float)K[k][0];
-                    if (below || k <= 1) column[1] += (float)K[k][1];
-                    column[2] += (float)K[k][2];
+                    if (below || k == 0) column[0] += K[k][0];
+                    if (below || k <= 1) column[1] += K[k][1];
+                    column[2] += K[k][2];
                 }
             }
 }
@@ -164,7 +163,7 @@ static int make_tangent(const Film *f, const Bodies *bodies, const double *x, co
     const long height = panels_height(FILM_WIDTH(f));
     memset(t->band, 0, band_of(f) * sizeof *t->band);
     for (long k = 3 * f->inner; k < panels_of(f) * PANEL; k++) t->band[k * height + k % PANEL] = 1; /* behind the last */
-    film_stencil(f, x, t->pressure, &t->stiffness), film_stencil_singles(f, &t->stiffness, t->singles);
+    film_stencil(f, x, t->pressure, &t->stiffness);
     add_pairs(f, t), add_springs(f, t), add_bends(f, bodies, x, force, t);
     for (long k = 0; k < 3 * f->inner && f->inside; k++) /* what an outline holds has a row of its own */
         if (t->band[k * height + k % PANEL] == 0) t->band[k * height + k % PANEL] = 1;
@@ -284,7 +283,7 @@ static void sweep(const Film *f, Tangent *t, int last) {
         t->given[2 * count + k] = off, t->found[2 * count + k] += off;
         t->swells += v[2 * count + k] * __builtin_convertvector(off, Lanes);
     }
-    film_stencil_times(f, t->singles, first, behind, t->given, t->borne), times_springs(f, t, t->given, t->residual);
+    film_stencil_times(f, &t->stiffness, first, behind, t->given, t->borne), times_springs(f, t, t->given, t->residual);
     const Eight gas = __builtin_convertvector(t->gas_stiffness * t->swells, Eight);
     for (long k = 0; k < count; k++) {
         const long m = film_inner(f, k);
@@ -301,7 +300,7 @@ static void sweep(const Film *f, Tangent *t, int last) {
     memset(t->given, 0, 3 * count * sizeof *t->given);
     solve(f, t);
     const long from = last ? (long)most(first - 1, 0) : 0, to = last ? (long)least(behind + 1, f->columns) : f->columns;
-    film_stencil_times(f, t->singles, from, to, t->given, t->borne), times_springs(f, t, t->given, t->residual);
+    film_stencil_times(f, &t->stiffness, from, to, t->given, t->borne), times_springs(f, t, t->given, t->residual);
     const Eight last_gas = __builtin_convertvector(t->gas_stiffness * t->swells, Eight);
     for (long k = first * f->line; k < behind * f->line; k++) {
         const long z = 2 * count + k;
@@ -404,7 +403,7 @@ int64_t film_derive(const double *numbers, const double *law, int64_t columns, i
         Lanes tension = {0};
         for (int c = 0; c < 3; c++)
             for (long k = 0; k < count; k++)
-                tension += t.stiffness.tension_by[c * t.stiffness.apart + k] * __builtin_convertvector(t.found[c * count + k], Lanes);
+                tension += (double)t.stiffness.tension_by[c * t.stiffness.apart + k] * __builtin_convertvector(t.found[c * count + k], Lanes);
         for (long a = 0; a < many; a++) sums_by(&f, change + a, (int)a, tension[a], x, force, &t, by_found + (first + a) * FOUND);
         hand_over(&f, t.found, many, by_x + first * 3 * nodes, by_force + first * nodes);
     }

@@ -45,7 +45,7 @@ static void add_pair(const Film *f, const Halves *h, const Stencil *s, int pair,
                 double share[2];
                 const long row = unknown_of(f, h, ends[end], end ? l : k, kind, share);
                 const long column = unknown_of(f, h, ends[pair == PAIR_OWN ? 0 : !end], end ? k : l, kind, share + 1);
-                const double value = share[0] * share[1] * film_block(s, pair, k, l, node);
+                const double value = share[0] * share[1] * (double)film_block(s, pair, k, l, node);
                 if (row >= column) factor[column * h->height + row - column / PANEL * PANEL] += (float)value;
             }
 }

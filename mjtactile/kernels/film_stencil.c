@@ -5,24 +5,27 @@
 #include <math.h>
 #include <string.h>
 
-#define LEAST_DET 1e-2
+#define LEAST_DET 1e-2f
 
 /* One corner of eight cells: its tangents, the other ends of its edges along x and y, and the energy's derivatives by tangents. */
 typedef struct {
-    Lanes g[2][3], height;
-    double over[2];          /* of the edges, 1/m, signed */
-    Lanes by[2][2][3][3];    /* second, of tangent a's component k and tangent b's l */
-    Lanes tension_by[2][3];  /* of the mean tension */
+    Eight g[2][3], height;
+    float over[2];           /* of the edges, 1/m, signed */
+    Eight by[2][2][3][3];    /* second, of tangent a's component k and tangent b's l */
+    Eight tension_by[2][3];  /* of the mean tension */
 } Corner;
 
 long film_stencil_size(const Film *f) { return (9 * PAIRS + 3) * (f->count + LANES); }
 
-Stencil film_stencil_in(const Film *f, double **room) {
+Stencil film_stencil_in(const Film *f, float **room) {
     Stencil s = {.apart = f->count + LANES};
     for (int pair = 0; pair < PAIRS; pair++) s.block[pair] = *room, *room += 9 * s.apart;
     s.tension_by = *room, *room += 3 * s.apart;
     return s;
 }
+
+/* Of places, which are doubles, eight differences or heights. */
+static Eight eight_of(Lanes value) { return __builtin_convertvector(value, Eight); }
 
 static Lanes lanes_at(const double *from) {
     Lanes value;
@@ -30,59 +33,58 @@ static Lanes lanes_at(const double *from) {
     return value;
 }
 
-static void add_at(double *to, Lanes value) {
-    value += lanes_at(to);
-    memcpy(to, &value, sizeof value);
-}
+static Eight eight_at(const double *from) { return eight_of(lanes_at(from)); }
+
+static void add_at(float *to, Eight value) { EIGHT(to) += value; }
 
 /* c/det C of the law and its slope, by 1 / sqrt(det C). */
-static Lanes law_and_slope(const Film *f, Lanes root, Lanes *slope) {
-    const Lanes t = (root - f->numbers.law_middle) * f->numbers.law_per_unit;
-    Lanes value = f->law[FILM_LAW - 1] - 0 * t, by = 0 * t;
-    for (int k = FILM_LAW - 2; k >= 0; k--) by = by * t + value, value = value * t + f->law[k];
-    *slope = by * f->numbers.law_per_unit;
+static Eight law_and_slope(const Film *f, Eight root, Eight *slope) {
+    const Eight t = (root - (float)f->numbers.law_middle) * (float)f->numbers.law_per_unit;
+    Eight value = (float)f->law[FILM_LAW - 1] - 0 * t, by = 0 * t;
+    for (int k = FILM_LAW - 2; k >= 0; k--) by = by * t + value, value = value * t + (float)f->law[k];
+    *slope = by * (float)f->numbers.law_per_unit;
     return value;
 }
 
 /* The law at a corner: stress times thickness `S` (11, 22, 12), and its derivatives `D` by strains e11, e22 and 2 e12 (Eq. F10). */
-static void strain(const Film *f, Corner *c, Lanes weight) {
-    const double M = f->numbers.modulus, nu = f->numbers.poisson, l = f->numbers.lambda2;
-    Lanes C[3] = {0}, S[3], D[3][3], root;
+static void strain(const Film *f, Corner *c, Eight weight) {
+    const float M = (float)f->numbers.modulus, nu = (float)f->numbers.poisson, l = (float)f->numbers.lambda2;
+    Eight C[3] = {0}, S[3], D[3][3], root;
     for (int k = 0; k < 3; k++) C[0] += l * c->g[0][k] * c->g[0][k], C[1] += l * c->g[1][k] * c->g[1][k], C[2] += l * c->g[0][k] * c->g[1][k];
-    const Lanes det = C[0] * C[1] - C[2] * C[2];
-    for (int n = 0; n < LANES; n++) root[n] = 1 / sqrt(det[n] > LEAST_DET ? det[n] : LEAST_DET);
-    const Lanes det_by[3] = {2 * l * C[1], 2 * l * C[0], -2 * l * C[2]}, root_by = -root * root * root / 2;
+    const Eight det = C[0] * C[1] - C[2] * C[2];
+    for (int n = 0; n < LANES; n++) root[n] = 1 / sqrtf(det[n] > LEAST_DET ? det[n] : LEAST_DET);
+    const Eight det_by[3] = {2 * l * C[1], 2 * l * C[0], -2 * l * C[2]}, root_by = -root * root * root / 2;
     memset(D, 0, sizeof D);
     if (f->numbers.neo_hookean != 0) {
-        Lanes slope;
-        const Lanes q = law_and_slope(f, root, &slope);
-        const Lanes A[3] = {C[1], C[0], -C[2]};
+        Eight slope;
+        const Eight q = law_and_slope(f, root, &slope);
+        const Eight A[3] = {C[1], C[0], -C[2]};
         S[0] = M - M * q * C[1], S[1] = M - M * q * C[0], S[2] = M * q * C[2];
         for (int a = 0; a < 3; a++)
             for (int b = 0; b < 3; b++) D[a][b] = -M * A[a] * slope * root_by * det_by[b];
         D[0][1] -= 2 * M * l * q, D[1][0] -= 2 * M * l * q, D[2][2] += M * l * q;
     } else {
-        const Lanes E11 = (C[0] - 1) / 2, E22 = (C[1] - 1) / 2;
+        const Eight E11 = (C[0] - 1) / 2, E22 = (C[1] - 1) / 2;
         S[0] = M * (E11 + nu * E22), S[1] = M * (E22 + nu * E11), S[2] = M * (1 - nu) * C[2] / 2;
         D[0][0] += M * l, D[1][1] += M * l, D[0][1] += nu * M * l, D[1][0] += nu * M * l, D[2][2] += (1 - nu) / 2 * M * l;
     }
-    const Lanes energy = S[0] * C[0] + S[1] * C[1] + 2 * S[2] * C[2];
-    const Lanes own[3] = {2 * l * S[0], 2 * l * S[1], 2 * l * S[2]};
-    Lanes tension[3];
+    const Eight energy = S[0] * C[0] + S[1] * C[1] + 2 * S[2] * C[2];
+    const Eight own[3] = {2 * l * S[0], 2 * l * S[1], 2 * l * S[2]};
+    Eight tension[3];
     for (int e = 0; e < 3; e++) {
         tension[e] = root * (own[e] + C[0] * D[0][e] + C[1] * D[1][e] + 2 * C[2] * D[2][e]) + energy * root_by * det_by[e];
-        tension[e] *= weight / (2 * f->numbers.opening);
+        tension[e] *= weight / (float)(2 * f->numbers.opening);
     }
     for (int k = 0; k < 3; k++) {
         c->tension_by[0][k] = tension[0] * c->g[0][k] + tension[2] * c->g[1][k];
         c->tension_by[1][k] = tension[1] * c->g[1][k] + tension[2] * c->g[0][k];
     }
-    const Lanes stress[2][2] = {{S[0], S[2]}, {S[2], S[1]}}, none = {0};
+    const Eight stress[2][2] = {{S[0], S[2]}, {S[2], S[1]}}, none = {0};
     for (int a = 0; a < 2; a++)
         for (int k = 0; k < 3; k++) {
             /* strains by tangent a's component k, and the stress that these make */
-            const Lanes e[3] = {a ? none : c->g[0][k], a ? c->g[1][k] : none, c->g[1 - a][k]};
-            Lanes made[3];
+            const Eight e[3] = {a ? none : c->g[0][k], a ? c->g[1][k] : none, c->g[1 - a][k]};
+            Eight made[3];
             for (int n = 0; n < 3; n++) made[n] = weight * (D[n][0] * e[0] + D[n][1] * e[1] + D[n][2] * e[2]);
             for (int b = 0; b < 2; b++)
                 for (int m = 0; m < 3; m++)
@@ -91,16 +93,16 @@ static void strain(const Film *f, Corner *c, Lanes weight) {
 }
 
 /* Less what the gas does, whose volume here is height times (g1 x g2)_z. */
-static void push(Corner *c, Lanes pressure, Lanes turn_by[2][3]) {
+static void push(Corner *c, Eight pressure, Eight turn_by[2][3]) {
     c->by[0][1][0][1] -= pressure * c->height, c->by[0][1][1][0] += pressure * c->height;
     c->by[1][0][1][0] -= pressure * c->height, c->by[1][0][0][1] += pressure * c->height;
     for (int a = 0; a < 2; a++) {
-        const double by = (a ? -1 : 1) * c->over[a];
+        const float by = (a ? -1.f : 1.f) * c->over[a];
         turn_by[a][0] = -pressure * by * c->g[1 - a][1], turn_by[a][1] = pressure * by * c->g[1 - a][0], turn_by[a][2] -= turn_by[a][2];
     }
 }
 
-static void add_block(const Stencil *to, int pair, long node, int turned, Lanes block[3][3]) {
+static void add_block(const Stencil *to, int pair, long node, int turned, Eight block[3][3]) {
     for (int k = 0; k < 3; k++)
         for (int m = 0; m < 3; m++) add_at(to->block[pair] + (3 * k + m) * to->apart + node, turned ? block[m][k] : block[k][m]);
 }
@@ -109,18 +111,18 @@ static void add_block(const Stencil *to, int pair, long node, int turned, Lanes 
 static void add_corner(const Film *f, const double *x, double pressure, long i, long j, int ci, int cj, const Stencil *to) {
     const long count = f->count, line = f->line, node = (i + ci) * line + j + cj;
     const long end[2] = {(i + 1 - ci) * line + j + cj, (i + ci) * line + j + 1 - cj};
-    Corner c = {.over = {(ci ? -1 : 1) / f->dx, (cj ? -1 : 1) / f->dy}, .height = lanes_at(x + 2 * count + node)};
-    Lanes weight, turn_by[2][3] = {{{0}}}, across[3][3], own[3][3] = {{{0}}};
-    for (int n = 0; n < LANES; n++) weight[n] = j + n < f->rows - 1 ? f->dx * f->dy / 4 : 0;
-    for (int n = 0; n < LANES && f->whole && j + n < f->rows - 1; n++) weight[n] *= f->whole[i * f->rows + j + n];
+    Corner c = {.over = {(float)((ci ? -1 : 1) / f->dx), (float)((cj ? -1 : 1) / f->dy)}, .height = eight_of(lanes_at(x + 2 * count + node))};
+    Eight weight, turn_by[2][3] = {{{0}}}, across[3][3], own[3][3] = {{{0}}};
+    for (int n = 0; n < LANES; n++) weight[n] = j + n < f->rows - 1 ? (float)(f->dx * f->dy / 4) : 0;
+    for (int n = 0; n < LANES && f->whole && j + n < f->rows - 1; n++) weight[n] *= (float)f->whole[i * f->rows + j + n];
     for (int a = 0; a < 2; a++)
         for (int k = 0; k < 3; k++)
-            c.g[a][k] = (k == a) + c.over[a] * (lanes_at(x + k * count + end[a]) - lanes_at(x + k * count + node));
+            c.g[a][k] = (float)(k == a) + c.over[a] * eight_of(lanes_at(x + k * count + end[a]) - lanes_at(x + k * count + node));
     strain(f, &c, weight);
-    push(&c, weight * pressure, turn_by);
+    push(&c, weight * (float)pressure, turn_by);
     const int pairs[2] = {PAIR_BESIDE, PAIR_UP};
     for (int a = 0; a < 2; a++) {
-        Lanes there[3][3], between[3][3]; /* at the edge's end, and between the corner and it */
+        Eight there[3][3], between[3][3]; /* at the edge's end, and between the corner and it */
         for (int k = 0; k < 3; k++)
             for (int m = 0; m < 3; m++) {
                 there[k][m] = c.over[a] * c.over[a] * c.by[a][a][k][m];
@@ -133,7 +135,7 @@ static void add_corner(const Film *f, const double *x, double pressure, long i, 
         add_block(to, PAIR_OWN, end[a], 0, there);
         add_block(to, pairs[a], a ? (i + ci) * line + j : i * line + j + cj, a ? cj : ci, between);
         for (int k = 0; k < 3; k++) {
-            const Lanes by = c.over[a] * c.tension_by[a][k];
+            const Eight by = c.over[a] * c.tension_by[a][k];
             add_at(to->tension_by + k * to->apart + end[a], by), add_at(to->tension_by + k * to->apart + node, -by);
         }
     }
@@ -143,47 +145,48 @@ static void add_corner(const Film *f, const double *x, double pressure, long i, 
 
 /* Of two corners of eight triangles: the energy's second derivatives by their displacements, less what the gas does, whose volume
    is the corners' mean height times (g1 x g2)_z. */
-static void between_corners(const CutGroup *cut, const Corner *c, double pressure, int a, int b, Lanes block[3][3]) {
-    const Lanes own[2] = {lanes_at(cut->by_x[a]), lanes_at(cut->by_y[a])}, other[2] = {lanes_at(cut->by_x[b]), lanes_at(cut->by_y[b])};
-    const Lanes push = pressure * lanes_at(cut->area), third = push / 3;
+static void between_corners(const CutGroup *cut, const Corner *c, double pressure, int a, int b, Eight block[3][3]) {
+    const Eight own[2] = {eight_at(cut->by_x[a]), eight_at(cut->by_y[a])}, other[2] = {eight_at(cut->by_x[b]), eight_at(cut->by_y[b])};
+    const Eight push = (float)pressure * eight_at(cut->area), third = push / 3;
     for (int k = 0; k < 3; k++)
         for (int m = 0; m < 3; m++) {
             block[k][m] = 0 * push;
             for (int p = 0; p < 2; p++)
                 for (int q = 0; q < 2; q++) block[k][m] += own[p] * other[q] * c->by[p][q][k][m];
         }
-    const Lanes turn = push * c->height * (own[0] * other[1] - own[1] * other[0]);
+    const Eight turn = push * c->height * (own[0] * other[1] - own[1] * other[0]);
     block[0][1] -= turn, block[1][0] += turn;
     block[0][2] -= third * (c->g[1][1] * own[0] - c->g[0][1] * own[1]), block[1][2] -= third * (c->g[0][0] * own[1] - c->g[1][0] * own[0]);
     block[2][0] -= third * (c->g[1][1] * other[0] - c->g[0][1] * other[1]), block[2][1] -= third * (c->g[0][0] * other[1] - c->g[1][0] * other[0]);
 }
 
-static void add_entries(const Film *f, const Stencil *to, long node, long other, const Lanes block[3][3], int lane) {
+static void add_entries(const Film *f, const Stencil *to, long node, long other, const Eight block[3][3], int lane) {
     for (int pair = 0; pair < PAIRS; pair++)
         for (int k = 0; k < 3 && other == node + film_pair(f, pair); k++)
             for (int m = 0; m < 3; m++) to->block[pair][(3 * k + m) * to->apart + node] += block[k][m][lane];
 }
 
 static void add_cuts(const Film *f, const double *x, double pressure, const CutGroup *cut, const Stencil *to) {
-    Corner c = {.height = lanes_at(cut->area) * 0};
-    for (int p = 0; p < 2; p++)
-        for (int k = 0; k < 3; k++) {
-            c.g[p][k] = (k == p) + 0 * c.height;
-            for (int a = 0; a < 3; a++)
-                for (int n = 0; n < LANES; n++)
-                    c.g[p][k][n] += (p ? cut->by_y : cut->by_x)[a][n] * x[k * f->count + (long)cut->node[a][n]];
-        }
+    Corner c = {.over = {0}};
+    Lanes g[2][3] = {{{0}}}, height = {0}; /* small triangles' are differences of large numbers */
     for (int a = 0; a < 3; a++)
-        for (int n = 0; n < LANES; n++) c.height[n] += x[2 * f->count + (long)cut->node[a][n]] / 3;
-    strain(f, &c, lanes_at(cut->area));
+        for (int n = 0; n < LANES; n++) {
+            for (int p = 0; p < 2; p++)
+                for (int k = 0; k < 3; k++) g[p][k][n] += (p ? cut->by_y : cut->by_x)[a][n] * x[k * f->count + (long)cut->node[a][n]];
+            height[n] += x[2 * f->count + (long)cut->node[a][n]] / 3;
+        }
+    c.height = eight_of(height);
+    for (int p = 0; p < 2; p++)
+        for (int k = 0; k < 3; k++) c.g[p][k] = (float)(k == p) + eight_of(g[p][k]);
+    strain(f, &c, eight_at(cut->area));
     for (int a = 0; a < 3; a++) {
         for (int k = 0; k < 3; k++) {
-            const Lanes by = lanes_at(cut->by_x[a]) * c.tension_by[0][k] + lanes_at(cut->by_y[a]) * c.tension_by[1][k];
+            const Eight by = eight_at(cut->by_x[a]) * c.tension_by[0][k] + eight_at(cut->by_y[a]) * c.tension_by[1][k];
             for (int n = 0; n < LANES; n++)
                 if (cut->node[a][n] > 0) to->tension_by[k * to->apart + (long)cut->node[a][n]] += by[n];
         }
         for (int b = 0; b < 3; b++) {
-            Lanes block[3][3];
+            Eight block[3][3];
             between_corners(cut, &c, pressure, a, b, block);
             for (int n = 0; n < LANES; n++)
                 if (cut->node[a][n] > 0 && cut->node[b][n] > 0) add_entries(f, to, (long)cut->node[a][n], (long)cut->node[b][n], block, n);
@@ -199,31 +202,23 @@ void film_stencil(const Film *f, const double *x, double pressure, const Stencil
     for (long g = 0; g < f->groups; g++) add_cuts(f, x, pressure, film_cut(f, g), to);
 }
 
-void film_stencil_singles(const Film *f, const Stencil *s, float *singles) {
-    for (int entry = 0; entry < 9 * PAIRS; entry++) {
-        const double *from = s->block[entry / 9] + entry % 9 * s->apart;
-        float *to = singles + entry * f->count;
-        for (long node = 0; node < f->count; node++) to[node] = (float)from[node];
-    }
-}
-
-void film_stencil_times(const Film *f, const float *singles, long first, long last, const Eight *restrict what, Eight *restrict to) {
-    const long count = f->count;
+void film_stencil_times(const Film *f, const Stencil *s, long first, long last, const Eight *restrict what, Eight *restrict to) {
+    const long count = f->count, apart = s->apart;
     for (long node = first * f->line; node < last * f->line; node++) {
         if (node % f->line >= f->rows) continue;
         Eight own[3], sum[3];
         for (int k = 0; k < 3; k++) own[k] = what[k * count + node], sum[k] = to[k * count + node];
         for (int k = 0; k < 3; k++)
-            for (int m = 0; m < 3; m++) sum[k] += singles[(3 * k + m) * count + node] * own[m];
+            for (int m = 0; m < 3; m++) sum[k] += s->block[PAIR_OWN][(3 * k + m) * apart + node] * own[m];
         for (int pair = PAIR_UP; pair < PAIRS; pair++) {
             const long other = node + film_pair(f, pair);
             if (other >= count) continue;
-            const float *block = singles + 9 * pair * count + node;
+            const float *block = s->block[pair] + node;
             Eight there[3], back[3];
             for (int k = 0; k < 3; k++) there[k] = what[k * count + other], back[k] = to[k * count + other];
             for (int k = 0; k < 3; k++)
                 for (int m = 0; m < 3; m++) {
-                    const float by = block[(3 * k + m) * count];
+                    const float by = block[(3 * k + m) * apart];
                     sum[k] += by * there[m], back[m] += by * own[k];
                 }
             for (int k = 0; k < 3; k++) to[k * count + other] = back[k];

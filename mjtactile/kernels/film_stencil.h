@@ -1,4 +1,4 @@
-/* Stiffness of the sheet, less that of a gas at a pressure, by pairs of neighbouring nodes: blocks (3, 3), rows for a node's
+/* Stiffness of the sheet, less that of a gas at a pressure, in single precision, by pairs of neighbouring nodes: blocks (3, 3), rows for a node's
    displacements, columns for those of the other, which is itself, or the next along y, along x, or along both. */
 #ifndef MJTACTILE_FILM_STENCIL_H
 #define MJTACTILE_FILM_STENCIL_H
@@ -9,19 +9,16 @@
 enum { PAIR_OWN, PAIR_UP, PAIR_BESIDE, PAIR_RISING, PAIR_FALLING, PAIRS };
 typedef struct {
     long apart;
-    double *block[PAIRS]; /* (3, 3, apart) */
-    double *tension_by;   /* (3, apart) of the mean tension, by displacements */
+    float *block[PAIRS]; /* (3, 3, apart) */
+    float *tension_by;   /* (3, apart) of the mean tension, by displacements */
 } Stencil;
 
-long film_stencil_size(const Film *film);
-Stencil film_stencil_in(const Film *film, double **room);
+long film_stencil_size(const Film *film); /* of singles, a whole number of eights */
+Stencil film_stencil_in(const Film *film, float **room);
 /* At displacements `x` (3, count), with room for a vector behind them. */
 void film_stencil(const Film *film, const double *x, double pressure, const Stencil *to);
-/* Its blocks in single precision, (PAIRS, 3, 3, count), for products. */
-#define FILM_SINGLES(film) (9 * PAIRS * (film)->count)
-void film_stencil_singles(const Film *film, const Stencil *stencil, float *singles);
 /* Adds the stiffness times `what` (3, count) of nodes on lines `first` to `last` - 1, to what these and their neighbours bear. */
-void film_stencil_times(const Film *film, const float *singles, long first, long last, const Eight *what, Eight *to);
+void film_stencil_times(const Film *film, const Stencil *stencil, long first, long last, const Eight *what, Eight *to);
 
 /* Band of it (3 inner), the three displacements of a node together. */
 #define FILM_WIDTH(film) (3 * ((film)->inner_rows + 1) + 2)
@@ -32,7 +29,7 @@ static inline long film_pair(const Film *film, int pair) { /* how far behind a n
     return away[pair];
 }
 
-static inline double film_block(const Stencil *s, int pair, int row, int column, long node) {
+static inline float film_block(const Stencil *s, int pair, int row, int column, long node) {
     return s->block[pair][(3 * row + column) * s->apart + node];
 }
 

@@ -33,19 +33,28 @@ static int factor_one(long height, float *panel) {
     return 0;
 }
 
+/* Of a panel's rows `i` to `i` + 8 `blocks`, what they leave off four columns of another: what is read serves several sums. */
+INLINE void take_off_four(long height, const float *panel, long down, long i, int blocks, int first, float *other) {
+    Eight left[2][4];
+    float *to = other + first * height + i - down;
+    for (int b = 0; b < blocks; b++)
+        for (int q = 0; q < 4; q++) left[b][q] = CONST_EIGHT(to + q * height + b * PANEL);
+    for (int c = 0; c < PANEL; c++) {
+        const float *own = panel + c * height;
+        for (int q = 0; q < 4; q++)
+            for (int b = 0; b < blocks; b++) left[b][q] -= own[down + first + q] * CONST_EIGHT(own + i + b * PANEL);
+    }
+    for (int b = 0; b < blocks; b++)
+        for (int q = 0; q < 4; q++) EIGHT(to + q * height + b * PANEL) = left[b][q];
+}
+
 /* Takes what a panel leaves off the one that begins `down` rows below. */
 static void take_off(long height, const float *panel, long down, float *other) {
-    for (long i = down; i < height; i += PANEL) {
-        Eight left[PANEL];
-        float *to = other + i - down;
-        for (int q = 0; q < PANEL; q++) left[q] = CONST_EIGHT(to + q * height);
-        for (int c = 0; c < PANEL; c++) {
-            const float *own = panel + c * height;
-            const Eight rows = CONST_EIGHT(own + i);
-            for (int q = 0; q < PANEL; q++) left[q] -= own[down + q] * rows;
-        }
-        for (int q = 0; q < PANEL; q++) EIGHT(to + q * height) = left[q];
-    }
+    long i = down;
+    for (; i + PANEL < height; i += 2 * PANEL)
+        for (int first = 0; first < PANEL; first += 4) take_off_four(height, panel, down, i, 2, first, other);
+    for (; i < height; i += PANEL)
+        for (int first = 0; first < PANEL; first += 4) take_off_four(height, panel, down, i, 1, first, other);
 }
 
 int panels_factor(long count, long room, long height, float *panels) {
