@@ -183,10 +183,10 @@ def _lift(observation: Observation, command: Command, felt: list[float]) -> Comm
     return replace(command, lift_height=min(told.lift_height, command.lift_height + rise))
 
 
-def _try_friction(observation: Observation, command: Command) -> Command:
+def _try_friction(now: Observation, command: Command) -> Command:
     """Loosen, and see whether it slips, until friction is known or the least grip is enough."""
-    trial = _kept(Trial, command).after(observation.touch, observation.period)
     belief = _kept(Belief, command)
+    trial = _kept(Trial, command).after(now.touch, now.period, belief.friction)
     proof = belief.used if trial.passed and not trial.slipped else belief.wrong
     belief = replace(belief, friction=trial.friction, before=0.0, wrong=proof)
     low = command.lift_height + trial.slipped * WEIGH_HEIGHT  # it may stand again

@@ -23,18 +23,27 @@ class Load:
     (`Load(**kept)`).
 
     Attributes:
-        worst: N on each finger, along it: what it carries or will at once, and did of late.
+        most: N on each finger, along it: what it carries, and did of late.
+        ahead: N, what it will carry at once.
         past: N, what it carried a moment ago; negative: nothing is known of that.
         down: (n, 2) where the load drags each finger; empty until it hangs on the fingers alone.
         mass: kg, averaged; 0 until it hangs.
         inner: (n, 2) of each newton of grip, what the fingers drag each other by; empty: unknown.
+        last: N, what the image before showed alone; negative: there was none.
     """
 
-    worst: float = 0.0
+    most: float = 0.0
+    ahead: float = 0.0
     past: float = -1.0
     down: Sequence[Sequence[float]] = ()
     mass: float = 0.0
     inner: Sequence[Sequence[float]] = ()
+    last: float = -1.0
+
+    @property
+    def worst(self) -> float:
+        """N on each finger that it must be gripped for."""
+        return max(self.most, self.ahead) + _SPARE
 
     def standing(self, touch: Sequence[Touch]) -> Load:
         """It is gripped, and stands yet: what the fingers do to each other, they do already.
@@ -82,8 +91,10 @@ class Load:
     def after(self, touch: Sequence[Touch], period: float) -> Load:
         """Take in one image.
 
-        It grows at once, and by what it is on its way to; it goes slowly. Once it hangs, what the
-        fingers do to each other is no load, nor is what pushes it up.
+        It grows with what two images show, and is gripped for what it is on its way to; it goes
+        slowly, but what was only on its way is not kept. One image alone may err by half of a load,
+        which would be gripped for a second and a half. Once it hangs, what the fingers do to each
+        other is no load, nor is what pushes it up; a slip lets go of what they did.
 
         Args:
             touch: What is felt now.
@@ -101,7 +112,10 @@ class Load:
             mass = mass + period / _WEIGHING * (found - mass) if mass else found
         else:
             now = float(np.linalg.norm(shear(touch), axis=1).mean())
-        past = now if self.past < 0 else self.past + min(1.0, period / _LEAD) * (now - self.past)
-        ahead = now + max(now - past, 0.0) + _SPARE
-        worst = max(ahead, self.worst * math.exp(-period / _KEPT))
-        return Load(worst, past, self.down, mass, self.inner)
+        sure = now if self.last < 0 else min(now, self.last)
+        past = sure if self.past < 0 else self.past + min(1.0, period / _LEAD) * (sure - self.past)
+        ahead = sure + max(sure - past, 0.0)
+        most = max(sure, self.most * math.exp(-period / _KEPT))
+        slips = all(one.slip is not None and one.slip.state == "slipping" for one in touch)
+        inner = () if slips else self.inner
+        return Load(most, ahead, past, self.down, mass, inner, now)

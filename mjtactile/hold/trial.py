@@ -52,7 +52,7 @@ class Trial:
         """Share of the grip that is asked for now."""
         return _LOOSE if self.is_on else 1.0
 
-    def after(self, touch: Sequence[Touch], period: float) -> Trial:
+    def after(self, touch: Sequence[Touch], period: float, believed: float = 0.0) -> Trial:
         """Take in one image, while what is gripped hangs low and nobody moves it.
 
         What sticks carries its load with the looser grip, too, and a higher friction is tried;
@@ -61,6 +61,7 @@ class Trial:
         Args:
             touch: What is felt now.
             period: s since the image before.
+            believed: The coefficient that the grip has gone by until now: less is not tried.
 
         Returns:
             The trial now; `over` where there is nothing more to find out.
@@ -68,7 +69,8 @@ class Trial:
         press = [*self.press, float(np.mean([one.force_normal for one in touch]))]
         drag = [*self.drag, float(np.linalg.norm(shear(touch), axis=1).mean())]
         if len(press) * period < _TIME:
-            return replace(self, press=press, drag=drag, begun=True)
+            friction = self.friction if self.begun else max(self.friction, min(believed, _MOST))
+            return replace(self, friction=friction, press=press, drag=drag, begun=True)
         ended = replace(self, press=(), drag=())
         looser = 1 - _last(press) / _first(press)
         if looser < _LOOSER:  # the grip could not be changed: nothing is known

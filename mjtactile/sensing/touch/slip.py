@@ -14,7 +14,8 @@ What the shear looks like from within tells more, and on flat faces, over which 
 anywhere, it tells all: where everything slides each bit of the contact is dragged by friction
 alone, so that shear over pressure is the same all over it (Coulomb), whatever friction is; while
 the middle sticks it lags behind there (Cattaneo, Mindlin). Shear that is even is slip; uneven
-shear is none, so that more of the other signs is asked for.
+shear is none, so that more of the other signs is asked for. What turns on the spot goes nowhere and
+drags along nothing on the whole: there shear is even along the circles about the middle.
 
 The share of friction that is used up, and with it the sticking share (1 - Q / mu N)^(2/3) of the
 area (Cattaneo 1938, Mindlin 1949), needs the coefficient: the sensor file's, until a slip or a hold
@@ -39,19 +40,23 @@ _PRESSED = (
     0.1  # of the peak: less is the contact's edge, where little pressure divides little shear
 )
 _NODES = 6  # that press alike, or as good as that
+_TURNING_NODES = 3  # the same, of what turns: its shear is even along circles, which is rarer
+_TURNING_IMAGES = 3  # of which two must show it: one image's shear may look even by its noise
+_TURNING_LIMIT = 0.85  # squared, over that of a force: of a torque over the radius of gyration
 _POINT = 1e-4  # m: a patch is not smaller; one of a single node has no extent of its own
 
 
 @dataclass(frozen=True, eq=False)
 class SlipSample:
     """One image: `time` s, centre of pressure `p` (2,) m on the material, the way `dragged` (3,) m
-    of the rubber under it since the touch began, and the shear over the normal force, `ratio`
-    (3,)."""
+    of the rubber under it since the touch began, the shear over the normal force, `ratio` (3,), and
+    how uneven it is along a turn, `turning` (inf: it does not turn)."""
 
     time: float
     p: Array
     dragged: Array
     ratio: Array
+    turning: float = np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +90,9 @@ def judge(
     normal, shear = split(patches[0].force, mean_normal(estimator, shape))
     if normal < s.least_force:
         return unknown(StatusCode.TOO_WEAK, f"a force of {normal:.3f} N is too small"), before
-    now = _follow(time, estimator, shape, shear / normal, before, s)
+    around, used_around = turning(estimator, shape)
+    around = around if used_around > s.least_load else np.inf
+    now = _follow(time, estimator, shape, (shear / normal, around), before, s)
     load = float(np.linalg.norm(shear)) / normal
     velocity, way = _motion(now.samples, s)
     limit = s.limit * now.friction
@@ -99,6 +106,9 @@ def judge(
         or (reaches_limit and uneven < s.nearly_even)
         or (way > s.least_way and evidence(now, normal, s) > asked)
     )
+    if not slips and _turns(now.samples, s):
+        slips = True
+        load = used_around
     if slips and now.distance == 0:
         slid = max(now.distance, way)
     else:
@@ -132,6 +142,49 @@ def unevenness(estimator: InverseMembrane, shape: Shape, shear: Array) -> tuple[
     mean = float(weight @ ratio)
     spread = float(np.sqrt(weight @ (ratio - mean) ** 2))
     return spread / max(abs(mean), 1e-9), float(weight @ weight) * _NODES < 1
+
+
+def turning(estimator: InverseMembrane, shape: Shape) -> tuple[float, float]:
+    """How uneven the shear is along the way of a body that turns on the spot.
+
+    What slides as one body by a force f and a torque t, per newton that presses, moves by f + (t /
+    c^2) z x (r - r0) where the limits of both are an ellipse (Howe & Cutkosky 1996; the motion is
+    normal to it): each bit of it is dragged that way, by friction alone.
+
+    Args:
+        estimator: Whose nodes they are.
+        shape: With the tractions.
+
+    Returns:
+        Spread over mean of the shear over pressure along that way, weighted by the press and by how
+        fast it goes there: 0 where everything slides; inf where it would rather go straight, or too
+        few nodes press; and the mean.
+    """
+    press = np.maximum(-shape.traction[2], 0.0)
+    inside = press > _PRESSED * press.max()
+    weight = (press * estimator.node_area)[inside]
+    weight = weight / weight.sum()
+    place = estimator.node_positions(shape.c)[inside, :2]
+    ratio = (shape.traction[:2, inside] / press[inside]).T
+    force = weight @ ratio
+    arm = place - weight @ place
+    radius = max(float(np.sqrt(weight @ (arm**2).sum(axis=1))), _POINT)
+    torque = float(weight @ (arm[:, 0] * ratio[:, 1] - arm[:, 1] * ratio[:, 0])) / radius
+    around = np.stack([-arm[:, 1], arm[:, 0]], axis=1) / radius
+    way = force + torque / _TURNING_LIMIT * around
+    speed = np.linalg.norm(way, axis=1)
+    along = (ratio * way).sum(axis=1) / np.maximum(speed, 1e-9)
+    share = weight * speed / max(float(weight @ speed), 1e-12)
+    mean = float(share @ along)
+    if abs(torque) < float(np.linalg.norm(force)) or float(weight @ weight) * _TURNING_NODES > 1:
+        return np.inf, mean
+    return float(np.sqrt(share @ (along - mean) ** 2)) / max(abs(mean), 1e-9), mean
+
+
+def _turns(samples: Sequence[SlipSample], s: SlipSettings) -> bool:
+    """Whether it slides as it turns: shown by the newest image, and by one of the two before."""
+    seen = [sample.turning < s.even_turning for sample in samples[-_TURNING_IMAGES:]]
+    return seen[-1] and sum(seen) > 1
 
 
 def evidence(history: SlipHistory, normal: float, s: SlipSettings = DEFAULTS.slip) -> float:
@@ -170,21 +223,22 @@ def _follow(
     time: float,
     estimator: InverseMembrane,
     shape: Shape,
-    ratio: Array,
+    shear: tuple[Array, float],
     before: SlipHistory | None,
     s: SlipSettings,
 ) -> SlipHistory:
-    """History with the newest image's sample; begun anew at the touch, and after a gap."""
+    """History with the newest image's sample, whose `ratio` and `turning` are `shear`; begun anew
+    at the touch, and after a gap."""
     weight = _pressed(estimator, shape, s.core_share)
     position = estimator.node_positions(shape.c)
     p = weight @ estimator.nodes
     if before is None or not 0 < time - before.samples[-1].time < s.gap:
         friction = estimator.design.membrane.friction if before is None else before.friction
         return SlipHistory(
-            (SlipSample(time, p, np.zeros(3), ratio),), weight, position, 0.0, friction
+            (SlipSample(time, p, np.zeros(3), *shear),), weight, position, 0.0, friction
         )
     step = 0.5 * (weight + before.weight) @ (position - before.position)
-    sample = SlipSample(time, p, before.samples[-1].dragged + step, ratio)
+    sample = SlipSample(time, p, before.samples[-1].dragged + step, *shear)
     kept = tuple(old for old in before.samples if time - old.time < s.recent + s.baseline)
     return SlipHistory((*kept, sample), weight, position, before.distance, before.friction)
 

@@ -167,6 +167,39 @@ def test_unevenness_is_that_of_shear_over_pressure(sensor):
     assert not slip.unevenness(estimator, small, force)[1]
 
 
+def turned_patch(estimator, friction, sticks, radius=9e-3):
+    """A parabolic patch in the middle that is twisted: it slides everywhere (each bit is dragged by
+    its share of friction), or sticks (the drag grows with the distance from the middle)."""
+    x, y = estimator.nodes.T
+    far = np.hypot(x, y)
+    press = np.clip(1 - (far / radius) ** 2, 0, None)
+    press *= NORMAL / (press @ estimator.node_area)
+    drag = friction * (press.max() * far / radius * (press > 0) if sticks else press)
+    ways = np.array([-y, x]) / np.maximum(far, 1e-9)
+    return np.vstack([drag * ways, -press])
+
+
+def test_what_turns_on_the_spot_slips_where_its_shear_is_even_around(sensor):
+    """Where everything slides each bit of shear over pressure along its circle is friction: no
+    spread, and the mean is friction itself; what sticks has none in the middle, and most where
+    little presses. What is dragged straight does not turn. Two images must show it."""
+    estimator, rest, flat = sensor
+    slides = replace(flat, traction=turned_patch(estimator, 0.5, sticks=False))
+    uneven, used = slip.turning(estimator, slides)
+    assert uneven < 0.05 and used == pytest.approx(0.5, rel=0.05)  # nodes 2 mm apart
+    holds = replace(flat, traction=turned_patch(estimator, 0.2, sticks=True))
+    assert slip.turning(estimator, holds)[0] > 0.6
+    straight = replace(flat, traction=patch(estimator, (0.3, 0.0, -NORMAL), (0, 0), 9e-3))
+    assert slip.turning(estimator, straight)[0] == np.inf
+    history, said = None, []
+    for k, shape in enumerate([holds] * 4 + [slides] * 2 + [holds]):
+        verdict, history = slip.judge(
+            k / RATE, estimator, shape, find_patches(estimator, shape, rest), history
+        )
+        said.append(verdict.state == "slipping")
+    assert said == [False] * 5 + [True] + [False]
+
+
 def test_a_slip_that_ends_is_over(sensor):
     way = 4e-3 * ramp(12, 24, 12)
     slides = np.r_[np.full(12, STICKS), np.full(24, PARTLY), np.full(12, STICKS)]
