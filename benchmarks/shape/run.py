@@ -3,17 +3,18 @@ on.
 
 Balls, ellipsoids, lying and standing cylinders, round rims, blocks, wedges, corners and two balls
 at once, pressed into the simulated sheet of `dense` in steps, tilted and off the middle, on a mesh
-that is finer than the default's, and held for some images at the end. Each image is judged twice:
-as part of its press, which is followed from image to image as a session does, and by itself. The
-truth is the body's own, and the simulator's forces and contact area; that of lines and points,
-which have none, is left out.
+that is finer than the default's, held for some images at the end, and dragged aside by up to a
+millimetre. Each image of a press is judged twice: as part of it, which is followed from image to
+image as a session does, and by itself; those of drags count for the wrench alone. The truth is the
+body's own, and the simulator's forces and contact area; that of lines and points, which have none,
+is left out.
 """
 
 from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,12 +31,14 @@ from mjtactile.sim import truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 __all__ = ["run", "table"]
-FIRST_SEED = 1060  # those from 1000 on have been looked at
-BODIES, BODIES_QUICK = 18, 2
+FIRST_SEED = 1080  # those from 1000 on have been looked at
+BODIES, BODIES_QUICK = 20, 2
 MESH = (33, 25)
 _DEPTHS = np.array([0.4, 0.8, 1.2, 1.7, 2.3, 3.0]) * 1e-3
 _FORCE_LEAST, _FORCE_MOST = 0.06, 1.5  # N
 _HELD = 4  # images
+_DRAG = 1e-3  # m at most
+_DRAGGED = (0.5, 1.0)  # of it
 
 Say = Callable[[str], None]
 
@@ -69,24 +72,37 @@ def _press(seed: int) -> list[dict[str, Any]]:
     view = View(world, load_sensor("dense"), seed=seed)
     take_references(world, [view], world.design.chamber.supply_gauge)
     finder = view.perception.chain.shape_finder(view.perception.state)  # made once
+    drag = float(np.random.default_rng([seed, 78]).uniform(-_DRAG, _DRAG))
     rows: list[dict[str, Any]] = []
-    for depth in (*_DEPTHS, *[None] * _HELD):
-        if depth is not None:
-            world.press(float(depth))
+    for looked in _stages(world, drag):
         true = truth.contact_wrench(world, 0)
-        if -true[2] > _FORCE_MOST:
-            break
         row = _followed(case, view, finder, true)
         if row is None or -true[2] < _FORCE_LEAST:
             continue
-        row |= {"seed": seed, "looked": "hold" if depth is None else "press"}
-        row |= {"first": not rows, "area_true_mm2": 1e6 * truth.contact_area(world, 0)}
+        touch = row.pop("touch")
+        row |= {"seed": seed, "looked": looked, "first": not rows}
+        row |= {"area_true_mm2": 1e6 * truth.contact_area(world, 0)}
         rows.append(row)
-        if depth is not None:
-            rows.append(row | _alone(case, view, row["touch"]))
-    for row in rows:
-        del row["touch"]
+        if looked == "press":
+            rows.append(row | _alone(case, view, touch))
     return rows
+
+
+def _stages(world: PressWorld, drag: float) -> Iterator[str]:
+    """Deeper and deeper, as far as the force allows; held there; then dragged by `drag` m."""
+    reached = 0.0
+    for depth in _DEPTHS:
+        world.press(float(depth))
+        if -truth.contact_force(world, 0)[2] > _FORCE_MOST:
+            world.press(reached)
+            break
+        reached = float(depth)
+        yield "press"
+    for _ in range(_HELD):
+        yield "hold"
+    for share in _DRAGGED:
+        world.press(reached, share * drag)
+        yield "drag"
 
 
 def _followed(case: Case, view: View, finder: ShapeFinder, true: Array) -> dict[str, Any] | None:

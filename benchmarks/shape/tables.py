@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 _LIGHT, _FIRM, _END = 0.06, 0.2, 0.3  # N
+_SHARP = {"edge": "edges", "tip": "corners", "several": "two balls"}
 _SMALL, _LARGE = 4.2, 30.0  # mm, of balls whose radius is asked for
 
 Row = dict[str, Any]
@@ -26,7 +27,7 @@ def summary(rows: Iterable[Row]) -> dict[str, Any]:
     listed = list(rows)
     followed = [row for row in listed if row["looked"] != "image"]
     presses = [row for row in listed if row["looked"] == "press"]
-    sharp = [row for row in presses if row["family"] in ("edge", "tip", "several")]
+    sharp = [row for row in presses if row["family"] in _SHARP]
     smooth = [row for row in presses if row["family"] == "smooth"]
     wedges = [row for row in presses if row["name"] == "wedge" and row["force_true_N"] >= _FIRM]
     two = [row for row in presses if row["family"] == "several" and row["force_true_N"] >= _FIRM]
@@ -44,13 +45,9 @@ def summary(rows: Iterable[Row]) -> dict[str, Any]:
         "force_sharp": _mean_and_worst(sharp, "force_N"),
         "force_sharp_nodal": _mean_and_worst(sharp, "force_nodal_N"),
         "chi2": {
-            family: [
-                _mean(row[key] for row in sharp if row["family"] == family)
-                for key in ("chi2", "chi2_nodal")
-            ]
-            for family in ("edge", "tip", "several")
+            name: [_mean(row["chi2"] for row in some), _mean(row["chi2_nodal"] for row in some)]
+            for name, some in _sharp(listed).items()
         },
-        "chi2_sharp": [_mean(row[key] for row in sharp) for key in ("chi2", "chi2_nodal")],
         "first_ms": _median(row["milliseconds"] for row in followed if row["first"]),
         "hold_ms": _median(row["milliseconds"] for row in listed if row["looked"] == "hold"),
         "look_ms": _median(row["milliseconds"] for row in presses if not row["first"]),
@@ -98,6 +95,21 @@ def _broad(rows: list[Row]) -> dict[str, list[Row]]:
         "face": [row for row in firm if row["family"] == "face"],
         "light": [row for row in broad if _LIGHT <= row["force_true_N"] < _FIRM],
     }
+
+
+def _sharp(rows: list[Row]) -> dict[str, list[Row]]:
+    """Rows of sharp bodies, by what a table calls them: pressed and dragged, and both."""
+    pushed = [row for row in rows if row["looked"] in ("press", "drag")]
+    named: dict[str, list[Row]] = {}
+    for family, name in _SHARP.items():
+        own = [row for row in pushed if row["family"] == family]
+        named |= {
+            f"{name}, {looked}": [row for row in own if row["looked"] == by]
+            for by, looked in (("press", "pressed"), ("drag", "dragged"))
+        }
+        named[name] = own
+    named["all three"] = [row for row in pushed if row["family"] in _SHARP]
+    return named
 
 
 def _ends(presses: list[Row]) -> list[Row]:
@@ -174,12 +186,7 @@ def table(result: dict[str, Any]) -> str:
         ),
         *(
             (f"chi-square of the wrench, {name}", f"{now:.2f}", "", f"{before:.2f}")
-            for name, (now, before) in (
-                ("edges", s["chi2"]["edge"]),
-                ("corners", s["chi2"]["tip"]),
-                ("two balls", s["chi2"]["several"]),
-                ("all three", s["chi2_sharp"]),
-            )
+            for name, (now, before) in s["chi2"].items()
         ),
         ("time of a processor, ms: the first image of a press", _number(s["first_ms"]), "", ""),
         (

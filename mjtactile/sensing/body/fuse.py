@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from mjtactile.core.types import SHAPES, Array, Touch
+from mjtactile.film import FilmState
 from mjtactile.sensing.body.bodies import principal
 from mjtactile.sensing.body.fit import Fit
 from mjtactile.sensing.body.forward import Forward
@@ -18,6 +19,8 @@ from mjtactile.sensing.body.stick import sticks
 from mjtactile.sensing.settings import BodySettings
 
 _NORMAL = 2
+_BESIDE = 2.1  # spacings of the film: its two last rows of nodes
+_BELOW = 1e-4  # m: what is so much lower than the frame, counts
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +64,7 @@ def borne(forward: Forward, press: Press, wrench: Array, noise: float, s: BodySe
     blunt = sharp["smooth"] + sharp["face"]
     untold = max(blunt, pointed)
     place = s.place_sd_sharp + untold * (s.place_sd - s.place_sd_sharp)
-    model = _model(load, max(found.misfit, 1.0), pointed, place, s)
+    model = _model(load, max(found.misfit, 1.0), pointed, place, below_frame(forward, state), s)
     by_numbers = more**2 * rows @ found.sums_cov_with(noise)[:6, :6] @ rows.T
     off = load - rows @ wrench
     doubt = 1 - float(press.probabilities[0])
@@ -84,11 +87,34 @@ def _pointed(found: Fit, noise: float, s: BodySettings) -> float:
     return float(ndtr((least - limit) / math.sqrt(max(variance, 1.0))))
 
 
-def _model(load: Array, misfit: float, pointed: float, place: float, s: BodySettings) -> Array:
+def below_frame(forward: Forward, state: FilmState) -> float:
+    """Force, N, that presses the sheet lower than its frame, close beside it.
+
+    A film is held at the frame, and bodies that go on end before it: how steeply the sheet hangs
+    there, and what the last millimetres bear, it does not know.
+
+    Args:
+        forward: The film.
+        state: Of it, on the body.
+
+    Returns:
+        The force of nodes within two spacings; of those less than `_BELOW` lower, a part.
+    """
+    frame = forward.film.design.frame
+    x, y = forward.nodes
+    beside = np.minimum(frame.length / 2 - np.abs(x), frame.width / 2 - np.abs(y))
+    lower = np.clip(-state.heights / _BELOW, 0.0, 1.0)
+    near = beside < _BESIDE * forward.spacing
+    return float((state.contact_forces * lower)[near].sum())
+
+
+def _model(
+    load: Array, misfit: float, pointed: float, place: float, below: float, s: BodySettings
+) -> Array:
     """Covariance (3, 3) of what film and friction leave: of the force, and of where it acts."""
     force = abs(float(load[0]))
     share = math.hypot(s.force_share * misfit, s.tip_share * pointed)
-    variance = s.force_sd**2 + (share * force) ** 2
+    variance = s.force_sd**2 + (share * force) ** 2 + (s.frame_share * below) ** 2
     places = load[1:] / max(force, 1e-9)  # of the middle of pressure
     turn = np.concatenate([[-1.0], places])
     cov = variance * np.outer(turn, turn)

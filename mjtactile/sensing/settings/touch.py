@@ -111,6 +111,12 @@ class BodySettings:
     force_share: float = number(
         0.012, "the same, of the force, times the misfit where that is above one", _PRESSED_SHAPES
     )
+    frame_share: float = number(
+        6.0,
+        "times the force that presses the sheet lower than its frame, close beside it, the same",
+        _PRESSED_SHAPES,
+        low=0.0,
+    )
     place_sd: float = number(
         4e-4, "m, of where it acts, times the root of that misfit", _PRESSED_SHAPES
     )

@@ -14,9 +14,12 @@ import pytest
 import benchmarks.film
 from mjtactile import Chain, Film, load_sensor
 from mjtactile.core.types import BodyMotion, FeltShape, Markers, Slip, Touch
+from mjtactile.film import obstacle
 from mjtactile.sensing.body.finder import Found
 from mjtactile.sensing.body.forward import Forward
+from mjtactile.sensing.body.fuse import _model, below_frame
 from mjtactile.sensing.body.motion import Rubber, rubber_step
+from mjtactile.sensing.settings import DEFAULTS
 from mjtactile.sensing.shaped import with_shape
 from mjtactile.sensing.touch.slip import SlipHistory, SlipSample
 
@@ -221,6 +224,30 @@ def test_the_force_takes_up_what_the_body_bears(sensor, cases):
     # of single images, in which a ball between markers may be twice as large for what they say
     assert max(np.abs(off)) < 0.015
     assert np.mean(chi2) < 2.5  # of four: beyond it once in twenty-five
+
+
+def test_what_presses_the_sheet_below_its_frame_beside_it_is_in_doubt(sensor):
+    """Only there: not in the middle of the sensor, nor where a body stays above the frame."""
+    films = sensor[2].films.fine
+    frame = films.film.design.frame
+    half = frame.length / 2 - 1.5e-3
+    radius = 12e-3
+    across = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])  # along x, not z
+
+    def below(*body):
+        state = films.solve([(obstacle(*body),)])[0]
+        return below_frame(films, state), state.force_normal
+
+    ball, _ = below("sphere", (radius,), (0, 0, radius - 3e-4))
+    high, _ = below("cylinder", (radius, half), (0, 0, radius + 3e-4), across)
+    low, force = below("cylinder", (radius, half), (0, 0, radius - 1.5e-4), across)
+    assert ball == high == 0.0
+    # of its ends, with two rows of nodes each of some 28
+    assert 0.01 * force < low < 4 / 28 * force
+    load = np.array([-force, 0, 0])
+    s = DEFAULTS.body
+    known, told = (_model(load, 1.0, 0.0, 1e-4, at, s)[0, 0] for at in (0.0, low))
+    assert told - known == pytest.approx((s.frame_share * low) ** 2)
 
 
 def test_a_ball_that_is_dragged_over_still_rubber_rolls_or_slides(sensor, fine_film):
