@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from queue import SimpleQueue
+from threading import Thread
 
 import numpy as np
 
@@ -19,12 +19,17 @@ def at_once(threads: int, work: Callable[[int], object]) -> None:
         threads: How many.
         work: Takes what is left to do, without Python's lock for most of its time.
     """
-    others = [_workers(os.getpid()).submit(work, number) for number in range(1, threads)]
+    done: SimpleQueue[BaseException | None] = SimpleQueue()
+    orders = _orders(os.getpid(), threads - 1)
+    for number in range(1, threads):
+        orders.put((work, number, done))
     try:
         work(0)
     finally:
-        for other in others:
-            other.result()
+        failures = [done.get() for _ in range(1, threads)]
+    for failure in failures:
+        if failure is not None:
+            raise failure
 
 
 def new_batch(count: int, grid: tuple[int, int]) -> FilmBatch:
@@ -33,7 +38,30 @@ def new_batch(count: int, grid: tuple[int, int]) -> FilmBatch:
     return FilmBatch(x, np.empty((count, *grid)), np.empty((count, FOUND)), trend)
 
 
-@cache
-def _workers(process: int) -> ThreadPoolExecutor:
-    """Threads that stay for the next batch, of this process; a forked one has none of another's."""
-    return ThreadPoolExecutor(os.cpu_count() or 1, thread_name_prefix=f"film-{process}")
+_Order = tuple[Callable[[int], object], int, "SimpleQueue[BaseException | None]"]
+_kept: dict[int, tuple[SimpleQueue[_Order], list[Thread]]] = {}
+
+
+def _orders(process: int, count: int) -> SimpleQueue[_Order]:
+    """Where threads that stay for the next batch wait for work, `count` of them or more, of this
+    process; a forked one has none of another's."""
+    if process not in _kept:
+        _kept[process] = SimpleQueue(), []
+    orders, threads = _kept[process]
+    while len(threads) < count:
+        name = f"film-{process}-{len(threads)}"
+        threads.append(Thread(target=_follow, args=(orders,), name=name, daemon=True))
+        threads[-1].start()
+    return orders
+
+
+def _follow(orders: SimpleQueue[_Order]) -> None:
+    while True:
+        work, number, done = orders.get()
+        failure = None
+        try:
+            work(number)
+        except BaseException as error:  # noqa: BLE001 - is raised by who asked
+            failure = error
+        done.put(failure)
+        del work, done, failure  # nothing is kept until the next

@@ -208,11 +208,12 @@ class Film:
             InputError: no environment, or another number of bodies in one, or of environments in
                 `batch` or `into`.
         """
-        listed = [bodies.listed(one, "obstacles") for one in obstacles]
+        listed = [(one,) if isinstance(one, Obstacle) else one for one in obstacles]
         if len({len(one) for one in listed}) != 1:
             raise InputError("every environment wants as many bodies", field="obstacles")
         count = len(listed)
-        rows, pool = bodies.pooled([body for one in listed for body in one], self.grid)
+        every = bodies.listed([body for one in listed for body in one], "obstacles")
+        rows, pool = bodies.pooled(every, self.grid)
         for field, given in (("batch", batch), ("into", into)):
             if given is not None and given.x.shape != (count, 3, *self.grid):
                 raise InputError(
@@ -226,8 +227,10 @@ class Film:
         start = (None,) * 4 if batch is None else (batch.x, batch.force, batch.trend, batch.found)
         pooled, taken = 0 if pool is None else pool.size, np.zeros(1, np.int64)
         given = (count, taken, settings, len(rows) // count, rows, pooled, pool, *start)
-        share, fields = kernel("film_share"), (made.x, made.force, made.trend, made.found)
-        at_once(threads, lambda k: share(*self._fixed(self._rooms[k]), *given, *fields))
+        fields = (made.x, made.force, made.trend, made.found)
+        # checked once, before the others wake: each would hold Python's lock for a twentieth of all
+        share = bound("film_share", *self._fixed(self._room)[:-1], ..., *given, *fields)
+        at_once(threads, lambda k: share(self._rooms[k]))
         return made
 
     def doubt(self, obstacles: Obstacle | Sequence[Obstacle]) -> float:
