@@ -103,6 +103,7 @@ KINDS = (
             "tests/unit/devices/test_dynamixel_bus.py",
             "tests/unit/devices/test_dynamixel_trouble.py",
             "tests/unit/devices/test_valve.py",
+            "tests/unit/devices/test_valve_protocol.py",
             "tests/unit/devices/test_valve_firmware.py",
             "tests/unit/devices/test_dead_host.py",
         ),

@@ -14,7 +14,7 @@ from mjtactile.core.design import load_sensor
 from mjtactile.export import drawing, live, mcap
 from mjtactile.export.episode import Episode
 from mjtactile.run.session import open_session
-from tests.unit.export.test_export import felt, press, read_mcap  # noqa: F401
+from tests.unit.export.test_export import read_mcap
 
 needs_rerun = pytest.mark.skipif(
     find_spec("rerun") is None or find_spec("rerun.chunk") is None, reason="needs rerun-sdk"
@@ -50,7 +50,7 @@ def grasping(view):
     return cycles
 
 
-def test_a_membrane_is_drawn_where_it_is_felt(press, tmp_path):  # noqa: F811
+def test_a_membrane_is_drawn_where_it_is_felt(press, tmp_path):
     mcap.write([Episode(press)], tmp_path)
     found, _, _ = read_mcap(tmp_path / "episode_000000.mcap")
     touch = list(Episode(press).cycles())[-1].touch[0]
@@ -70,7 +70,7 @@ def test_a_membrane_is_drawn_where_it_is_felt(press, tmp_path):  # noqa: F811
     assert len(annotations.points) == load_sensor("dense").markers.count
 
 
-def test_an_arrow_is_the_force(press):  # noqa: F811
+def test_an_arrow_is_the_force(press):
     touch = list(Episode(press).cycles())[-1].touch[0]
     arrow = drawing.force_arrow(touch.traction, touch.surface)
     np.testing.assert_allclose(arrow.vectors[0], drawing.FORCE * touch.traction.wrench[:3])
@@ -84,7 +84,7 @@ def test_an_arrow_is_the_force(press):  # noqa: F811
 
 
 @needs_rerun
-def test_rerun_opens_a_recording(felt, tmp_path):  # noqa: F811
+def test_rerun_opens_a_recording(felt, tmp_path):
     from mjtactile.export import rrd
 
     assert rrd.write([Episode(felt)], tmp_path)["episodes"] == 1

@@ -7,11 +7,9 @@ import pytest
 
 from benchmarks.paper import marker_accuracy, marker_scenes
 from mjtactile.core import optics
-from mjtactile.core.errors import InputError
 from mjtactile.sensing.image import edges, ellipse, judge, markers
 from mjtactile.sensing.pose.circles import estimate_poses
 from mjtactile.sensing.pose.consensus import share_elongation
-from mjtactile.sensing.pose.locate import load_image, locate
 
 CAMERA = marker_accuracy.CAMERA
 R = marker_accuracy.RADIUS
@@ -327,61 +325,6 @@ def test_image_fit_and_profiles_agree(circles):
     )
     assert np.abs(fit.center - found.center_px).max() < 0.02
     assert np.abs(ellipse.axes_from_shape(fit.shape)[0] - found.semi_axes_px).max() < 0.02
-
-
-@pytest.mark.parametrize(
-    "bad",
-    [
-        np.zeros((480, 640)),
-        np.zeros((480, 640, 2), np.uint8),
-        np.zeros((4, 4), np.uint8),
-        np.zeros(7, np.uint8),
-    ],
-)
-def test_bad_arrays(bad):
-    with pytest.raises(InputError):
-        markers.detect(bad)
-
-
-def test_bad_polarity():
-    with pytest.raises(InputError, match="dark, bright"):
-        markers.detect(np.zeros((48, 64), np.uint8), polarity="grey")
-
-
-def test_image_files(tmp_path, circles):
-    image = marker_scenes.image(CAMERA, circles)
-    records = locate(image, CAMERA, R)
-    for name, pixels in (
-        ("a.png", image),
-        ("b.tiff", image.astype(np.uint16) * 257),
-        ("c.png", np.dstack([image] * 4)),
-    ):
-        cv2.imwrite(str(tmp_path / name), pixels)
-        again = locate(load_image(tmp_path / name), CAMERA, R)
-        assert len(again) == len(records) == 16
-    assert set(records[0]) == {
-        "uv_px",
-        "ellipse_px",
-        "center_mm",
-        "cov_center_mm2",
-        "normal",
-        "preferred_probability",
-        "center_alt_mm",
-        "cov_center_alt_mm2",
-        "normal_alt",
-        "status",
-    }
-    whole = (tmp_path / "a.png").read_bytes()
-    for name, data in (
-        ("empty.png", b""),
-        ("text.png", b"not an image"),
-        ("short.png", whole[:200]),
-    ):
-        (tmp_path / name).write_bytes(data)
-        with pytest.raises(InputError, match="corrupt"):
-            load_image(tmp_path / name)
-    with pytest.raises(InputError, match="cannot be read"):
-        load_image(tmp_path / "missing.png")
 
 
 def test_neighbours_share_elongation_on_a_plane_only():

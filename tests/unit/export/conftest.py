@@ -1,0 +1,53 @@
+"""Recordings that exporters are given: made up, of a press, and of a rig that stands still."""
+
+import pytest
+
+from mjtactile.commands.record import Monitor
+from mjtactile.core.design import load_sensor
+from mjtactile.experiments.stage import record_stage
+from mjtactile.recording.stage import Move, Stage
+from mjtactile.recording.writer import Recorder
+from mjtactile.run.session import open_session
+from tests.fake_run import fake_cycle, write_fake_recording
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory):
+    """Two made-up grasps of two fingers; in the second a force is unknown."""
+    runs = tmp_path_factory.mktemp("pair")
+    write_fake_recording(runs / "a" / "recording", count=12)
+    with Recorder(
+        runs / "b" / "recording", {"object": "vial", "sensor": "dense", "seed": 1}
+    ) as recorder:
+        for i in range(9):
+            cycle = fake_cycle(i, 12, force=float("nan") if i == 4 else None)
+            recorder.add(cycle, force_normal_true=[0.1, 0.2])
+        recorder.close(outcome="dropped")
+    return runs
+
+
+@pytest.fixture(scope="module")
+def press(tmp_path_factory):
+    """A whole sensor in simulation, pressed: its images can be felt again."""
+    folder = tmp_path_factory.mktemp("press") / "recording"
+    stage = Stage("sphere:8", (0.0, 0.0), (Move(0.0, 1.5e-3, speed=0.02),))
+    with Recorder(
+        folder, {"object": None, "sensor": "dense", "rig": "stage", "seed": 0}
+    ) as recorder:
+        record_stage(load_sensor("dense"), stage, recorder, seconds=0.6)
+        recorder.close(outcome="recorded")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def felt(tmp_path_factory):
+    """Two fingers of a simulated rig that stands still, felt while it was recorded."""
+    folder = tmp_path_factory.mktemp("felt") / "recording"
+    with (
+        open_session("sim", load_sensor("dense"), workers=0) as session,
+        Recorder(folder, {"sensor": "dense", "seed": 0}) as recorder,
+    ):
+        session.take_references(recorder)
+        session.run(Monitor(0.1), time_limit=5.0, on_cycle=recorder.add)
+        recorder.close(outcome="recorded")
+    return folder
