@@ -81,7 +81,7 @@ class Board:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class BoardView:
     """Corners seen in one picture: `ids` (N,) into the board's corners, `uv` (N, 2) px."""
 
     name: str
@@ -92,9 +92,9 @@ class View:
 class Finder(Protocol):
     """What finds a target's points in a picture, and knows where they are on the target."""
 
-    def find(self, name: str, gray: NDArray[np.uint8]) -> View | None: ...
+    def find(self, name: str, gray: NDArray[np.uint8]) -> BoardView | None: ...
 
-    def corners(self, view: View) -> Array: ...
+    def corners(self, view: BoardView) -> Array: ...
 
 
 class BoardFinder:
@@ -104,14 +104,16 @@ class BoardFinder:
         self.board = board.make()
         self._detector = cv2.aruco.CharucoDetector(self.board)
 
-    def find(self, name: str, gray: NDArray[np.uint8]) -> View | None:
+    def find(self, name: str, gray: NDArray[np.uint8]) -> BoardView | None:
         """The corners, None when fewer than CORNERS_MIN are seen."""
         corners, ids, _, _ = self._detector.detectBoard(gray)
         if ids is None or len(ids) < CORNERS_MIN:
             return None
-        return View(name, ids.reshape(-1).astype(np.int32), corners.reshape(-1, 2).astype(float))
+        return BoardView(
+            name, ids.reshape(-1).astype(np.int32), corners.reshape(-1, 2).astype(float)
+        )
 
-    def corners(self, view: View) -> Array:
+    def corners(self, view: BoardView) -> Array:
         """The view's corners (N, 3) m on the board."""
         return np.asarray(self.board.getChessboardCorners(), dtype=float)[view.ids]
 
@@ -140,7 +142,7 @@ class CameraCalibration:
 
 
 def calibrate_camera(
-    finder: Finder, views: Sequence[View], size: tuple[int, int], *, k3: bool = False
+    finder: Finder, views: Sequence[BoardView], size: tuple[int, int], *, k3: bool = False
 ) -> CameraCalibration:
     """Fit a camera of `size` (width, height) px. `k3`: fit the sixth-order term too (wide lenses).
 
@@ -226,7 +228,7 @@ def _judge(c: CameraCalibration) -> list[str]:
 
 
 def fit_intrinsics(
-    finder: Finder, views: Sequence[View], size: tuple[int, int], *, k3: bool
+    finder: Finder, views: Sequence[BoardView], size: tuple[int, int], *, k3: bool
 ) -> tuple[Any, ...]:
     """OpenCV's fit: rms, K, distortion (5,), poses (rotation vectors), sd (9,), rms of each
     view."""
@@ -247,7 +249,7 @@ def _tilt(rotation: Array) -> float:
     return float(np.degrees(np.arccos(np.clip(abs(cv2.Rodrigues(rotation)[0][2, 2]), 0, 1))))
 
 
-def _coverage(views: Sequence[View], size: tuple[int, int]) -> float:
+def _coverage(views: Sequence[BoardView], size: tuple[int, int]) -> float:
     uv = np.concatenate([view.uv for view in views])
     counts, _, _ = np.histogram2d(
         uv[:, 0], uv[:, 1], bins=_CELLS, range=((0, size[0]), (0, size[1]))
@@ -255,7 +257,9 @@ def _coverage(views: Sequence[View], size: tuple[int, int]) -> float:
     return float(np.mean(counts > 0))
 
 
-def _holdout(finder: Finder, views: Sequence[View], size: tuple[int, int], *, k3: bool) -> float:
+def _holdout(
+    finder: Finder, views: Sequence[BoardView], size: tuple[int, int], *, k3: bool
+) -> float:
     """rms px in every other view of a camera fitted to the rest, both ways; only the held-out
     board's pose is fitted."""
     squares: list[Array] = []

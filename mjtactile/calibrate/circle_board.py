@@ -24,8 +24,8 @@ from scipy.spatial import KDTree
 
 from mjtactile.calibrate.camera import (
     CORNERS_MIN,
+    BoardView,
     CameraCalibration,
-    View,
     calibrate_camera,
     fit_intrinsics,
     pose_of,
@@ -61,7 +61,7 @@ class CircleFinder:
                 field="--radius-mm",
             )
 
-    def find(self, name: str, gray: NDArray[np.uint8]) -> View | None:
+    def find(self, name: str, gray: NDArray[np.uint8]) -> BoardView | None:
         """The circles' ellipses' centres, None when fewer than CORNERS_MIN are seen on one grid."""
         ellipses, _ = detect_thoroughly(gray, polarity=self.polarity)
         good = ellipses.status == "ok"
@@ -72,15 +72,15 @@ class CircleFinder:
         uv = ellipses.center_px[good][alike]
         places = number_grid(uv)
         if len(places) >= CORNERS_MIN:
-            return View(name, _ids(places), uv[list(places)])
+            return BoardView(name, _ids(places), uv[list(places)])
         return None
 
-    def corners(self, view: View) -> Array:
+    def corners(self, view: BoardView) -> Array:
         """The view's circles' centres (N, 3) m on the board."""
         i, j = np.divmod(view.ids, 2 * _HALF)
         return self.pitch * np.stack([i - _HALF, j - _HALF, np.zeros(len(i))], axis=1).astype(float)
 
-    def centred(self, view: View, K: Array, distortion: Array) -> View:
+    def centred(self, view: BoardView, K: Array, distortion: Array) -> BoardView:
         """The view with the circles' centres' images in place of the ellipses' centres, for a
         camera that is nearly right."""
         centres = self.corners(view)
@@ -97,7 +97,7 @@ class CircleFinder:
 
 
 def calibrate_from_circles(
-    finder: CircleFinder, views: Sequence[View], size: tuple[int, int], *, k3: bool = False
+    finder: CircleFinder, views: Sequence[BoardView], size: tuple[int, int], *, k3: bool = False
 ) -> CameraCalibration:
     """`calibrate_camera` from ellipses' centres. With k3 where it is asked for, or where it is
     plainly not zero and makes pictures that were not fitted no worse."""

@@ -54,7 +54,7 @@ class OpeningCalibration:
 
 
 @dataclass(frozen=True)
-class ForceCalibration:
+class GripperForceCalibration:
     """`factor` on the reported force and `offset` N (negative: friction) with standard deviations,
     `rms` N left."""
 
@@ -134,21 +134,21 @@ def _judge_opening(c: OpeningCalibration) -> list[str]:
     return [text for good, text in checks if not good]
 
 
-def calibrate_force(reported: Array, measured: Array) -> ForceCalibration:
+def calibrate_force(reported: Array, measured: Array) -> GripperForceCalibration:
     """From closing forces N as the currents say, and a load cell's readings N. Raises InputError
     for fewer than 4."""
     if len(reported) < 4 or np.ptp(reported) < 0.2 * np.max(np.abs(reported)):
         raise InputError("needs at least 4 forces that differ", field="forces")
     (offset, factor), (offset_sd, factor_sd), rms = fit_line(reported, measured)
-    result = ForceCalibration(
+    result = GripperForceCalibration(
         float(factor), float(factor_sd), float(offset), float(offset_sd), rms, ()
     )
-    return ForceCalibration(
+    return GripperForceCalibration(
         **{**asdict(result), "reasons": tuple(_judge_force(result, float(np.max(measured))))}
     )
 
 
-def _judge_force(c: ForceCalibration, largest: float) -> list[str]:
+def _judge_force(c: GripperForceCalibration, largest: float) -> list[str]:
     low, high = FACTOR_RANGE
     checks = [
         (
@@ -170,7 +170,7 @@ def _judge_force(c: ForceCalibration, largest: float) -> list[str]:
 
 
 def report(
-    rig_file: RigFile, opening: OpeningCalibration | None, force: ForceCalibration | None
+    rig_file: RigFile, opening: OpeningCalibration | None, force: GripperForceCalibration | None
 ) -> dict[str, Any]:
     """What goes into the gripper's file beside the verdict: what was found, and what it makes of
     the servos' numbers."""
@@ -185,7 +185,7 @@ def report(
 
 
 def servo_lines(
-    geometry: JawGeometry, opening: OpeningCalibration | None, force: ForceCalibration | None
+    geometry: JawGeometry, opening: OpeningCalibration | None, force: GripperForceCalibration | None
 ) -> list[dict[str, Any]]:
     """What to write into each `[[gripper.servo]]` of the rig file: id, zero_ticks, mm_per_rad
     (racks), torque_Nm_per_A.
@@ -205,7 +205,7 @@ def _servo_line(
     count: int,
     middle: float,
     opening: OpeningCalibration | None,
-    force: ForceCalibration | None,
+    force: GripperForceCalibration | None,
 ) -> dict[str, Any]:
     line: dict[str, Any] = {"id": jaw.config.id}
     scale = 1.0

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mjtactile.calibrate.camera import Finder, View
+from mjtactile.calibrate.camera import BoardView, Finder
 from mjtactile.calibrate.valve import ValveCalibration, calibrate_valve
 from mjtactile.core import pace
 from mjtactile.core.errors import DeviceError, InputError
@@ -53,11 +53,11 @@ _SAMPLE = 0.01  # s between pressure samples
 
 def collect_views(
     pictures: Iterator[tuple[str, NDArray[np.uint8]]], finder: Finder, count: int, say: Say
-) -> list[View]:
+) -> list[BoardView]:
     """Take `count` views of a board that is moved about, each when it rests somewhere new; fewer
     when the pictures end."""
-    taken: list[View] = []
-    before: View | None = None
+    taken: list[BoardView] = []
+    before: BoardView | None = None
     for name, gray in pictures:
         view = finder.find(name, gray)
         if (
@@ -91,7 +91,7 @@ def camera_pictures(
             yield f"picture {number}", image.pixels
 
 
-def _moved(view: View, other: View) -> float:
+def _moved(view: BoardView, other: BoardView) -> float:
     """Largest movement in px of the corners that both have; infinite when they share none."""
     shared, a, b = np.intersect1d(view.ids, other.ids, return_indices=True)
     if len(shared):
@@ -99,11 +99,11 @@ def _moved(view: View, other: View) -> float:
     return np.inf
 
 
-def _is_new(view: View, taken: Sequence[View], width: int) -> bool:
+def _is_new(view: BoardView, taken: Sequence[BoardView], width: int) -> bool:
     return all(_moved(view, other) > _NEW_VIEW_SHARE * width for other in taken)
 
 
-def _hint(taken: Sequence[View], shape: tuple[int, ...]) -> str:
+def _hint(taken: Sequence[BoardView], shape: tuple[int, ...]) -> str:
     """Where in the picture no corner was seen yet."""
     uv = np.concatenate([view.uv for view in taken])
     names = np.array([["upper left", "upper right"], ["lower left", "lower right"]])

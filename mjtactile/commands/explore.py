@@ -149,20 +149,20 @@ def _in(options: argparse.Namespace, out: Path | None) -> int:
 
 def _fused(options: argparse.Namespace) -> tuple[Explored, dict[str, Any]]:
     from mjtactile.explore.recorded import patches_of_recording
-    from mjtactile.explore.run import Store, explored
+    from mjtactile.explore.run import PatchStore, explored
 
     patches = []
     turns = [*options.turns, *[0.0] * len(options.sources)]
     for number, source in enumerate(options.sources):
         if (source / _TOUCHED).is_file():
-            patches += Store(source / _TOUCHED).read()
+            patches += PatchStore(source / _TOUCHED).read()
         else:
             yaw = math.radians(turns[number])
             patches += patches_of_recording(load_recording(source), 1000 * (number + 1), yaw)
     if not patches:
         raise InputError("nothing was touched there", source=options.sources[0], field="--from")
     if options.out is not None:
-        kept = Store(options.out / _TOUCHED)
+        kept = PatchStore(options.out / _TOUCHED)
         for patch in patches:
             kept.write(patch)
     found = explored(patches, "fused", len(patches), {})
@@ -181,9 +181,9 @@ def _take_a_replay_as_a_source(options: argparse.Namespace, wanted: Scenario) ->
 def _live(
     options: argparse.Namespace, wanted: Scenario, out: Path | None, progress: Progress
 ) -> tuple[Explored, dict[str, Any]]:
-    from mjtactile.explore.run import Store, Wanted
+    from mjtactile.explore.run import PatchStore, Wanted
 
-    store = None if out is None else Store(out / _TOUCHED)
+    store = None if out is None else PatchStore(out / _TOUCHED)
     known = store.read() if store is not None and options.resume else []
     asked = Wanted(options.touches, 1e-3 * options.accuracy_mm, options.force)
     keep = store.write if store is not None else lambda _: None

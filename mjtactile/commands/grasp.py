@@ -37,7 +37,7 @@ from mjtactile.run.grasp import level_texts
 from mjtactile.run.progress import Progress
 
 if TYPE_CHECKING:
-    from mjtactile.report.drawing import Drawing
+    from mjtactile.report.drawing import FigureWriter
 
 DESCRIPTION = """\
 Close a gripper on an object, feel the touch through the membrane camera of each finger,
@@ -160,7 +160,7 @@ def _run_and_report(
     out: Path,
     progress: Progress,
     views: list[Observer],
-    figure: Drawing,
+    figure: FigureWriter,
 ) -> dict[str, Any]:
     """Run the grasp and write its report, also of a run that failed half-way; the error then
     carries its summary."""
@@ -235,7 +235,7 @@ def _check_video(path: Path | None, frames: int) -> None:
 
 
 def _report_fault(
-    error: BaseException, recorder: Recorder, out: Path, wanted: Scenario, figure: Drawing
+    error: BaseException, recorder: Recorder, out: Path, wanted: Scenario, figure: FigureWriter
 ) -> None:
     """Keep what a failed run recorded and say where it is."""
     stopped = isinstance(error, (Interrupted, KeyboardInterrupt))
@@ -263,7 +263,7 @@ def _report_fault(
 
 
 def _write_report(
-    out: Path, recorder: Recorder, summary: dict[str, Any], figure: Drawing | None
+    out: Path, recorder: Recorder, summary: dict[str, Any], figure: FigureWriter | None
 ) -> None:
     """Write summary.json, then with a `figure` picture and page; what cannot be written does not
     change how the run went."""

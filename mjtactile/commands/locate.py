@@ -17,7 +17,7 @@ from mjtactile import Camera, InputError, find_circles, marker_records
 from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
-from mjtactile.report.pictures import Frame, overlay, read_frames
+from mjtactile.report.pictures import NamedImage, overlay, read_frames
 
 SIMULATES = False
 DESCRIPTION = """\
@@ -165,7 +165,7 @@ def _public(frame: dict[str, Any]) -> dict[str, Any]:
 
 
 def _locate(
-    frame: Frame, camera: Camera, options: argparse.Namespace, out: Path | None
+    frame: NamedImage, camera: Camera, options: argparse.Namespace, out: Path | None
 ) -> dict[str, Any]:
     """One frame of the JSON, with its time `ms` for the table, and whether it was `usable` at
     all."""
@@ -209,7 +209,7 @@ def _locate(
     }
 
 
-def _without_markers(frame: Frame, status: str) -> dict[str, Any]:
+def _without_markers(frame: NamedImage, status: str) -> dict[str, Any]:
     return {
         "source": frame.name,
         "status": status,

@@ -17,7 +17,7 @@ from mjtactile.commands import arguments as arg
 from mjtactile.commands import plots, tracks
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
-from mjtactile.report.pictures import Frame, marker_overlay, read_frames, to_image
+from mjtactile.report.pictures import NamedImage, marker_overlay, read_frames, to_image
 from mjtactile.report.summary_figure import draw_surface
 from mjtactile.run.progress import Progress
 from mjtactile.types import Markers, Surface, Touch
@@ -118,7 +118,7 @@ def load_perception(design: SensorDesign, path: Path | None) -> Perception:
 
 
 def _reconstruct(
-    frame: Frame, perception: Perception, out: Path | None
+    frame: NamedImage, perception: Perception, out: Path | None
 ) -> tuple[dict[str, Any], Touch | None]:
     """One frame of the JSON, and its touch."""
     chain = perception.chain

@@ -56,7 +56,7 @@ ARGUMENTS = (
 def run(options: argparse.Namespace) -> int:
     from mjtactile.studio.serve import watch
     from mjtactile.studio.show import Show
-    from mjtactile.studio.tape import Tape
+    from mjtactile.studio.tape import TapePlayer
 
     def say(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
@@ -65,7 +65,7 @@ def run(options: argparse.Namespace) -> int:
     slow.apply(options.slow, wanted.rig)
     backend, _, folder = wanted.rig.partition(":")
     if backend == "replay" and folder:
-        show = Tape(wanted, load_recording(folder), say)
+        show = TapePlayer(wanted, load_recording(folder), say)
     else:
         show = Show(wanted, say)
     show.fastest = float("inf") if options.fast else 1.0

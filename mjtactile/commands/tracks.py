@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mjtactile import Camera, InputError, TrackedCircles, track_circles
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
-from mjtactile.report.pictures import Frame, overlay, read_frames
+from mjtactile.report.pictures import NamedImage, overlay, read_frames
 from mjtactile.run.progress import Progress
 
 COLUMNS = (
@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
     progress = Progress(quiet=options.json)
     with optional_folder(options.out, "tracks.csv", "tracks.png", "reconstruct.json") as out:
         with stdout_to_stderr():
-            frames: list[Frame] = []
+            frames: list[NamedImage] = []
             found = []
             images = _images(options.source, frames)
             for tracked in track_circles(images, camera, radius, polarity=options.marks):
@@ -65,7 +65,7 @@ def _known(options: argparse.Namespace) -> tuple[Camera | None, float | None]:
     return Camera.from_yaml(options.camera), 1e-3 * options.radius_mm
 
 
-def _images(source: Path, frames: list[Frame]) -> Iterator[NDArray]:
+def _images(source: Path, frames: list[NamedImage]) -> Iterator[NDArray]:
     """The images that can be read; `frames` gets each as it comes."""
     for frame in read_frames(source):
         if frame.pixels is None:
@@ -95,7 +95,7 @@ def _result(names: Sequence[str], found: Sequence[TrackedCircles]) -> dict[str, 
     }
 
 
-def _write_csv(path: Path, frames: Sequence[Frame], found: Sequence[TrackedCircles]) -> None:
+def _write_csv(path: Path, frames: Sequence[NamedImage], found: Sequence[TrackedCircles]) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         table.writerow(COLUMNS)
@@ -113,7 +113,7 @@ def _write_csv(path: Path, frames: Sequence[Frame], found: Sequence[TrackedCircl
                 table.writerow([*row, ellipse.status[i], *place])
 
 
-def _draw(out: Path, frames: Sequence[Frame], found: Sequence[TrackedCircles]) -> None:
+def _draw(out: Path, frames: Sequence[NamedImage], found: Sequence[TrackedCircles]) -> None:
     """Paths of all circles over the last frame, and some frames with what was found in them."""
     last = frames[-1].pixels
     assert last is not None

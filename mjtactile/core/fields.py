@@ -40,7 +40,7 @@ _FILE = "file"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Part(Entry):
+class SectionEntry(Entry):
     """A section that is a dataclass of its own, or a list of `count` (least, most) of them."""
 
     kind: type
@@ -140,12 +140,12 @@ def file_path(key: str, *, shipped: bool = False, compare: bool = True, about: s
 
 def part(key: str, kind: type, *, default: Any = _REQUIRED, about: str = "") -> Any:
     """A field that is a section of its own."""
-    return entry(Part(key=key, kind=kind, about=about), default)
+    return entry(SectionEntry(key=key, kind=kind, about=about), default)
 
 
 def parts(key: str, kind: type, low: int = 1, high: int = 2) -> Any:
     """A field that is a tuple of `low` to `high` sections."""
-    return entry(Part(key=key, kind=kind, count=(low, high)))
+    return entry(SectionEntry(key=key, kind=kind, count=(low, high)))
 
 
 def given() -> Any:
@@ -178,7 +178,7 @@ def scalars(kind: type) -> Iterator[tuple[str, str, str, Number]]:
         "section.key" of the file, attribute of the section, attribute in it, and its entry.
     """
     for owner, section in entries(kind).items():
-        if not isinstance(section, Part):
+        if not isinstance(section, SectionEntry):
             continue
         for name, found in entries(section.kind).items():
             if type(found) is Number:

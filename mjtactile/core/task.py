@@ -66,7 +66,7 @@ class Orders:
 
 
 @dataclass(frozen=True)
-class Thing:
+class TaskObject:
     """How the object differs from its file; what is left out does not."""
 
     mass: Range | None = _range("mass_g", 0.1, 2000, 1e-3, about="evenly in its logarithm")
@@ -141,7 +141,7 @@ class Counts:
 
 
 @dataclass(frozen=True)
-class Event:
+class DrawnHappening:
     """A drawn `Happening`: SI values by the names of its fields, and a direction."""
 
     kind: str
@@ -159,7 +159,7 @@ class DrawnTask:
     mass: float | None
     friction: float | None
     breaking: float | None
-    events: tuple[Event, ...]
+    events: tuple[DrawnHappening, ...]
     values: Mapping[str, float]
 
     def pulls(self) -> float:
@@ -190,13 +190,13 @@ class Task:
     version: str = text("version", default="")
     time_limit: float = number("time_limit_s", 0.1, 86400, default=60.0)
     orders: Orders = part("told", Orders, default=Orders())
-    thing: Thing = part("object", Thing, default=Thing())
+    thing: TaskObject = part("object", TaskObject, default=TaskObject())
     counts: Counts = part("counts", Counts, default=Counts())
 
     @property
     def is_plain(self) -> bool:
         """Whether nothing is drawn and nothing happens."""
-        return not self.happenings and self.thing == Thing()
+        return not self.happenings and self.thing == TaskObject()
 
     def draw(self, seed: int, fingers: int) -> DrawnTask:
         """The task of a seed, for a hand of so many fingers. A value depends on the seed and on
@@ -218,15 +218,15 @@ class Task:
             begin = drawn.pop("begin")
             last = drawn.pop("last")
             way = _direction(seed, f"{number_}.direction")
-            events.append(Event(happening.kind, begin, last, drawn, way))
+            events.append(DrawnHappening(happening.kind, begin, last, drawn, way))
         thing = self._draw_thing(seed, fingers, tuple(events))
         for name in ("mass", "friction", "breaking"):
             value = getattr(thing, name)
             if value is not None:
-                values[f"task.{_key(Thing, name)}"] = _written(Thing, name, value)
+                values[f"task.{_key(TaskObject, name)}"] = _written(TaskObject, name, value)
         return DrawnTask(thing.mass, thing.friction, thing.breaking, thing.events, values)
 
-    def _draw_thing(self, seed: int, fingers: int, events: tuple[Event, ...]) -> DrawnTask:
+    def _draw_thing(self, seed: int, fingers: int, events: tuple[DrawnHappening, ...]) -> DrawnTask:
         spans = self.thing
         breaking = None if spans.breaking is None else _at(spans.breaking, _share(seed, "breaking"))
         attempt = 0

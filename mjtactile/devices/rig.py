@@ -19,7 +19,7 @@ from mjtactile.rig.file import CameraConfig, RigFile
 from mjtactile.rig.finger import Rig, make_fingers
 from mjtactile.rig.gripper import calibrated_gripper
 from mjtactile.rig.limits import Limits
-from mjtactile.rig.protocols import Camera
+from mjtactile.rig.protocols import CameraDevice
 from mjtactile.rig.registry import CAMERAS, RigRequest, load_backend, require_file
 from mjtactile.rig.sensors import finger_calibration, finger_design
 
@@ -48,11 +48,11 @@ class FrameClock(MonotonicClock):
 
     It wakes from half a period before the time asked for to half a period after it, or after a
     period from its last waking: so the loop falls into step with its cameras. Whatever they do, it
-    wakes: their faults are found by `Camera.read`. A camera that cannot be waited for (a third
-    party's, without `wait_newer` and `newest_time`) is not.
+    wakes: their faults are found by `CameraDevice.read`. A camera that cannot be waited for (a
+    third party's, without `wait_newer` and `newest_time`) is not.
     """
 
-    def __init__(self, cameras: Sequence[Camera], period: float):
+    def __init__(self, cameras: Sequence[CameraDevice], period: float):
         self._cameras: list[Any] = [camera for camera in cameras if hasattr(camera, "wait_newer")]
         self._period = period
         self._seen = [0.0 for _ in self._cameras]
@@ -97,7 +97,7 @@ def build_device_rig(
         )
         for camera, own in zip(rig_file.cameras, designs, strict=True):
             _check_picture(camera, own, rig_file)
-        cameras: list[Camera] = []
+        cameras: list[CameraDevice] = []
         for camera in rig_file.cameras:
             signals.check()
             cameras.append(load_backend(CAMERAS, camera.backend)(camera))

@@ -17,7 +17,7 @@ from typing import Any, TextIO
 from mjtactile.core import pace, process, system
 from mjtactile.core.errors import InputError, MjtactileError
 from mjtactile.emulator.faults import KINDS, Faults
-from mjtactile.emulator.hardware import Hardware
+from mjtactile.emulator.hardware import EmulatedHardware
 from mjtactile.emulator.options import EmulatorOptions
 from mjtactile.emulator.shared import FROM_WORLD, SharedState
 
@@ -57,7 +57,7 @@ class Emulator:
             self.faults.set(kind, value)
         self._world = WorldProcess(line.strip())
         try:
-            self._hardware = Hardware(options.rig_file, self._world.shared, self.faults)
+            self._hardware = EmulatedHardware(options.rig_file, self._world.shared, self.faults)
         except BaseException:
             self._world.close()
             raise

@@ -8,7 +8,7 @@ import threading
 
 from mjtactile.core import pace
 from mjtactile.emulator.faults import Faults
-from mjtactile.emulator.mechanism import Jaw, Jaws
+from mjtactile.emulator.mechanism import GearedJaws, Jaw
 from mjtactile.emulator.servo import EmulatedServo
 from mjtactile.emulator.servo_bus import ServoBus
 from mjtactile.emulator.shared import SharedState
@@ -27,7 +27,7 @@ _SHARED_FAULTS = (
 )
 
 
-class Hardware:
+class EmulatedHardware:
     """Servo bus and valve board of `rig_file`, alive until `close`. They also work with no world
     behind `shared`."""
 
@@ -91,7 +91,7 @@ class Hardware:
         self.servos[servo_id] = servo
         return servo
 
-    def _build_jaws(self) -> Jaws:
+    def _build_jaws(self) -> GearedJaws:
         jaws = []
         configs = self._rig_file.gripper.servos
         for config in configs:
@@ -100,7 +100,7 @@ class Hardware:
             jaw.servo = self._build_servo(config.id, config.model, angle)
             jaws.append(jaw)
         emulator = self._rig_file.emulator or EmulatorConfig()
-        return Jaws(jaws, emulator.backlash)
+        return GearedJaws(jaws, emulator.backlash)
 
     def _build_lift(self) -> EmulatedServo | None:
         lift = self._rig_file.lift

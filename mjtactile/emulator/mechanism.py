@@ -51,7 +51,7 @@ class Jaw:
         return self._config.per_rad
 
 
-class Jaws:
+class GearedJaws:
     """All jaws; a gear keeps them symmetric, so that each owns the same part of the opening.
     `backlash` m of the opening: how far the shafts turn before the jaws follow."""
 

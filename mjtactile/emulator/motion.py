@@ -14,7 +14,7 @@ FAR = 2 * math.pi  # rad ahead: where a motor without a position goal pulls to
 
 
 @dataclass(frozen=True)
-class Drive:
+class MotorDrive:
     """What the motor does now: goal angle rad (turns counted), and the most torque it may use, N m
     (0: no torque)."""
 

@@ -11,7 +11,7 @@ import math
 
 from mjtactile.core import pace
 from mjtactile.emulator import control_table as ct
-from mjtactile.emulator.motion import FAR, Drive
+from mjtactile.emulator.motion import FAR, MotorDrive
 from mjtactile.emulator.registers import RANGE_ERROR, RESULT_FAIL, TRIPPED
 from mjtactile.emulator.servo_registers import ServoRegisters
 
@@ -190,31 +190,31 @@ class EmulatedServo(ServoRegisters):
     def _ignores_watchdog(self) -> bool:
         return (self._table.size, self.get("Firmware Version")) in ct.WATCHDOG_GOES_ON
 
-    def drive(self) -> Drive:
+    def drive(self) -> MotorDrive:
         """The drive that the registers ask for now."""
         with self._lock:
             mode = self.get("Operating Mode")
             if not self.get("Torque Enable"):
-                return Drive(self.angle, 0.0)
+                return MotorDrive(self.angle, 0.0)
             if (
                 self.tripped
                 and not self._ignores_watchdog
                 and (self._trip == "limp" or mode in _FREE_MODES)
             ):
-                return Drive(self.angle, 0.0)
+                return MotorDrive(self.angle, 0.0)
             full = self._current_max * self._torque_per_A
             # "directly controls" current or PWM: pulls with that, wherever it gets to
             if mode in _FREE_MODES:
                 goal = self.get_signed("Goal Current" if mode == 0 else "Goal PWM")
                 torque = abs(goal) * (self._torque_per_unit if mode == 0 else full / _PWM_FULL)
-                return Drive(self.angle + math.copysign(FAR, self._direction * goal), torque)
+                return MotorDrive(self.angle + math.copysign(FAR, self._direction * goal), torque)
             # "sets a limit to current in Current-based … mode"
             name = "Goal Current" if mode == 5 else "Current Limit"
             torque = min(
                 abs(self.get_signed(name)) * self._torque_per_unit,
                 abs(self.get_signed("Goal PWM")) / _PWM_FULL * full,
             )
-            return Drive(self._path.angle if mode == 1 else self._planned(), torque)
+            return MotorDrive(self._path.angle if mode == 1 else self._planned(), torque)
 
     @property
     def _torque_per_unit(self) -> float:

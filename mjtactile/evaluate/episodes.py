@@ -26,7 +26,7 @@ from mjtactile.recording.observer import Observer
 from mjtactile.recording.writer import Recorder
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.variation import draw
-from mjtactile.run.controller import Stepper
+from mjtactile.run.controller import LoadedController
 from mjtactile.run.cycle import Cycle
 from mjtactile.run.grasp import run_grasp
 from mjtactile.run.session import Session
@@ -123,7 +123,10 @@ def plan(
 
 
 def run_episode(
-    episode: Episode, *, controller: Stepper | None = None, watching: Sequence[Observer] = ()
+    episode: Episode,
+    *,
+    controller: LoadedController | None = None,
+    watching: Sequence[Observer] = (),
 ) -> dict[str, Any]:
     """Run one episode.
 
@@ -184,7 +187,7 @@ def _drawn_values(scenario: Scenario) -> dict[str, Any]:
 
 
 def _run(
-    scenario: Scenario, observers: Sequence[Observer], controller: Stepper | None
+    scenario: Scenario, observers: Sequence[Observer], controller: LoadedController | None
 ) -> dict[str, Any]:
     """The grasp's summary, or that of an error. Raises Interrupted."""
     try:

@@ -29,7 +29,7 @@ _FIELDS = (*_SMALL_FIELDS, (0.5, 8.0), (1.2, 8.0), (0.5, 14.0), (1.5, 14.0))
 
 
 @dataclass(frozen=True, eq=False)
-class Family:
+class ObjectFamily:
     """Bodies that are alike.
 
     Attributes:
@@ -62,7 +62,7 @@ def _family(
     cut: bool = False,
     starts: tuple[tuple[float, float], ...] = (),
     fields: tuple[tuple[float, float], ...] = _SMALL_FIELDS,
-) -> Family:
+) -> ObjectFamily:
     """Exponents along and across as mean and sd, the taper's sd; whether the sizes across are
     alike."""
     end, end_sd = _CUT if cut else (WHOLE, _TIED)
@@ -81,7 +81,7 @@ def _family(
     if tapers_alike:
         cov[11:13, 11:13] = taper**2 + _TIED**2 * np.eye(2)
     root = np.linalg.inv(np.linalg.cholesky(cov))
-    return Family(name, mean, cov, root, starts or ((along[0], across[0]),), fields, cut)
+    return ObjectFamily(name, mean, cov, root, starts or ((along[0], across[0]),), fields, cut)
 
 
 _CUT = (0.8, 0.2)  # of its lower half: where a flat end is

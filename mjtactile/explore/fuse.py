@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 
 from mjtactile.core.types import Array
 from mjtactile.explore import body
-from mjtactile.explore.families import FAMILIES, HALF, Family
+from mjtactile.explore.families import FAMILIES, HALF, ObjectFamily
 from mjtactile.explore.patch import Patch, between
-from mjtactile.explore.surface import Surface, kernel, unknown
+from mjtactile.explore.surface import BelievedSurface, kernel, unknown
 
 _MM = 1e3
 _FIRST_FIELD = (0.05, 8.0)  # mm: with more, bumps take up what is of doubtful patches
@@ -43,7 +43,7 @@ _PLACES = 3  # from which it is tried again where a body is known
 _SCALE = np.array([1.0] * 3 + [0.1] * 3 + [0.05] * 3 + [0.1] * 2 + [0.05] * 3)
 
 
-def fuse(patches: Sequence[Patch], before: Sequence[Surface] = ()) -> list[Surface]:
+def fuse(patches: Sequence[Patch], before: Sequence[BelievedSurface] = ()) -> list[BelievedSurface]:
     """The surfaces that patches may lie on.
 
     Args:
@@ -62,7 +62,7 @@ def fuse(patches: Sequence[Patch], before: Sequence[Surface] = ()) -> list[Surfa
     return sorted(found, key=lambda one: -one.log_evidence)
 
 
-def shares(surfaces: Sequence[Surface]) -> Array:
+def shares(surfaces: Sequence[BelievedSurface]) -> Array:
     """Probability of each, (N,), all families alike beforehand."""
     told = np.array([one.log_evidence for one in surfaces])
     weight = np.exp(told - told.max())
@@ -70,8 +70,8 @@ def shares(surfaces: Sequence[Surface]) -> Array:
 
 
 def _of_family(
-    data: _Data, family: Family, places: Sequence[Array], known: Array | None
-) -> Surface:
+    data: _Data, family: ObjectFamily, places: Sequence[Array], known: Array | None
+) -> BelievedSurface:
     """The likeliest body of a family, and field."""
     starts = []
     if known is not None:
@@ -199,12 +199,12 @@ def _least_squares(left: Told, slopes: Any, start: Array, rounds: int) -> Optimi
     )
 
 
-def _free_and_prior(data: _Data, family: Family, theta: Array) -> list[Array]:
+def _free_and_prior(data: _Data, family: ObjectFamily, theta: Array) -> list[Array]:
     free = np.clip(body.distance(theta, data.free), -_FREE_MOST, 0.0) / _FREE_SD
     return [free, family.root @ (theta - family.mean)]
 
 
-def _slopes(data: _Data, family: Family, theta: Array) -> tuple[Array, list[Array]]:
+def _slopes(data: _Data, family: ObjectFamily, theta: Array) -> tuple[Array, list[Array]]:
     """By the body's numbers: of its distances at the points, and of what is free and the prior."""
     inside = body.distance(theta, data.free)
     pulls = np.flatnonzero((inside < 0) & (inside > -_FREE_MOST))
@@ -215,7 +215,7 @@ def _slopes(data: _Data, family: Family, theta: Array) -> tuple[Array, list[Arra
     return rows[:count], [free, family.root]
 
 
-def _robust(data: _Data, family: Family, start: Array, rounds: int) -> OptimizeResult:
+def _robust(data: _Data, family: ObjectFamily, start: Array, rounds: int) -> OptimizeResult:
     """A body near to most points, each by itself; those far off pull less (Cauchy's loss)."""
     sd = np.sqrt(np.diag(data.noise) + _ALLOWED**2)
     for part in data.parts:
@@ -239,7 +239,9 @@ def _robust(data: _Data, family: Family, start: Array, rounds: int) -> OptimizeR
     return _least_squares(left, slopes, start, rounds)
 
 
-def _solve(data: _Data, family: Family, field: tuple[float, float], start: Array) -> OptimizeResult:
+def _solve(
+    data: _Data, family: ObjectFamily, field: tuple[float, float], start: Array
+) -> OptimizeResult:
     """The body that is likeliest, from a start."""
     root = np.linalg.cholesky(kernel(data.points, data.points, *field) + data.noise)
 
@@ -254,7 +256,9 @@ def _solve(data: _Data, family: Family, field: tuple[float, float], start: Array
     return _least_squares(left, slopes, start, _ROUNDS)
 
 
-def _with_field(data: _Data, family: Family, theta: Array, field: tuple[float, float]) -> Surface:
+def _with_field(
+    data: _Data, family: ObjectFamily, theta: Array, field: tuple[float, float]
+) -> BelievedSurface:
     """The field and the body's numbers about `theta`, from what was touched (Eq. E3), and how
     likely all of it is (Eq. E5)."""
     rows = body.by_numbers(theta, data.points)
@@ -269,7 +273,7 @@ def _with_field(data: _Data, family: Family, theta: Array, field: tuple[float, f
     evidence += data.odds - 0.5 * float(free @ free)
     # at the likeliest body its own share of what is left over is nothing
     weights = cho_solve(cho_factor(own, lower=True), data.left(theta))
-    return Surface(family, theta, field, data.points, weights, factor, evidence)
+    return BelievedSurface(family, theta, field, data.points, weights, factor, evidence)
 
 
 def _starts(patches: Sequence[Patch]) -> list[Array]:

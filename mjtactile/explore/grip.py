@@ -42,7 +42,7 @@ _FACING = (
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
+class GripCycle:
     """One cycle of a grip: each finger's touch, the opening m between the frames, the hand's
     height m."""
 
@@ -52,7 +52,7 @@ class Moment:
 
 
 @dataclass(frozen=True)
-class Squeeze:
+class GripController:
     """A controller: at each of the `heights` m, close until each finger feels `force` N, stand
     still, open; then down. One finger alone is pressed with half more at most."""
 
@@ -104,12 +104,12 @@ class Log(Observer):
     """Keeps the moments of a grip."""
 
     def __init__(self) -> None:
-        self.moments: list[Moment] = []
+        self.moments: list[GripCycle] = []
 
     def add(self, cycle: Cycle, view: object = None, **truth: object) -> None:
         """Take in a cycle."""
         gripper = cycle.gripper
-        self.moments.append(Moment(cycle.touch, gripper.opening, gripper.lift_height))
+        self.moments.append(GripCycle(cycle.touch, gripper.opening, gripper.lift_height))
 
 
 def require_two(fingers: int) -> None:
@@ -122,7 +122,7 @@ def require_two(fingers: int) -> None:
         )
 
 
-def grips_of(moments: Sequence[Moment]) -> list[list[Moment]]:
+def grips_of(moments: Sequence[GripCycle]) -> list[list[GripCycle]]:
     """Each grip of a run by itself: from the first finger that feels something to the last, as far
     as the hand stays where it met the object.
 
@@ -132,8 +132,8 @@ def grips_of(moments: Sequence[Moment]) -> list[list[Moment]]:
     Returns:
         The cycles of each grip in which both fingers felt something.
     """
-    grips: list[list[Moment]] = []
-    now: list[Moment] = []
+    grips: list[list[GripCycle]] = []
+    now: list[GripCycle] = []
     for moment in moments:
         forces = [touch.force_normal for touch in moment.touch]
         if max(forces, default=0.0) > _SEEN:
@@ -146,7 +146,7 @@ def grips_of(moments: Sequence[Moment]) -> list[list[Moment]]:
     return [grip for grip in stood if _strongest(grip) is not None]
 
 
-def _before_it_was_lifted(grip: list[Moment]) -> list[Moment]:
+def _before_it_was_lifted(grip: list[GripCycle]) -> list[GripCycle]:
     for number, moment in enumerate(grip):
         if abs(moment.height - grip[0].height) > _LIFTED:
             return grip[:number]
@@ -154,7 +154,7 @@ def _before_it_was_lifted(grip: list[Moment]) -> list[Moment]:
 
 
 def patches_of_grip(
-    moments: Sequence[Moment],
+    moments: Sequence[GripCycle],
     perceptions: Sequence[Perceiver],
     designs: Sequence[SensorDesign],
     *,
@@ -207,7 +207,7 @@ def patches_of_grip(
     return patches
 
 
-def _strongest(moments: Sequence[Moment]) -> int | None:
+def _strongest(moments: Sequence[GripCycle]) -> int | None:
     """The last moment of the firmest part of a grip; None where not both fingers felt something."""
     least = np.array([min((t.force_normal for t in m.touch), default=0.0) for m in moments])
     least = np.where(np.isfinite(least), least, 0.0)

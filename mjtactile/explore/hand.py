@@ -8,7 +8,14 @@ from pathlib import Path
 
 from mjtactile.core.errors import InputError, Interrupted
 from mjtactile.core.scenario import Scenario
-from mjtactile.explore.grip import HEIGHTS, Log, Squeeze, grips_of, patches_of_grip, require_two
+from mjtactile.explore.grip import (
+    HEIGHTS,
+    GripController,
+    Log,
+    grips_of,
+    patches_of_grip,
+    require_two,
+)
 from mjtactile.explore.patch import Patch
 from mjtactile.explore.run import Explored, Wanted, explored
 from mjtactile.recording.observer import Observer, Observers
@@ -70,7 +77,7 @@ def explore_in_hand(
         session.take_references(watching)
         try:
             session.run(
-                Squeeze(heights, wanted.force),
+                GripController(heights, wanted.force),
                 time_limit=_GRIP_TIME * len(heights),
                 observer=watching,
             )

@@ -18,7 +18,7 @@ from mjtactile.explore.plan import Mesh
 from mjtactile.explore.run import Explored
 from mjtactile.explore.size import principal_sizes
 from mjtactile.explore.solid import mesh_of
-from mjtactile.explore.stiffness import Stiffness
+from mjtactile.explore.stiffness import ComplianceMap
 from mjtactile.recording.files import to_json
 from mjtactile.report.html import document, table
 
@@ -58,7 +58,7 @@ def write_page(path: Path, found: Explored, summary: Mapping[str, Any]) -> None:
         summary: Its JSON.
     """
     mesh = mesh_of(found.surface, _EDGE)
-    soft = Stiffness.of(found.patches, mesh).by_vertex
+    soft = ComplianceMap.of(found.patches, mesh).by_vertex
     data = {
         "vertices": (1e3 * mesh.vertices).round(2).tolist(),
         "normals": mesh.normals.round(3).tolist(),
@@ -129,7 +129,7 @@ def draw(figure: Any, found: Explored) -> None:
     """Draw the surface, its longest axis up: stiffness, and how well it is known, with the
     touches."""
     mesh = mesh_of(found.surface, _EDGE)
-    soft = Stiffness.of(found.patches, mesh).by_vertex
+    soft = ComplianceMap.of(found.patches, mesh).by_vertex
     for number, (colour, title) in enumerate(
         ((colours(soft), "stiffness: blue stiff, red soft"), (_doubt(mesh), "doubt: orange 1 mm"))
     ):

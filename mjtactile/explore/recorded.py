@@ -13,7 +13,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Array
 from mjtactile.explore.felt import Pressed, patch_of
-from mjtactile.explore.grip import Moment, grips_of, patches_of_grip
+from mjtactile.explore.grip import GripCycle, grips_of, patches_of_grip
 from mjtactile.explore.patch import Patch
 from mjtactile.recording.reader import Recording
 from mjtactile.recording.stage import Move, stage_from_note
@@ -68,7 +68,7 @@ def patches_of_recording(recording: Recording, group: int, yaw: float = 0.0) -> 
     ]
 
 
-def _felt_again(recording: Recording, session: Session) -> list[Moment]:
+def _felt_again(recording: Recording, session: Session) -> list[GripCycle]:
     moments = []
     for cycle, images in enumerate(recording.images()):
         now = float(recording.column("time")[cycle, 0])
@@ -81,7 +81,7 @@ def _felt_again(recording: Recording, session: Session) -> list[Moment]:
         opening, height = (
             float(recording.column(name)[cycle, 0]) for name in ("opening", "lift_height")
         )
-        moments.append(Moment(touch, opening, height))
+        moments.append(GripCycle(touch, opening, height))
     return moments
 
 

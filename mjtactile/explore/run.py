@@ -18,8 +18,8 @@ from mjtactile.explore.patch import Patch
 from mjtactile.explore.plan import Aim, Mesh, next_aim
 from mjtactile.explore.size import Sizes, news_of_size, rivals, sizes
 from mjtactile.explore.solid import mesh_of
-from mjtactile.explore.stiffness import Stiffness
-from mjtactile.explore.surface import Surface
+from mjtactile.explore.stiffness import ComplianceMap
+from mjtactile.explore.surface import BelievedSurface
 from mjtactile.recording.files import to_json
 
 _PLAN_EDGE = 1.5e-3  # m, of triangles while it goes on
@@ -63,11 +63,11 @@ class Explored:
     "nothing there" or "interrupted". `families` has the probability of each kind of body."""
 
     patches: tuple[Patch, ...]
-    surface: Surface
+    surface: BelievedSurface
     families: Mapping[str, float]
     mesh: Mesh
     sizes: Sizes
-    stiffness: Stiffness
+    stiffness: ComplianceMap
     outcome: str
     tried: int
     flags: Mapping[str, str] = field(default_factory=dict)
@@ -137,7 +137,7 @@ def explore(
         What was found, also when it was stopped.
     """
     patches = list(known)
-    believed: Sequence[Surface] = fuse(patches)
+    believed: Sequence[BelievedSurface] = fuse(patches)
     tried: list[Aim] = []
     failures: list[str] = []
     vain = 0
@@ -175,8 +175,8 @@ def explore(
 
 
 def _with(
-    new: Sequence[Patch], patches: Sequence[Patch], before: Sequence[Surface]
-) -> Sequence[Surface]:
+    new: Sequence[Patch], patches: Sequence[Patch], before: Sequence[BelievedSurface]
+) -> Sequence[BelievedSurface]:
     """What is believed now."""
     return fuse(patches, before) if new else before
 
@@ -202,7 +202,7 @@ def explored(
         },
         mesh,
         sizes(meshes, counting, patches),
-        Stiffness.of(patches, mesh),
+        ComplianceMap.of(patches, mesh),
         outcome,
         tried,
         dict(flags),
@@ -210,13 +210,13 @@ def explored(
     )
 
 
-def _line(number: int, new: Sequence[Patch], surface: Surface) -> str:
+def _line(number: int, new: Sequence[Patch], surface: BelievedSurface) -> str:
     felt = ", ".join(f"{patch.kind} at {patch.force:.2f} N" for patch in new) or "nothing felt"
     doubt = f"surface known to {1e3 * mesh_of(surface, _PLAN_EDGE).error():.2f} mm"
     return f"touch {number}: {felt}; {surface.family.name}, {doubt}"
 
 
-class Store:
+class PatchStore:
     """The patches of an exploration in a file, a line each, written as they come: what was touched
     is not lost, whatever happens next."""
 

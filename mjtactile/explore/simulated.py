@@ -14,13 +14,13 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Array
 from mjtactile.explore.fuse import fuse
-from mjtactile.explore.grip import HEIGHTS, Log, Squeeze, patches_of_grip, require_two
+from mjtactile.explore.grip import HEIGHTS, GripController, Log, patches_of_grip, require_two
 from mjtactile.explore.patch import Patch
 from mjtactile.explore.plan import Mesh
 from mjtactile.explore.run import Explored, Wanted, explore, explored
 from mjtactile.explore.score import score
 from mjtactile.explore.solid import mesh_of
-from mjtactile.explore.stage import Stage
+from mjtactile.explore.stage import SimulatedStage
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.variation import Drawn, ObjectChange
 from mjtactile.run.session import Session
@@ -56,7 +56,7 @@ def explore_on_stage(
     """
     model = _checked(scenario, wanted)
     p_HO, R_HO = placed(scenario.seed)
-    stage = Stage(scenario.design(), model, p_HO=p_HO, R_HO=R_HO, seed=scenario.seed)
+    stage = SimulatedStage(scenario.design(), model, p_HO=p_HO, R_HO=R_HO, seed=scenario.seed)
     found = explore(stage, wanted, known=known, begun=len(known), **told)
     if not found.patches:
         return found, {}
@@ -183,7 +183,7 @@ def _grip(
     try:
         session = Session(rig, threads=0)
         session.take_references()
-        session.run(Squeeze((height,), force), time_limit=_GRIP_TIME, observer=log)
+        session.run(GripController((height,), force), time_limit=_GRIP_TIME, observer=log)
         flags |= dict(rig.flags())
         designs = [finger.design for finger in rig.fingers]
         return patches_of_grip(log.moments, session.perceptions, designs, yaw=turn, group=number)

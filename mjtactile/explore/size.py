@@ -12,7 +12,7 @@ from mjtactile.core.types import Array
 from mjtactile.explore.fuse import shares
 from mjtactile.explore.patch import Patch
 from mjtactile.explore.plan import Mesh
-from mjtactile.explore.surface import Surface
+from mjtactile.explore.surface import BelievedSurface
 
 _END = 5e-4  # m from the outermost point: what counts as an end
 _FACING = 0.8  # cosine of an end's normal with the axis
@@ -44,7 +44,9 @@ def principal_sizes(mesh: Mesh) -> tuple[Array, Array]:
     return np.ptp(off @ axes, axis=0), axes
 
 
-def sizes(meshes: Sequence[Mesh], surfaces: Sequence[Surface], patches: Sequence[Patch]) -> Sizes:
+def sizes(
+    meshes: Sequence[Mesh], surfaces: Sequence[BelievedSurface], patches: Sequence[Patch]
+) -> Sizes:
     """How large it is.
 
     Args:
@@ -71,12 +73,12 @@ def sizes(meshes: Sequence[Mesh], surfaces: Sequence[Surface], patches: Sequence
     return Sizes(mean, sd, np.column_stack([mean - sd, high]))
 
 
-def rivals(surfaces: Sequence[Surface]) -> list[Surface]:
+def rivals(surfaces: Sequence[BelievedSurface]) -> list[BelievedSurface]:
     """Those that may be meant, the likeliest first."""
     return [one for one, share in zip(surfaces, shares(surfaces), strict=True) if share > _RIVAL]
 
 
-def news_of_size(mesh: Mesh, surface: Surface) -> Array:
+def news_of_size(mesh: Mesh, surface: BelievedSurface) -> Array:
     """By how much a touch at each vertex would make the three sizes better known, (V,) m: root of
     what it takes off their variances."""
     _, axes = principal_sizes(mesh)
@@ -102,7 +104,7 @@ def _ends(mesh: Mesh, axis: Array) -> list[Array]:
     return found
 
 
-def _variance(surface: Surface, ends: Sequence[Array], touched: Array) -> float:
+def _variance(surface: BelievedSurface, ends: Sequence[Array], touched: Array) -> float:
     """m^2, of the distance between two ends: of body and field, and of what these leave: of an end
     that nobody came near, and of a body that explains little by itself."""
     places = np.concatenate(list(ends))

@@ -9,14 +9,14 @@ import numpy as np
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.explore.plan import Mesh
-from mjtactile.explore.surface import Surface
+from mjtactile.explore.surface import BelievedSurface
 
 _MARGIN = 4e-3  # m around what was touched and believed
 _ACROSS = 90  # triangles along its longest side, at most
 _SLOPE_STEP = 5e-5  # m
 
 
-def mesh_of(surface: Surface, edge: float = 1e-3) -> Mesh:
+def mesh_of(surface: BelievedSurface, edge: float = 1e-3) -> Mesh:
     """Triangles of a surface.
 
     Args:
@@ -74,7 +74,7 @@ def _between(
     return inside
 
 
-def with_doubt(surface: Surface, vertices: Array, triangles: Array) -> Mesh:
+def with_doubt(surface: BelievedSurface, vertices: Array, triangles: Array) -> Mesh:
     """A mesh with its normals and standard deviations."""
     slope = np.stack(
         [
@@ -89,7 +89,7 @@ def with_doubt(surface: Surface, vertices: Array, triangles: Array) -> Mesh:
     return Mesh(vertices, np.asarray(triangles, int), normals, sd)
 
 
-def _box(surface: Surface) -> tuple[Array, Array]:
+def _box(surface: BelievedSurface) -> tuple[Array, Array]:
     """Corners, m, around all of it."""
     reach = 1e-3 * float(np.linalg.norm(np.exp(surface.theta[6:9])))
     middle = 1e-3 * surface.theta[:3]

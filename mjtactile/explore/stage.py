@@ -29,7 +29,7 @@ _SEEN = 0.08  # N, from which on images tell of the body
 Say = Callable[[str], None]
 
 
-class Stage:
+class SimulatedStage:
     """One sensor under a stage.
 
     Args:

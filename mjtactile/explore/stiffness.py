@@ -18,7 +18,7 @@ _TOLD = 2.0  # sd
 
 
 @dataclass(frozen=True, eq=False)
-class Stiffness:
+class ComplianceMap:
     """Compliance m/N, force for force, of each vertex (V,), and of all touches together with its
     sd."""
 
@@ -27,7 +27,7 @@ class Stiffness:
     mean_sd: float
 
     @classmethod
-    def of(cls, patches: Sequence[Patch], mesh: Mesh) -> Stiffness:
+    def of(cls, patches: Sequence[Patch], mesh: Mesh) -> ComplianceMap:
         """From what gave way where it was touched: near a touch as that touch says, far from all
         the mean."""
         told = [patch for patch in patches if math.isfinite(patch.compliance)]

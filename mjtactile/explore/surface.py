@@ -11,13 +11,13 @@ from scipy.spatial.distance import cdist
 
 from mjtactile.core.types import Array
 from mjtactile.explore import body
-from mjtactile.explore.families import FREE, Family
+from mjtactile.explore.families import FREE, ObjectFamily
 
 _MM = 1e3
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class BelievedSurface:
     """What is believed of an object's surface.
 
     Attributes:
@@ -30,7 +30,7 @@ class Surface:
         log_evidence: Of the field.
     """
 
-    family: Family
+    family: ObjectFamily
     theta: Array
     field: tuple[float, float]
     points: Array
@@ -76,10 +76,10 @@ def kernel(p: Array, q: Array, sd: float, length: float) -> Array:
     return sd**2 * (1 + r + r**2 / 3) * np.exp(-r)
 
 
-def unknown() -> Surface:
+def unknown() -> BelievedSurface:
     """Before the first touch: a ball about the holder's origin, half of it give or take."""
     none = np.zeros((0, 3))
     empty = (np.zeros((0, 0)), True)
     theta = FREE.mean.copy()
     theta[9:11] = 1.0
-    return Surface(FREE, theta, (0.3, 8.0), none, np.zeros(0), empty, 0.0)
+    return BelievedSurface(FREE, theta, (0.3, 8.0), none, np.zeros(0), empty, 0.0)

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array, Ellipses, Surface, Traction
-from mjtactile.export.episode import Episode, Perceived
-from mjtactile.export.stream import Item, Source, Transform, cameras, of_cycle, stamp_of
+from mjtactile.export.episode import Perceived, RecordedEpisode
+from mjtactile.export.stream import Message, Source, Transform, cameras, of_cycle, stamp_of
 from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
 
 FORCE = 0.02  # m of arrow for each N
@@ -25,7 +25,7 @@ _AROUND = 24  # points of an ellipse
 
 
 @dataclass(frozen=True, eq=False)
-class Curves:
+class ImageCurves:
     """Closed curves (n, k, 2) in an image, px, and whether each is trusted."""
 
     points: Array
@@ -33,7 +33,7 @@ class Curves:
 
 
 @dataclass(frozen=True, eq=False)
-class Mesh:
+class DrawnMesh:
     """A surface in its frame: points (n, 3) m, triangles (m, 3), colour from 0 to 1."""
 
     points: Array
@@ -61,7 +61,7 @@ class Drawing:
         """Draw the scene once more: somebody looks who has not seen it."""
         self._placed.clear()
 
-    def of(self, seen: Perceived) -> Iterator[Item]:
+    def of(self, seen: Perceived) -> Iterator[Message]:
         """All that is drawn of one cycle."""
         for k, finger in enumerate(self.source.fingers):
             stamp = stamp_of(seen, k)
@@ -69,40 +69,40 @@ class Drawing:
             ellipses = seen.ellipses[k] if seen.ellipses else None
             if ellipses is not None and len(ellipses):
                 camera = f"{finger}_camera"
-                yield Item(f"/{finger}/ellipses", "curves", stamp, camera, curves_of(ellipses))
+                yield Message(f"/{finger}/ellipses", "curves", stamp, camera, curves_of(ellipses))
             touch = seen.touch[k] if seen.touch else None
             if touch is None or touch.surface is None:
                 continue
             mesh = surface_mesh(touch.surface)
-            yield Item(f"/{finger}/membrane/drawn", "mesh", stamp, sensor, mesh)
+            yield Message(f"/{finger}/membrane/drawn", "mesh", stamp, sensor, mesh)
             if touch.traction is not None:
                 arrows = traction_arrows(touch.traction, touch.surface)
-                yield Item(f"/{finger}/traction/drawn", "arrows", stamp, sensor, arrows)
+                yield Message(f"/{finger}/traction/drawn", "arrows", stamp, sensor, arrows)
                 force = force_arrow(touch.traction, touch.surface)
-                yield Item(f"/{finger}/force/drawn", "arrows", stamp, sensor, force)
+                yield Message(f"/{finger}/force/drawn", "arrows", stamp, sensor, force)
         if seen.view is not None:
             yield from self._scene(seen)
 
-    def _scene(self, seen: Perceived) -> Iterator[Item]:
+    def _scene(self, seen: Perceived) -> Iterator[Message]:
         moved = []
         for solid in seen.view.solids():
             frame = f"scene/{solid.name}"
             pose = np.append(solid.R_WG.ravel(), solid.p_WG)
             before = self._placed.get(frame)
             if before is None:
-                mesh = Mesh(solid.points, solid.faces, tuple(map(float, solid.rgba)))
-                yield Item(f"/{frame}", "mesh", seen.time, frame, mesh)
+                mesh = DrawnMesh(solid.points, solid.faces, tuple(map(float, solid.rgba)))
+                yield Message(f"/{frame}", "mesh", seen.time, frame, mesh)
             if before is None or not np.array_equal(before, pose):
                 moved.append(Transform("world", frame, solid.R_WG, solid.p_WG))
                 self._placed[frame] = pose
         for name, points, faces, rgba in seen.view.soft_bodies():
-            mesh = Mesh(points, faces, tuple(map(float, rgba)))
-            yield Item(f"/soft/{name}", "mesh", seen.time, "world", mesh)
+            mesh = DrawnMesh(points, faces, tuple(map(float, rgba)))
+            yield Message(f"/soft/{name}", "mesh", seen.time, "world", mesh)
         if moved:
-            yield Item("/tf_scene", "frames", seen.time, "", moved)
+            yield Message("/tf_scene", "frames", seen.time, "", moved)
 
 
-def drawn_items(episode: Episode) -> Iterator[Item]:
+def drawn_items(episode: RecordedEpisode) -> Iterator[Message]:
     """All messages of a recording, and what is drawn of each cycle."""
     drawing = Drawing(episode)
     yield cameras(episode, float(episode.recording.columns["time"][0]))
@@ -111,14 +111,14 @@ def drawn_items(episode: Episode) -> Iterator[Item]:
         yield from drawing.of(seen)
 
 
-def curves_of(ellipses: Ellipses) -> Curves:
+def curves_of(ellipses: Ellipses) -> ImageCurves:
     """The ellipses of an image as closed curves; those that are not "ok" are not trusted."""
     shapes = shape_from_axes(ellipses.semi_axes_px, ellipses.angle)
     points, _ = boundary(ellipses.center_px, shapes, _AROUND)
-    return Curves(np.concatenate([points, points[:, :1]], axis=1), ellipses.status == "ok")
+    return ImageCurves(np.concatenate([points, points[:, :1]], axis=1), ellipses.status == "ok")
 
 
-def surface_mesh(surface: Surface) -> Mesh:
+def surface_mesh(surface: Surface) -> DrawnMesh:
     """A membrane's shape as triangles, two between four neighbours of its grid."""
     x, y = np.meshgrid(surface.x, surface.y)
     rows, columns = x.shape
@@ -129,7 +129,7 @@ def surface_mesh(surface: Surface) -> Mesh:
     d = corner[1:, :-1].ravel()
     triangles = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
     points = np.column_stack([x.ravel(), y.ravel(), surface.z.ravel()])
-    return Mesh(points, triangles, MEMBRANE)
+    return DrawnMesh(points, triangles, MEMBRANE)
 
 
 def traction_arrows(traction: Traction, surface: Surface) -> Arrows:

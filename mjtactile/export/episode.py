@@ -62,7 +62,7 @@ class Perceived:
     view: Any = None
 
 
-class Episode:
+class RecordedEpisode:
     """A recording with its sensor's `design` and each finger's calibration (None: none was
     measured).
 
@@ -244,7 +244,7 @@ class Episode:
             yield Perceived(time, row, images, files, touch, ellipses)
 
 
-def find_episodes(path: Path) -> list[Episode]:
+def find_episodes(path: Path) -> list[RecordedEpisode]:
     """The recording in `path`, or all those in the folders below it, in order of their names; of an
     evaluation those of its episodes, not those that were run again for pictures. Raises InputError
     for none."""
@@ -259,10 +259,10 @@ def find_episodes(path: Path) -> list[Episode]:
             source=path,
             field="RUN",
         )
-    return [Episode(folder) for folder in found]
+    return [RecordedEpisode(folder) for folder in found]
 
 
-def part_names(episode: Episode, key: str) -> list[str]:
+def part_names(episode: RecordedEpisode, key: str) -> list[str]:
     """What the numbers of a column are called, one for each, with units, left to right."""
     unit = (SENSED[key][0] if key in SENSED else TRUE[key][0]).replace("^", "").replace("/", "_")
     own = _PARTS.get(key, (unit or key,))

@@ -16,7 +16,7 @@ import numpy as np
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.export import stream
-from mjtactile.export.drawing import FLAGGED, TRUSTED, Arrows, Curves, Mesh
+from mjtactile.export.drawing import FLAGGED, TRUSTED, Arrows, DrawnMesh, ImageCurves
 from mjtactile.export.episode import meanings
 from mjtactile.recording.files import to_json
 
@@ -34,7 +34,7 @@ class FoxgloveSink:
         self.context = foxglove.Context()
         self._channels: dict[str, Any] = {}
 
-    def log(self, item: stream.Item) -> None:
+    def log(self, item: stream.Message) -> None:
         """Send one item."""
         if item.topic not in self._channels:
             self._channels[item.topic] = _channel(item, self.context)
@@ -84,7 +84,7 @@ class FoxgloveServer(FoxgloveSink):
         self._server.stop()
 
 
-def _channel(item: stream.Item, context: Any) -> Any:
+def _channel(item: stream.Message, context: Any) -> Any:
     from foxglove import Channel, channels
 
     typed = {
@@ -103,7 +103,7 @@ def _channel(item: stream.Item, context: Any) -> Any:
     return Channel(item.topic, schema=_schema(item), context=context)
 
 
-def _schema(item: stream.Item) -> dict[str, Any]:
+def _schema(item: stream.Message) -> dict[str, Any]:
     """JSON schema of a touch, a wrench or a line of the log, with units and meanings."""
     what = meanings()
     if item.kind == "wrench":
@@ -127,13 +127,13 @@ def _schema(item: stream.Item) -> dict[str, Any]:
     }
 
 
-def _stamp(item: stream.Item) -> Any:
+def _stamp(item: stream.Message) -> Any:
     from foxglove.messages import Timestamp
 
     return Timestamp(*divmod(stream.nanoseconds(item.time), 10**9))
 
 
-def _image(item: stream.Item) -> Any:
+def _image(item: stream.Message) -> Any:
     from foxglove.messages import CompressedImage
 
     return CompressedImage(
@@ -141,11 +141,11 @@ def _image(item: stream.Item) -> Any:
     )
 
 
-def _curves(item: stream.Item) -> Any:
+def _curves(item: stream.Message) -> Any:
     from foxglove.messages import Color, ImageAnnotations, Point2, PointsAnnotation
     from foxglove.messages import PointsAnnotationType as Type
 
-    curves: Curves = item.value
+    curves: ImageCurves = item.value
     stamp = _stamp(item)
     colour = {True: Color(**_rgba(TRUSTED)), False: Color(**_rgba(FLAGGED))}
     return ImageAnnotations(
@@ -163,10 +163,10 @@ def _curves(item: stream.Item) -> Any:
     )
 
 
-def _mesh(item: stream.Item) -> Any:
+def _mesh(item: stream.Message) -> Any:
     from foxglove.messages import Color, Point3, TriangleListPrimitive
 
-    mesh: Mesh = item.value
+    mesh: DrawnMesh = item.value
     surface = TriangleListPrimitive(
         pose=_pose(np.eye(3), np.zeros(3)),
         points=[Point3(x=x, y=y, z=z) for x, y, z in mesh.points.tolist()],
@@ -176,7 +176,7 @@ def _mesh(item: stream.Item) -> Any:
     return _entity(item, triangles=[surface])
 
 
-def _arrows(item: stream.Item) -> Any:
+def _arrows(item: stream.Message) -> Any:
     from foxglove.messages import ArrowPrimitive, Color
 
     arrows: Arrows = item.value
@@ -198,7 +198,7 @@ def _arrows(item: stream.Item) -> Any:
     return _entity(item, arrows=drawn)
 
 
-def _entity(item: stream.Item, **drawn: Any) -> Any:
+def _entity(item: stream.Message, **drawn: Any) -> Any:
     """A thing in a 3D scene, in place of what was drawn of it before."""
     from foxglove.messages import SceneEntity, SceneUpdate
 
@@ -221,7 +221,7 @@ def _rgba(rgba: Sequence[float]) -> dict[str, float]:
     return dict(zip("rgba", map(float, rgba), strict=True))
 
 
-def _camera(item: stream.Item) -> Any:
+def _camera(item: stream.Message) -> Any:
     from foxglove.messages import CameraCalibration
 
     c = item.value
@@ -239,7 +239,7 @@ def _camera(item: stream.Item) -> Any:
     )
 
 
-def _cloud(item: stream.Item) -> Any:
+def _cloud(item: stream.Message) -> Any:
     from foxglove.messages import PackedElementField, PackedElementFieldNumericType, PointCloud
 
     cloud: stream.Cloud = item.value
@@ -257,7 +257,7 @@ def _cloud(item: stream.Item) -> Any:
     )
 
 
-def _joints(item: stream.Item) -> Any:
+def _joints(item: stream.Message) -> Any:
     from foxglove.messages import JointState, JointStates
 
     def known(value: float) -> float | None:
@@ -274,7 +274,7 @@ def _joints(item: stream.Item) -> Any:
     )
 
 
-def _frames(item: stream.Item) -> Any:
+def _frames(item: stream.Message) -> Any:
     from foxglove.messages import FrameTransform, FrameTransforms, Quaternion, Vector3
 
     return FrameTransforms(
@@ -304,7 +304,7 @@ def _xyz(p: Array) -> dict[str, float]:
     return {name: float(value) for name, value in zip("xyz", p, strict=True)}
 
 
-def _json(item: stream.Item) -> Any:
+def _json(item: stream.Message) -> Any:
     if item.kind == "wrench":
         values = dict(zip(_WRENCH, item.value, strict=True))
     else:
@@ -313,7 +313,7 @@ def _json(item: stream.Item) -> Any:
     return to_json({"timestamp": {"sec": sec, "nsec": nsec}, "frame_id": item.frame, **values})
 
 
-_MESSAGES: dict[str, Callable[[stream.Item], Any]] = {
+_MESSAGES: dict[str, Callable[[stream.Message], Any]] = {
     "image": _image,
     "curves": _curves,
     "mesh": _mesh,

@@ -9,12 +9,12 @@ from typing import Any
 
 from mjtactile.export import stream
 from mjtactile.export.drawing import drawn_items
-from mjtactile.export.episode import Episode
+from mjtactile.export.episode import RecordedEpisode
 from mjtactile.export.foxglove_sink import FoxgloveFile
 
 
 def write(
-    episodes: Sequence[Episode], out: Path, *, say: Callable[[str], None] = lambda _: None
+    episodes: Sequence[RecordedEpisode], out: Path, *, say: Callable[[str], None] = lambda _: None
 ) -> dict[str, Any]:
     """Write `episode_000000.mcap` and so on into `out`; returns how many frames."""
     frames = 0
@@ -25,7 +25,7 @@ def write(
     return {"episodes": len(episodes), "frames": frames}
 
 
-def _write_one(episode: Episode, path: Path) -> None:
+def _write_one(episode: RecordedEpisode, path: Path) -> None:
     sink = FoxgloveFile(path)
     try:
         for item in drawn_items(episode):
@@ -35,7 +35,7 @@ def _write_one(episode: Episode, path: Path) -> None:
         sink.close()
 
 
-def _attach(episode: Episode, writer: Any) -> None:
+def _attach(episode: RecordedEpisode, writer: Any) -> None:
     """The recording's facts, files and reference images."""
     start = stream.nanoseconds(float(episode.recording.columns["time"][0]))
     facts = {

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.export import stream
-from mjtactile.export.episode import Episode
+from mjtactile.export.episode import RecordedEpisode
 from mjtactile.recording.files import to_json
 
 PACKAGE = "mjtactile_msgs"
@@ -86,7 +86,7 @@ ament_package()
 
 
 def write(
-    episodes: Sequence[Episode], out: Path, *, say: Callable[[str], None] = lambda _: None
+    episodes: Sequence[RecordedEpisode], out: Path, *, say: Callable[[str], None] = lambda _: None
 ) -> dict[str, Any]:
     """Write the bags `episode_000000` and so on, and the message package's source, into `out`;
     returns how many frames."""
@@ -112,10 +112,10 @@ def typestore() -> Any:
 class _Bag:
     """Makes messages of one episode's items."""
 
-    def __init__(self, episode: Episode):
+    def __init__(self, episode: RecordedEpisode):
         self._episode = episode
         self._store = typestore()
-        self._make: dict[str, tuple[str, Callable[[stream.Item], Any]]] = {
+        self._make: dict[str, tuple[str, Callable[[stream.Message], Any]]] = {
             "image": ("sensor_msgs/msg/Image", self._image),
             "camera": ("sensor_msgs/msg/CameraInfo", self._camera),
             "wrench": ("geometry_msgs/msg/WrenchStamped", self._wrench),
@@ -158,7 +158,7 @@ class _Bag:
         for reference in recording.references:
             for k, finger in enumerate(self._episode.fingers):
                 for image in reference.images(k) if reference.names else ():
-                    yield stream.Item(
+                    yield stream.Message(
                         f"/{finger}/reference/{reference.stage}",
                         "image",
                         image.time,
@@ -168,12 +168,12 @@ class _Bag:
         for item in stream.items(self._episode):
             yield item
             if item.kind == "cycle":
-                yield stream.Item("/command", "command", item.time, "", item.value)
+                yield stream.Message("/command", "command", item.time, "", item.value)
 
     def _of(self, kind: str, /, **values: Any) -> Any:
         return self._store.types[kind](**values)
 
-    def _header(self, item: stream.Item, frame: str | None = None) -> Any:
+    def _header(self, item: stream.Message, frame: str | None = None) -> Any:
         sec, nanosec = divmod(stream.nanoseconds(item.time), 10**9)
         return self._of(
             "std_msgs/msg/Header",
@@ -181,7 +181,7 @@ class _Bag:
             frame_id=item.frame if frame is None else frame,
         )
 
-    def _image(self, item: stream.Item) -> Any:
+    def _image(self, item: stream.Message) -> Any:
         pixels = item.value[0].pixels
         height, width = pixels.shape
         return self._of(
@@ -195,7 +195,7 @@ class _Bag:
             data=np.ascontiguousarray(pixels).ravel(),
         )
 
-    def _camera(self, item: stream.Item) -> Any:
+    def _camera(self, item: stream.Message) -> Any:
         c = item.value
         whole = self._of(
             "sensor_msgs/msg/RegionOfInterest",
@@ -226,7 +226,7 @@ class _Bag:
             **{name: float(v) for name, v in zip("xyz", values, strict=True)},
         )
 
-    def _wrench(self, item: stream.Item) -> Any:
+    def _wrench(self, item: stream.Message) -> Any:
         wrench = self._of(
             "geometry_msgs/msg/Wrench",
             force=self._vector(item.value[:3]),
@@ -234,7 +234,7 @@ class _Bag:
         )
         return self._of("geometry_msgs/msg/WrenchStamped", header=self._header(item), wrench=wrench)
 
-    def _touch(self, item: stream.Item) -> Any:
+    def _touch(self, item: stream.Message) -> Any:
         name = f"{PACKAGE}/msg/Touch"
         fields = [
             (field, kind) for field, kind in self._store.fielddefs[name][1] if field != "header"
@@ -248,7 +248,7 @@ class _Bag:
             },
         )
 
-    def _cloud(self, item: stream.Item) -> Any:
+    def _cloud(self, item: stream.Message) -> Any:
         cloud: stream.Cloud = item.value
         fields = [
             self._of("sensor_msgs/msg/PointField", name=name, offset=4 * k, datatype=7, count=1)
@@ -268,7 +268,7 @@ class _Bag:
             is_dense=bool(np.isfinite(data).all()),
         )
 
-    def _joints(self, item: stream.Item) -> Any:
+    def _joints(self, item: stream.Message) -> Any:
         position, velocity, effort = np.ascontiguousarray(
             np.array(list(item.value.values()), float).T
         )
@@ -281,7 +281,7 @@ class _Bag:
             effort=effort,
         )
 
-    def _frames(self, item: stream.Item) -> Any:
+    def _frames(self, item: stream.Message) -> Any:
         def one(t: stream.Transform) -> Any:
             q = self._of(
                 "geometry_msgs/msg/Quaternion",
@@ -299,7 +299,7 @@ class _Bag:
 
         return self._of("tf2_msgs/msg/TFMessage", transforms=[one(t) for t in item.value])
 
-    def _command(self, item: stream.Item) -> Any:
+    def _command(self, item: stream.Message) -> Any:
         row: Mapping[str, Any] = item.value
         return self._of(
             f"{PACKAGE}/msg/Command",
@@ -311,7 +311,7 @@ class _Bag:
             },
         )
 
-    def _line(self, item: stream.Item) -> Any:
+    def _line(self, item: stream.Message) -> Any:
         return self._of("std_msgs/msg/String", data=json.dumps(to_json(item.value)))
 
 

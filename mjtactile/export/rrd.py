@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile.export.drawing import drawn_items
-from mjtactile.export.episode import Episode
+from mjtactile.export.episode import RecordedEpisode
 from mjtactile.export.rerun_sink import RerunSink, to_file
 
 
 def write(
-    episodes: Sequence[Episode], out: Path, *, say: Callable[[str], None] = lambda _: None
+    episodes: Sequence[RecordedEpisode], out: Path, *, say: Callable[[str], None] = lambda _: None
 ) -> dict[str, Any]:
     """Write `episode_000000.rrd` and so on into `out`; returns how many frames."""
     frames = 0

@@ -10,7 +10,7 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, Touch
-from mjtactile.export.episode import NOT_OF_A_FINGER, Episode, Perceived
+from mjtactile.export.episode import NOT_OF_A_FINGER, Perceived, RecordedEpisode
 from mjtactile.recording import png
 
 FACING = {
@@ -22,7 +22,7 @@ carry them."""
 
 
 class Source(Protocol):
-    """Whose cycles are made messages of: an `Episode`, or a run that goes on."""
+    """Whose cycles are made messages of: an `RecordedEpisode`, or a run that goes on."""
 
     @property
     def fingers(self) -> tuple[str, ...]: ...
@@ -50,7 +50,7 @@ class Transform:
 
 
 @dataclass(frozen=True, eq=False)
-class Item:
+class Message:
     """A message: `time` s on the rig's clock is when it was so; `frame` where its coordinates
     are."""
 
@@ -61,7 +61,7 @@ class Item:
     value: Any
 
 
-def items(episode: Episode) -> Iterator[Item]:
+def items(episode: RecordedEpisode) -> Iterator[Message]:
     """All messages of an episode; kinds: image, camera, wrench, touch, cloud, joints, frames,
     static, cycle."""
     yield cameras(episode, float(episode.recording.columns["time"][0]))
@@ -69,16 +69,16 @@ def items(episode: Episode) -> Iterator[Item]:
         yield from of_cycle(episode, seen)
 
 
-def cameras(source: Source, time: float) -> Item:
+def cameras(source: Source, time: float) -> Message:
     """Where each finger's camera stands in its sensor."""
     placed = [
         Transform(f"{name}_sensor", f"{name}_camera", R, p)
         for name, (R, p) in source.camera_poses.items()
     ]
-    return Item("/tf_static", "static", time, "", placed)
+    return Message("/tf_static", "static", time, "", placed)
 
 
-def of_cycle(source: Source, seen: Perceived) -> Iterator[Item]:
+def of_cycle(source: Source, seen: Perceived) -> Iterator[Message]:
     """All messages of one cycle."""
     for k, finger in enumerate(source.fingers):
         yield from _of_finger(source, seen, k, finger)
@@ -91,9 +91,9 @@ def of_cycle(source: Source, seen: Perceived) -> Iterator[Item]:
         "opening": (float(row["opening"]), float(row["speed"]), float(row["effort"])),
         "lift": (float(row["lift_height"]), float("nan"), float("nan")),
     }
-    yield Item("/joint_states", "joints", state, "", joints)
-    yield Item("/tf", "frames", state, "", list(_frames(source, seen)))
-    yield Item("/cycle", "cycle", seen.time, "", row)
+    yield Message("/joint_states", "joints", state, "", joints)
+    yield Message("/tf", "frames", state, "", list(_frames(source, seen)))
+    yield Message("/cycle", "cycle", seen.time, "", row)
 
 
 def stamp_of(seen: Perceived, finger: int) -> float:
@@ -102,15 +102,15 @@ def stamp_of(seen: Perceived, finger: int) -> float:
     return stamp if np.isfinite(stamp) else seen.time
 
 
-def _of_finger(source: Source, seen: Perceived, number: int, finger: str) -> Iterator[Item]:
+def _of_finger(source: Source, seen: Perceived, number: int, finger: str) -> Iterator[Message]:
     stamp = stamp_of(seen, number)
     camera = f"{finger}_camera"
     sensor = f"{finger}_sensor"
     if seen.images:
         file = seen.files[number] if seen.files else None
-        yield Item(f"/{finger}/image", "image", stamp, camera, (seen.images[number], file))
+        yield Message(f"/{finger}/image", "image", stamp, camera, (seen.images[number], file))
         lens = source.design_of(finger).camera
-        yield Item(f"/{finger}/camera_info", "camera", stamp, camera, lens)
+        yield Message(f"/{finger}/camera_info", "camera", stamp, camera, lens)
     mine = {
         key: value[number]
         for key, value in seen.row.items()
@@ -118,11 +118,11 @@ def _of_finger(source: Source, seen: Perceived, number: int, finger: str) -> Ite
         and len(value) == len(source.fingers)
         and key not in NOT_OF_A_FINGER
     }
-    yield Item(f"/{finger}/wrench", "wrench", stamp, sensor, np.asarray(mine["wrench"], float))
-    yield Item(f"/{finger}/touch", "touch", stamp, sensor, mine)
+    yield Message(f"/{finger}/wrench", "wrench", stamp, sensor, np.asarray(mine["wrench"], float))
+    yield Message(f"/{finger}/touch", "touch", stamp, sensor, mine)
     if seen.touch:
         for name, cloud in _clouds(seen.touch[number]):
-            yield Item(f"/{finger}/{name}", "cloud", stamp, sensor, cloud)
+            yield Message(f"/{finger}/{name}", "cloud", stamp, sensor, cloud)
 
 
 def _clouds(touch: Touch) -> Iterator[tuple[str, Cloud]]:
@@ -198,7 +198,7 @@ def quaternion(R: Array) -> tuple[float, float, float, float]:
     return (x, y, z, w) if w >= 0 else (-x, -y, -z, -w)
 
 
-def png_of(item: Item) -> bytes:
+def png_of(item: Message) -> bytes:
     """An image's file, or the image as one."""
     image, file = item.value
     return png.encode(image.pixels) if file is None else file.read_bytes()

@@ -35,10 +35,10 @@ docs/equations.md, X1-X8. Why so: docs/decisions/0025-film.md.
 from mjtactile.film.bodies import KINDS, Obstacle, obstacle
 from mjtactile.film.derivatives import FilmDerivatives
 from mjtactile.film.film import Film
-from mjtactile.film.state import FilmState, Status
-from mjtactile.film.sticking import Held, Patch, drag
+from mjtactile.film.state import FilmState, FilmStatus
+from mjtactile.film.sticking import Held, StuckPatch, drag
 
 __all__ = [
-    "KINDS", "Film", "FilmDerivatives", "FilmState", "Held", "Obstacle", "Patch", "Status", "drag",
-    "obstacle",
+    "KINDS", "Film", "FilmDerivatives", "FilmState", "FilmStatus", "Held", "Obstacle", "StuckPatch",
+    "drag", "obstacle",
 ]  # fmt: skip

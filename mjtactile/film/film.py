@@ -26,8 +26,8 @@ from mjtactile.film.derivatives import (
 from mjtactile.film.fineness import REFINED, doubt
 from mjtactile.film.inflating import inflate
 from mjtactile.film.law import law_numbers, tension_slope
-from mjtactile.film.state import FOUND, FilmBatch, FilmState, Status
-from mjtactile.film.sticking import Patch, patches_of
+from mjtactile.film.state import FOUND, FilmBatch, FilmState, FilmStatus
+from mjtactile.film.sticking import StuckPatch, patches_of
 from mjtactile.kernels import band_stride, bound, kernel
 
 TOLERANCE = 5e-7  # m, of what is left of the displacements
@@ -37,12 +37,12 @@ _MIXED_AREA = (
     1.05  # area ratio at which the tension's slope is taken; steps depend on it, results do not
 )
 _COMPLAINTS = {
-    Status.AT_THE_RIM: "an obstacle touches the frame's rim",
-    Status.ON_THE_GLASS: "an obstacle lies on the glass",
-    Status.INSIDE_OUT: "an obstacle pulls the sheet inside out",
-    Status.BROKEN_DOWN: "the numbers break down on this obstacle",
-    Status.GOES_THROUGH: "an obstacle goes through between the film's nodes; take a finer grid",
-    Status.OVERSTRETCHED: "an obstacle stretches the sheet beyond what its law is known for",
+    FilmStatus.AT_THE_RIM: "an obstacle touches the frame's rim",
+    FilmStatus.ON_THE_GLASS: "an obstacle lies on the glass",
+    FilmStatus.INSIDE_OUT: "an obstacle pulls the sheet inside out",
+    FilmStatus.BROKEN_DOWN: "the numbers break down on this obstacle",
+    FilmStatus.GOES_THROUGH: "an obstacle goes through between the film's nodes; take a finer grid",
+    FilmStatus.OVERSTRETCHED: "an obstacle stretches the sheet beyond what its law is known for",
 }
 
 
@@ -324,7 +324,7 @@ class Film:
         if not state.converged or state.x.shape != self.rest.x.shape:
             raise InputError("is not at rest, or not of this film", field="state")
 
-    def patches(self, state: FilmState) -> list[Patch]:
+    def patches(self, state: FilmState) -> list[StuckPatch]:
         """Find how stiffly each patch of contact, if it sticks, is held in the plane.
 
         Args:

@@ -17,7 +17,7 @@ from mjtactile.core.types import Array
 from mjtactile.film import bodies
 from mjtactile.film.film import Film
 from mjtactile.film.fineness import doubt_of_rows
-from mjtactile.film.state import AREA, FOUND, PRESSURE, STATUS, TENSION, VOLUME, WRENCH, Status
+from mjtactile.film.state import AREA, FOUND, PRESSURE, STATUS, TENSION, VOLUME, WRENCH, FilmStatus
 from mjtactile.kernels import bound, kernel
 
 _TOLERANCE = 1e-6  # m, of what is left of the displacements
@@ -59,7 +59,7 @@ class LiveFilm:
         """What `film_follow` takes of a film."""
         self._solve = bound("film_solve", *fixed, 1, 0, 1, *given, *state)
 
-    def rest_on(self, gas: float, sealed: bool, exponent: float) -> Status:
+    def rest_on(self, gas: float, sealed: bool, exponent: float) -> FilmStatus:
         """Come to rest on the bodies.
 
         Args:
@@ -73,13 +73,13 @@ class LiveFilm:
         self.numbers[HEAT_RATIO] = exponent
         self.settings[:2] = gas, sealed
         self._solve()
-        return Status(int(self.found[STATUS]))
+        return FilmStatus(int(self.found[STATUS]))
 
-    def go_to_pressure(self, pressure_gauge: float) -> Status:
+    def go_to_pressure(self, pressure_gauge: float) -> FilmStatus:
         """Come to rest at a gauge pressure that may be far from the present one, in small steps."""
         start = float(self.found[PRESSURE])
         count = max(1, int(np.ceil(abs(pressure_gauge - start) / _RAMP)))
-        status = Status.CONVERGED
+        status = FilmStatus.CONVERGED
         for pressure in np.linspace(start, pressure_gauge, count + 1)[1:]:
             status = self.rest_on(float(pressure), False, 1.0)
         return status

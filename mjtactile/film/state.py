@@ -14,7 +14,7 @@ from mjtactile.film.bodies import Obstacle
 from mjtactile.film.fineness import doubt, doubt_of_few
 
 
-class Status(IntEnum):
+class FilmStatus(IntEnum):
     """How a solution ended, as the kernel says it."""
 
     CONVERGED = 0
@@ -55,8 +55,8 @@ class FilmState:
     pressed_by: tuple[float, Sequence[Obstacle]] = (0.0, ())
 
     @property
-    def status(self) -> Status:
-        return Status(int(self.found[STATUS]))
+    def status(self) -> FilmStatus:
+        return FilmStatus(int(self.found[STATUS]))
 
     @property
     def converged(self) -> bool:
@@ -141,7 +141,7 @@ class FilmBatch:
     @property
     def converged(self) -> NDArray[np.bool_]:
         """(n,) of each."""
-        return self.found[:, STATUS] == Status.CONVERGED
+        return self.found[:, STATUS] == FilmStatus.CONVERGED
 
     @property
     def force_normal(self) -> Array:

@@ -18,7 +18,7 @@ from mjtactile.film.state import FilmState
 
 
 @dataclass(frozen=True, eq=False)
-class Patch:
+class StuckPatch:
     """One body's contact, all of which sticks. SI units, frame S.
 
     Attributes:
@@ -46,7 +46,7 @@ class Held:
         return cls(np.zeros(3))
 
 
-def drag(patch: Patch, held: Held, moved: ArrayLike, friction: float) -> tuple[Array, Held]:
+def drag(patch: StuckPatch, held: Held, moved: ArrayLike, friction: float) -> tuple[Array, Held]:
     """Move a body that sticks, as far as friction lets it.
 
     Coulomb's limit is one for force and torque together, an ellipse (Howe & Cutkosky, Int. J.
@@ -81,7 +81,7 @@ def drag(patch: Patch, held: Held, moved: ArrayLike, friction: float) -> tuple[A
     return -load, Held(strain)
 
 
-def patches_of(x: Array, y: Array, state: FilmState, factor: Array) -> list[Patch]:
+def patches_of(x: Array, y: Array, state: FilmState, factor: Array) -> list[StuckPatch]:
     """Every set of neighbouring nodes that touch, largest force first.
 
     Args:
@@ -106,7 +106,7 @@ def patches_of(x: Array, y: Array, state: FilmState, factor: Array) -> list[Patc
     return sorted(found, key=lambda patch: -patch.force_normal)
 
 
-def _patch_of(places: Array, inner: NDArray[np.intp], force: Array, factor: Array) -> Patch:
+def _patch_of(places: Array, inner: NDArray[np.intp], force: Array, factor: Array) -> StuckPatch:
     """The patch of some nodes.
 
     Args:
@@ -132,4 +132,4 @@ def _patch_of(places: Array, inner: NDArray[np.intp], force: Array, factor: Arra
     rigid[0::3, 2], rigid[1::3, 2] = -off[:, 1], off[:, 0]
     stiffness = rigid.T @ np.linalg.solve(compliance, rigid)
     radius = float(force @ np.hypot(off[:, 0], off[:, 1]) / total)
-    return Patch(middle, (stiffness + stiffness.T) / 2, total, radius)
+    return StuckPatch(middle, (stiffness + stiffness.T) / 2, total, radius)

@@ -2,8 +2,8 @@
 volume over time.
 
 The amount and temperature of the closed chamber's gas are the simulator's own
-(`mjtactile.sim.sensor.gas.Gas`, docs/equations.md, G1 and G4-G6), driven with the volume that the
-markers show. Its pressures are fitted to those of the pressure sensor.
+(`mjtactile.sim.sensor.gas.ChamberGas`, docs/equations.md, G1 and G4-G6), driven with the volume
+that the markers show. Its pressures are fitted to those of the pressure sensor.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from mjtactile.core.types import Array
 from mjtactile.fit.evidence import Evidence
 from mjtactile.fit.least import Scale, differences, gauss_newton
 from mjtactile.fit.statics import Simulated, is_fast
-from mjtactile.sim.sensor.gas import Gas
+from mjtactile.sim.sensor.gas import ChamberGas
 
 _OUTLIER = 3.0  # sd: from there on a reading counts less
 SHIFT_SD = 5.0  # Pa: what a run's pressures may be off by together
@@ -98,7 +98,7 @@ def sealed_runs(
 def predict(design: SensorDesign, run: Sealed) -> Array:
     """Gauge pressures, Pa, of the sealed gas that has the run's first pressure with its first
     volume, as warm as its walls."""
-    gas = Gas(design.chamber)
+    gas = ChamberGas(design.chamber)
     flat = design.chamber_volume_flat
     gas.seal(flat + float(run.volume[0]), float(np.median(run.pressure[:10])))
     pressures = [gas.pressure_gauge]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.fit.result import FitResult
-from mjtactile.fit.words import NOT_FITTED, SD95, Number, digits
+from mjtactile.fit.words import NOT_FITTED, SD95, FittedNumber, digits
 
 
 def text_of(result: FitResult) -> str:
@@ -51,7 +51,7 @@ def text_of(result: FitResult) -> str:
     return "\n".join([*lines, f"took {result.seconds:.0f} s"]) + "\n"
 
 
-def _interval(number: Number) -> str:
+def _interval(number: FittedNumber) -> str:
     low, high = number.interval
     return f"{digits(low, number.sd)} to {digits(high, number.sd)}"
 

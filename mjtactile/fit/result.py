@@ -16,7 +16,7 @@ from mjtactile.fit.evidence import Evidence
 from mjtactile.fit.gas import GasFit
 from mjtactile.fit.picture import PictureFit
 from mjtactile.fit.statics import SheetFit
-from mjtactile.fit.words import ABOUT, Number, judge, missing
+from mjtactile.fit.words import ABOUT, FittedNumber, judge, missing
 
 _UNKNOWN_SHARE = 0.3  # of the thickness, before somebody measured it
 SI = {
@@ -47,7 +47,7 @@ class FitResult:
 
     design: SensorDesign
     text: str
-    numbers: tuple[Number, ...]
+    numbers: tuple[FittedNumber, ...]
     correlations: tuple[str, ...]
     evidence: tuple[Evidence, ...]
     sheet: SheetFit
@@ -56,7 +56,7 @@ class FitResult:
     held_out: tuple[HeldOut, ...]
     seconds: float
 
-    def number(self, field: str) -> Number:
+    def number(self, field: str) -> FittedNumber:
         return next(number for number in self.numbers if number.field == field)
 
 
@@ -67,7 +67,7 @@ def numbers_of(
     sheet: SheetFit,
     gas: GasFit | None,
     picture: PictureFit,
-) -> list[Number]:
+) -> list[FittedNumber]:
     source = ", ".join(e.name for e in evidence)
     numbers = {}
     pressed = [
@@ -96,7 +96,9 @@ def numbers_of(
             field, value, sd, value_before(nominal, field), f"{evidence[0].name}, flat"
         )
     numbers |= {
-        field: Number(field, value, 0.0, "known", "measured by hand", value_before(nominal, field))
+        field: FittedNumber(
+            field, value, 0.0, "known", "measured by hand", value_before(nominal, field)
+        )
         for field, value in known.items()
     }
     return [

@@ -6,10 +6,10 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from mjtactile.fit.words import Number, digits
+from mjtactile.fit.words import FittedNumber, digits
 
 
-def rewrite(text: str, numbers: Sequence[Number], head: str) -> str:
+def rewrite(text: str, numbers: Sequence[FittedNumber], head: str) -> str:
     """`text` of a sensor file with the values and comments of `numbers`, and `head` as a comment on
     top."""
     lines = text.splitlines()
@@ -25,7 +25,7 @@ def rewrite(text: str, numbers: Sequence[Number], head: str) -> str:
     return "\n".join([*(f"# {line}" for line in head.splitlines()), "", *lines]) + "\n"
 
 
-def _put(lines: list[str], section: str, key: str, value: str, number: Number) -> None:
+def _put(lines: list[str], section: str, key: str, value: str, number: FittedNumber) -> None:
     """Change or add one line. A value that is not known and was not in the file stays out of it."""
     begin = next((i for i, line in enumerate(lines) if re.match(rf"\s*\[{section}\]", line)), None)
     is_known = number.state != "not in these recordings"

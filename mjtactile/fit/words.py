@@ -75,7 +75,7 @@ NOT_FITTED = {
 
 
 @dataclass(frozen=True)
-class Number:
+class FittedNumber:
     """A `field` of the sensor file: `value` and standard deviation in its unit, `state` "fitted",
     "known" (by hand) or "not in these recordings" (then the value is the file's), where it comes
     from, and the file's own value, `before`."""
@@ -107,7 +107,7 @@ class Number:
 
 def judge(
     field: str, value: float, sd: float, before: float, source: str, *, gas_mL: float = math.inf
-) -> Number:
+) -> FittedNumber:
     """A fitted number, or the file's value where the recordings do not tell; `gas_mL` behind the
     flat membrane."""
     if field == "chamber.extra_volume_mL":
@@ -115,13 +115,13 @@ def judge(
     else:
         known = ABOUT[field].is_known(value, sd)
     if known:
-        return Number(field, value, sd, "fitted", source, before)
+        return FittedNumber(field, value, sd, "fitted", source, before)
     return missing(field, before)
 
 
-def missing(field: str, before: float) -> Number:
+def missing(field: str, before: float) -> FittedNumber:
     """A number that the recordings do not tell."""
-    return Number(field, before, math.inf, "not in these recordings", "", before)
+    return FittedNumber(field, before, math.inf, "not in these recordings", "", before)
 
 
 def digits(value: float, sd: float) -> str:

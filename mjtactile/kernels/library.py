@@ -103,7 +103,7 @@ def band_stride(width: int) -> int:
 
 
 @dataclass(frozen=True)
-class Argument:
+class KernelArgument:
     """One argument of a C function; `shape` is an array's, as declared, "" for a number."""
 
     name: str
@@ -119,7 +119,7 @@ class Declaration:
 
     name: str
     result: str
-    arguments: tuple[Argument, ...]
+    arguments: tuple[KernelArgument, ...]
 
     def sizes(self) -> Callable[..., tuple[float, ...]]:
         """A function of the arguments' values: how many elements each array must have, 0 for what
@@ -143,12 +143,12 @@ def declarations() -> Mapping[str, Declaration]:
     return found
 
 
-def _arguments(function: str, text: str) -> tuple[Argument, ...]:
+def _arguments(function: str, text: str) -> tuple[KernelArgument, ...]:
     found = []
     for const, kind, star, name, shape, optional in _ARGUMENT.findall(text):
         if bool(star) != bool(shape):
             raise RuntimeError(f"kernels.h: {function}: {name} must have a size if it is an array")
-        found.append(Argument(name, kind, shape, bool(star) and not const, bool(optional)))
+        found.append(KernelArgument(name, kind, shape, bool(star) and not const, bool(optional)))
     return tuple(found)
 
 
@@ -263,7 +263,7 @@ class _Kernel:
 _Converter = Callable[[Any, float, list[Any]], Any]
 
 
-def _converter(function: str, argument: Argument) -> _Converter:
+def _converter(function: str, argument: KernelArgument) -> _Converter:
     if not argument.shape:
         return _as_is
     what = f"{function}: {argument.name}"
@@ -277,7 +277,7 @@ def _as_is(value: Any, _size: float, _held: list[Any]) -> Any:
     return value
 
 
-def _read(what: str, argument: Argument, dtype: np.dtype) -> _Converter:
+def _read(what: str, argument: KernelArgument, dtype: np.dtype) -> _Converter:
     def address(value: Any, size: float, held: list[Any]) -> Any:
         if value is None:
             return _null(what, argument)
@@ -297,7 +297,7 @@ def _read(what: str, argument: Argument, dtype: np.dtype) -> _Converter:
     return address
 
 
-def _written(what: str, argument: Argument, dtype: np.dtype) -> _Converter:
+def _written(what: str, argument: KernelArgument, dtype: np.dtype) -> _Converter:
     def address(value: Any, size: float, _held: list[Any]) -> Any:
         if value is None:
             return _null(what, argument)
@@ -317,12 +317,12 @@ def _written(what: str, argument: Argument, dtype: np.dtype) -> _Converter:
     return address
 
 
-def _null(what: str, argument: Argument) -> None:
+def _null(what: str, argument: KernelArgument) -> None:
     if not argument.optional:
         raise TypeError(f"{what} cannot be left out")
 
 
-def _wrong_size(what: str, argument: Argument, array: np.ndarray, size: float) -> str:
+def _wrong_size(what: str, argument: KernelArgument, array: np.ndarray, size: float) -> str:
     return (
         f"{what}: shape {array.shape} has {array.size} elements, ({argument.shape}) needs {size:g}"
     )

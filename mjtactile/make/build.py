@@ -19,7 +19,7 @@ from mjtactile.make.layout import Layout
 from mjtactile.make.parts import PEG, make_parts, pegs
 from mjtactile.make.sheets import write_pdf, write_png, write_svg
 from mjtactile.make.solid import Contour, Part, circle, crossing, plate
-from mjtactile.make.states import State, press_depth, simulate
+from mjtactile.make.states import SheetState, press_depth, simulate
 from mjtactile.make.step import write_step
 from mjtactile.report.figures import new_figure
 from mjtactile.sim.picture.renderer import Renderer
@@ -42,7 +42,7 @@ def build(
     source: str,
     text: str,
     say: Callable[[str], None] = lambda _: None,
-    states_of: Callable[..., list[State]] = simulate,
+    states_of: Callable[..., list[SheetState]] = simulate,
 ) -> Build:
     """All files for `design`, read from `source` with the given `text`. Raises InputError for what
     cannot be built."""

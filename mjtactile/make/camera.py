@@ -31,7 +31,7 @@ from mjtactile.core.types import Array
 from mjtactile.make import hardware as hw
 from mjtactile.make.hardware import Hardware
 from mjtactile.make.limits import Limit
-from mjtactile.make.states import State
+from mjtactile.make.states import SheetState
 
 _AROUND = 24  # points of a marker's edge
 _STOPS = (2.0, 2.8, 4.0, 5.6, 8.0)
@@ -66,7 +66,7 @@ class Optics:
 
 
 def plan_camera(
-    design: SensorDesign, hardware: Hardware, states: Sequence[State], source: str
+    design: SensorDesign, hardware: Hardware, states: Sequence[SheetState], source: str
 ) -> Optics:
     """Raises InputError naming the number that is wrong, and its limit."""
     margin, worst = _margins(design, states, source)
@@ -100,7 +100,7 @@ def plan_camera(
     )
 
 
-def marker_edges(design: SensorDesign, state: State) -> Array:
+def marker_edges(design: SensorDesign, state: SheetState) -> Array:
     """Points (N, k, 2) of the markers' edges in the picture, px, through pane and lens."""
     camera = optics.Camera.from_design(design.camera, design.glass)
     across = np.cross(
@@ -115,7 +115,7 @@ def marker_edges(design: SensorDesign, state: State) -> Array:
     return optics.project(camera, edge - design.camera.p_SC)
 
 
-def _margins(design: SensorDesign, states: Sequence[State], source: str) -> tuple[float, str]:
+def _margins(design: SensorDesign, states: Sequence[SheetState], source: str) -> tuple[float, str]:
     """The least distance px of a marker's edge band from the picture's edge, and in which state."""
     # the edge profiles that the fit needs
     camera = design.camera
@@ -150,7 +150,7 @@ def _margins(design: SensorDesign, states: Sequence[State], source: str) -> tupl
     return least, worst
 
 
-def _range(design: SensorDesign, states: Sequence[State]) -> tuple[float, float]:
+def _range(design: SensorDesign, states: Sequence[SheetState]) -> tuple[float, float]:
     """Nearest and farthest marker, mm from the pupil, as the pane makes them seem."""
     z = np.concatenate([state.p_SM[:, 2] for state in states])
     shown = 1e3 * (

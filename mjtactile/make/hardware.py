@@ -62,7 +62,7 @@ BOLTS = (Bolt("M3", 1.5, 1.7, 2.75, 3.0, 3.2, 2.4), Bolt("M2", 1.0, 1.2, 1.9, 2.
 
 
 @dataclass(frozen=True)
-class Port:
+class AirPort:
     """How air gets in: radius of the hole, least wall around it, what goes into it."""
 
     radius: float
@@ -72,14 +72,16 @@ class Port:
 
 
 PORTS = (
-    Port(
+    AirPort(
         2.1,
         1.5,
         "barbed fitting M5 for a hose of 4 x 2.5 mm, M5 thread cut into the hole of 4.2 mm",
         2.5,
     ),
-    Port(1.55, 1.3, "tube of 3 mm outer diameter, glued in, for a hose of 4 x 2.5 mm", 2.5),
-    Port(1.05, 1.2, "steel tube of 2 mm outer diameter, glued in, for a hose of 3 x 1.5 mm", 1.5),
+    AirPort(1.55, 1.3, "tube of 3 mm outer diameter, glued in, for a hose of 4 x 2.5 mm", 2.5),
+    AirPort(
+        1.05, 1.2, "steel tube of 2 mm outer diameter, glued in, for a hose of 3 x 1.5 mm", 1.5
+    ),
 )
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.sensor_parts import FrameShape
 from mjtactile.make import hardware as hw
-from mjtactile.make.hardware import BOLTS, PORTS, Bolt, Hardware, Port
+from mjtactile.make.hardware import BOLTS, PORTS, AirPort, Bolt, Hardware
 from mjtactile.make.limits import MM, Limit, check_all, limits_of
 
 _FLAT = 0.5  # mm of a wall beside the port's bore
@@ -101,7 +101,7 @@ class Layout:
         return self.z_flange - self.z_block
 
     @property
-    def port(self) -> Port:
+    def port(self) -> AirPort:
         """The largest that fits into the wall."""
         return next(
             (port for port in PORTS if self.wall >= 2 * (port.radius + port.wall)), PORTS[-1]

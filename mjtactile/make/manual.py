@@ -15,12 +15,12 @@ from mjtactile.make.limits import MM, glass_stress, opening_margins
 from mjtactile.make.patterns import board_of, sheet_size
 from mjtactile.make.pictures import FRONT, SIDE
 from mjtactile.make.solid import Part
-from mjtactile.make.states import State, growth
+from mjtactile.make.states import SheetState, growth
 from mjtactile.sim.sensor.limits import STRETCHED
 
 
 @dataclass(frozen=True)
-class Step:
+class ManualStep:
     """A step and its picture: `parts` by name, from front to back, pulled apart unless it is a
     `cut`; `{}` in the text are `facts`."""
 
@@ -36,7 +36,7 @@ class Step:
 
 
 STEPS = (
-    Step(
+    ManualStep(
         "All parts",
         "exploded",
         (
@@ -58,7 +58,7 @@ STEPS = (
         "milled. Break the outer edges of the frame's rim by 0.5 mm and polish them: the rubber "
         "lies on them.",
     ),
-    Step(
+    ManualStep(
         "The camera looks first",
         "camera",
         ("led_ring", "camera_mount", "camera"),
@@ -73,7 +73,7 @@ STEPS = (
         "\n"
         "    mjtactile calibrate camera --rig my_gripper.toml --finger left --square-mm {square:g}",
     ),
-    Step(
+    ManualStep(
         "Markers on the rubber",
         "print",
         (),
@@ -81,7 +81,7 @@ STEPS = (
         "rubber to {sheet}. Lay it flat, "
         "**not stretched**. {ink} Punch the pegs' holes (crosses along the edge, 2.5 mm).",
     ),
-    Step(
+    ManualStep(
         "Stretch",
         "stretch",
         ("sheet", "stretch_jig"),
@@ -90,7 +90,7 @@ STEPS = (
         "Lay page 3 of [markers.pdf](markers.pdf), printed on film, on it: markers must lie within "
         "0.3 mm. Where one side is off, move its pegs' holes.",
     ),
-    Step(
+    ManualStep(
         "Glue it to the rim",
         "glue",
         ("sheet", "stretch_jig", "frame"),
@@ -98,7 +98,7 @@ STEPS = (
         "into the jig, which guides it, until the rim lifts the sheet by half a millimetre; weigh "
         "it down and let it cure. From now on the pre-stretch is fixed.",
     ),
-    Step(
+    ManualStep(
         "Clamp",
         "clamp",
         ("bolts", "clamp_ring", "membrane", "frame"),
@@ -106,7 +106,7 @@ STEPS = (
         "ring over it. Punch the {bolts} holes through the ring and put the bolts in ({bolt}). The "
         "bolts' heads stay {recess:g} mm behind the membrane: nothing but rubber is in front.",
     ),
-    Step(
+    ManualStep(
         "Pane and mount",
         "glass",
         ("frame", "gasket", "glass", "glass_seat", "camera_mount", "nuts"),
@@ -114,7 +114,7 @@ STEPS = (
         "seat, the mount behind it, nuts on; tighten crosswise, a quarter turn after they are "
         "hand-tight. Clean pane and lens before: nothing can be reached later.",
     ),
-    Step(
+    ManualStep(
         "Closed",
         "section",
         (
@@ -135,13 +135,13 @@ STEPS = (
         "kPa under water or with soap: no bubbles.",
         cut=True,
     ),
-    Step(
+    ManualStep(
         "What the camera should see",
         "camera_view",
         (),
         "The simulated picture of the flat membrane. {mirrors}",
     ),
-    Step(
+    ManualStep(
         "Measure",
         "",
         (),
@@ -156,7 +156,7 @@ STEPS = (
     ),
 )
 FIDUCIALS = {
-    "rim": Step(
+    "rim": ManualStep(
         "Circles that do not move",
         "fiducials",
         (),
@@ -166,7 +166,7 @@ FIDUCIALS = {
         "within 0.2 mm of their places, and for good. Each is measured where it is at every rest "
         "reference: only what comes loose later is wrong.",
     ),
-    "pane": Step(
+    "pane": ManualStep(
         "Circles that do not move",
         "fiducials",
         (),
@@ -180,7 +180,7 @@ SHEET = "sheet"
 """The stretched sheet on the jig, a part of the pictures only."""
 
 
-def steps_of(layout: Layout) -> tuple[Step, ...]:
+def steps_of(layout: Layout) -> tuple[ManualStep, ...]:
     """The steps of this sensor's assembly."""
     fiducials = layout.design.fiducials
     if fiducials is None:
@@ -307,7 +307,7 @@ frame, so that they open in place |
 
 
 def checks(
-    layout: Layout, optics: Optics, press: float, states: Sequence[State], gap: float
+    layout: Layout, optics: Optics, press: float, states: Sequence[SheetState], gap: float
 ) -> dict[str, str]:
     """What was checked, for people."""
     design = layout.design

@@ -25,7 +25,7 @@ from mjtactile.make.parts import (
     opening,
     pegs,
 )
-from mjtactile.make.sheets import Shape, Sheet, cross, line, page
+from mjtactile.make.sheets import DrawnShape, PrintedSheet, cross, line, page
 from mjtactile.make.solid import Contour, circle
 
 _SHEET_EDGE = 6.0  # mm of rubber beyond the pegs, mounted
@@ -58,7 +58,7 @@ def sheet_size(layout: Layout) -> tuple[float, float]:
     ) / stretch
 
 
-def marker_pages(layout: Layout) -> list[Sheet]:
+def marker_pages(layout: Layout) -> list[PrintedSheet]:
     """Transfer print and stencil for the unstretched sheet, and the pattern as mounted, to lay it
     on and check."""
     design = layout.design
@@ -75,16 +75,16 @@ def marker_pages(layout: Layout) -> list[Sheet]:
     )
     around = [
         *_register(layout, 1 / stretch),
-        Shape("mark", "sheet", contour=Contour(half_x, half_y)),
+        DrawnShape("mark", "sheet", contour=Contour(half_x, half_y)),
     ]
     holes = [mark for x, y in pegs(layout) for mark in cross("pegs", x / stretch, y / stretch, PEG)]
-    black = [Shape("black", "markers", contour=disc) for disc in markers(layout)]
-    cut = [Shape("cut", "markers", contour=disc) for disc in markers(layout)]
+    black = [DrawnShape("black", "markers", contour=disc) for disc in markers(layout)]
+    cut = [DrawnShape("cut", "markers", contour=disc) for disc in markers(layout)]
     check = [
-        *(Shape("mark", "markers", contour=disc) for disc in markers(layout, mounted=True)),
+        *(DrawnShape("mark", "markers", contour=disc) for disc in markers(layout, mounted=True)),
         *_register(layout, 1.0),
-        Shape("mark", "frame", contour=mouth(layout)),
-        Shape("faint", "flange", contour=flange(layout)),
+        DrawnShape("mark", "frame", contour=mouth(layout)),
+        DrawnShape("faint", "flange", contour=flange(layout)),
     ]
     name = design.name
     return [
@@ -119,7 +119,7 @@ def marker_pages(layout: Layout) -> list[Sheet]:
     ]
 
 
-def _register(layout: Layout, scale: float) -> list[Shape]:
+def _register(layout: Layout, scale: float) -> list[DrawnShape]:
     """Marks on the axes and the corners of the flange, for a jig or a second print; an arrow to +x,
     where air comes in."""
     x = layout.outer_x * scale
@@ -133,11 +133,11 @@ def _register(layout: Layout, scale: float) -> list[Shape]:
     return [
         *marks,
         line("registration", (tip - 3, 1.0), (tip, 0), (tip - 3, -1.0)),
-        Shape("black", "text", points=((tip - 3, 4.0),), text="+x", size=2.5),
+        DrawnShape("black", "text", points=((tip - 3, 4.0),), text="+x", size=2.5),
     ]
 
 
-def fiducial_page(layout: Layout) -> Sheet | None:
+def fiducial_page(layout: Layout) -> PrintedSheet | None:
     """The circles that do not move, as the camera sees them: on the lip's inner face, cut out and
     glued there, or on the pane, as a transfer print; None: there are none."""
     fiducials = layout.design.fiducials
@@ -145,7 +145,7 @@ def fiducial_page(layout: Layout) -> Sheet | None:
         return None
     radius = MM * fiducials.radius
     black = [
-        Shape("black", "fiducials", contour=circle(radius, MM * x, MM * y))
+        DrawnShape("black", "fiducials", contour=circle(radius, MM * x, MM * y))
         for x, y in fiducials.places
     ]
     groove = layout.groove
@@ -153,15 +153,15 @@ def fiducial_page(layout: Layout) -> Sheet | None:
         note = "white under the black; register the marks with the pane's edges"
         ground = MM * (fiducials.radius + fiducials.ground)
         outlines = [
-            Shape("faint", "ground", contour=circle(ground, MM * x, MM * y))
+            DrawnShape("faint", "ground", contour=circle(ground, MM * x, MM * y))
             for x, y in fiducials.places
         ]
-        outlines.append(Shape("mark", "pane", contour=Contour(layout.glass_x, layout.glass_y)))
+        outlines.append(DrawnShape("mark", "pane", contour=Contour(layout.glass_x, layout.glass_y)))
     else:
         note = "white matte film: cut along red, in strips, glue to the rim's inner face"
         outlines = [
-            Shape("cut", "lip", contour=groove_outline(layout, groove[2] - _FILM_PLAY)),
-            Shape("cut", "lip", contour=mouth(layout)),
+            DrawnShape("cut", "lip", contour=groove_outline(layout, groove[2] - _FILM_PLAY)),
+            DrawnShape("cut", "lip", contour=mouth(layout)),
         ]
     return page(
         f"{layout.design.name}: fiducials",
@@ -172,10 +172,10 @@ def fiducial_page(layout: Layout) -> Sheet | None:
     )
 
 
-def cut_page(layout: Layout) -> Sheet:
+def cut_page(layout: Layout) -> PrintedSheet:
     """The gasket."""
     shapes = [
-        Shape("cut", "gasket", contour=contour)
+        DrawnShape("cut", "gasket", contour=contour)
         for contour in (flange(layout), opening(layout), *bolt_holes(layout))
     ]
     return page(
@@ -187,11 +187,11 @@ def cut_page(layout: Layout) -> Sheet:
     )
 
 
-def led_page(layout: Layout) -> Sheet:
+def led_page(layout: Layout) -> PrintedSheet:
     """The LED ring: outline, LEDs with their numbers, the way to the wires."""
     shapes = [
-        Shape("cut", "board", contour=circle(layout.led_outer)),
-        Shape("cut", "board", contour=circle(layout.led_inner)),
+        DrawnShape("cut", "board", contour=circle(layout.led_outer)),
+        DrawnShape("cut", "board", contour=circle(layout.led_inner)),
     ]
     notes = [
         "circuit board 1.6 mm; LEDs (2835) on the membrane's side,",
@@ -201,9 +201,9 @@ def led_page(layout: Layout) -> Sheet:
     for number, (x, y) in enumerate(led_places(layout), 1):
         out = (layout.led_outer + 4) / math.hypot(x, y)
         shapes += [
-            Shape("mark", "leds", contour=circle(1.4, x, y)),
+            DrawnShape("mark", "leds", contour=circle(1.4, x, y)),
             *cross("leds", x, y, 2.2),
-            Shape(
+            DrawnShape(
                 "black",
                 "text",
                 points=((out * x - (15 if x < 0 else 0), out * y + 1),),
@@ -214,7 +214,7 @@ def led_page(layout: Layout) -> Sheet:
     wires = layout.led_outer - 1.5
     shapes += [
         line("leds", (wires, -1), (wires, 1)),
-        Shape("black", "text", points=((wires + 3, 1),), text="wires, +x", size=2.5),
+        DrawnShape("black", "text", points=((wires + 3, 1),), text="wires, +x", size=2.5),
     ]
     return page(
         f"{layout.design.name}: LED ring",
@@ -235,7 +235,7 @@ def board_of(design: SensorDesign) -> Board:
     return Board(_COLUMNS, _ROWS, square, 0.75 * square)
 
 
-def board_page(design: SensorDesign) -> Sheet:
+def board_page(design: SensorDesign) -> PrintedSheet:
     """The board as vectors: its bitmap with a pixel a cell, each run of black pixels a
     rectangle."""
     board = board_of(design)
@@ -250,7 +250,7 @@ def board_page(design: SensorDesign) -> Sheet:
             x = (start + end - columns) / 2 * cell
             y = (v + 0.5 - rows / 2) * cell
             shapes.append(
-                Shape(
+                DrawnShape(
                     "black", "board", contour=Contour((end - start) * cell / 2, cell / 2, 0.0, x, y)
                 )
             )

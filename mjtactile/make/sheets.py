@@ -31,7 +31,7 @@ _STYLES = {
 
 
 @dataclass(frozen=True)
-class Shape:
+class DrawnShape:
     """A `contour`, a polyline through `points`, or a `text` at the first of them, in a `style`, of
     a `group` with a name."""
 
@@ -44,27 +44,31 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class Sheet:
+class PrintedSheet:
     """A page of `width` x `height` mm."""
 
     title: str
     width: float
     height: float
-    shapes: tuple[Shape, ...]
+    shapes: tuple[DrawnShape, ...]
 
 
-def line(group: str, *points: tuple[float, float], style: str = "mark") -> Shape:
-    return Shape(style, group, points=points)
+def line(group: str, *points: tuple[float, float], style: str = "mark") -> DrawnShape:
+    return DrawnShape(style, group, points=points)
 
 
-def cross(group: str, x: float, y: float, half: float = 2.0) -> list[Shape]:
+def cross(group: str, x: float, y: float, half: float = 2.0) -> list[DrawnShape]:
     """A register mark."""
     return [line(group, (x - half, y), (x + half, y)), line(group, (x, y - half), (x, y + half))]
 
 
 def page(
-    title: str, shapes: Sequence[Shape], half_x: float, half_y: float, notes: Sequence[str] = ()
-) -> Sheet:
+    title: str,
+    shapes: Sequence[DrawnShape],
+    half_x: float,
+    half_y: float,
+    notes: Sequence[str] = (),
+) -> PrintedSheet:
     """The smallest paper that holds `shapes` (within the half sizes) about its middle, with a
     title, notes and a scale bar."""
     need = 2 * (half_x + _BORDER), 2 * (half_y + max(HEAD, FOOT))
@@ -76,15 +80,15 @@ def page(
     left = _BORDER - width / 2
     top = 8 - height / 2
     head = [
-        Shape(
+        DrawnShape(
             "black", "text", points=((left, top + 5.0 * k),), text=text, size=4.5 if k == 0 else 3.2
         )
         for k, text in enumerate((title, *notes), 0)
     ]
-    return Sheet(title, width, height, (*shapes, *head, *_scale_bars(width, height)))
+    return PrintedSheet(title, width, height, (*shapes, *head, *_scale_bars(width, height)))
 
 
-def _scale_bars(width: float, height: float) -> list[Shape]:
+def _scale_bars(width: float, height: float) -> list[DrawnShape]:
     """Bars along both sides, since printers differ in the two: ticks each 10 mm."""
     found = []
     for axis, room in ((0, width - 2 * _BORDER), (1, height - HEAD - FOOT)):
@@ -106,7 +110,7 @@ def _scale_bars(width: float, height: float) -> list[Shape]:
         else:
             text = f"{length:g} mm"
         found.append(
-            Shape(
+            DrawnShape(
                 "black",
                 "scale",
                 points=(
@@ -119,7 +123,7 @@ def _scale_bars(width: float, height: float) -> list[Shape]:
     return found
 
 
-def write_svg(sheet: Sheet) -> str:
+def write_svg(sheet: PrintedSheet) -> str:
     """The page as SVG: one user unit is a millimetre, the origin the page's middle, each round
     contour a `<circle>`."""
     groups: dict[str, list[str]] = {}
@@ -136,7 +140,7 @@ def write_svg(sheet: Sheet) -> str:
     )
 
 
-def _svg(shape: Shape) -> str:
+def _svg(shape: DrawnShape) -> str:
     fill, stroke, width = _STYLES[shape.style]
     paint = f'fill="{fill or "none"}"' + (
         f' stroke="{stroke}" stroke-width="{width}"' if stroke else ""
@@ -168,7 +172,7 @@ def _n(value: float) -> str:
     return f"{round(value, 5) + 0.0:.5f}".rstrip("0").rstrip(".")
 
 
-def write_pdf(sheets: Sequence[Sheet]) -> bytes:
+def write_pdf(sheets: Sequence[PrintedSheet]) -> bytes:
     """The pages as a PDF, vectors at 1:1."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_pdf import PdfPages
@@ -183,15 +187,17 @@ def write_pdf(sheets: Sequence[Sheet]) -> bytes:
     return out.getvalue()
 
 
-def write_png(sheet: Sheet, half_x: float, half_y: float, dots_per_mm: float = 10.0) -> bytes:
+def write_png(
+    sheet: PrintedSheet, half_x: float, half_y: float, dots_per_mm: float = 10.0
+) -> bytes:
     """What is within the half sizes, mm, about the page's middle, as a picture."""
     out = io.BytesIO()
-    figure = _figure(Sheet(sheet.title, 2 * half_x, 2 * half_y, sheet.shapes))
+    figure = _figure(PrintedSheet(sheet.title, 2 * half_x, 2 * half_y, sheet.shapes))
     figure.savefig(out, format="png", dpi=25.4 * dots_per_mm, metadata={"Software": None})
     return out.getvalue()
 
 
-def _figure(sheet: Sheet) -> Any:
+def _figure(sheet: PrintedSheet) -> Any:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(sheet.width / 25.4, sheet.height / 25.4))
@@ -203,7 +209,7 @@ def _figure(sheet: Sheet) -> Any:
     return figure
 
 
-def _draw(axes: Any, shape: Shape) -> None:
+def _draw(axes: Any, shape: DrawnShape) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Circle, FancyBboxPatch, Polygon, Rectangle
 

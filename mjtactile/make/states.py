@@ -24,7 +24,7 @@ _REACH = 0.45  # of a side of the frame: the farthest that the ball's middle goe
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class SheetState:
     """Marker centres (N, 3) m and outward normals (N, 3) in S; `name` says when; `stretch` is the
     sheet's largest."""
 
@@ -35,7 +35,7 @@ class State:
     height: float
 
 
-def growth(design: SensorDesign, states: Sequence[State]) -> float:
+def growth(design: SensorDesign, states: Sequence[SheetState]) -> float:
     """Largest mean growth, over the states, of the distances between neighbouring markers: what
     elastic markers grow by."""
     markers = design.markers
@@ -72,13 +72,13 @@ def simulate(
     source: str,
     say: Callable[[str], None],
     places: Mapping[str, tuple[int, int]] = PLACES,
-) -> list[State]:
+) -> list[SheetState]:
     """All states. Raises InputError where the membrane does not hold the supply's pressure, or is
     pressed against the glass."""
     supply = design.chamber.supply_gauge
     depth = press_depth(design, hardware)
     frame = design.frame
-    flat = State(
+    flat = SheetState(
         "flat",
         design.markers.p_SM,
         np.tile([0.0, 0, 1], (design.markers.count, 1)),
@@ -127,9 +127,9 @@ def simulate(
     return states
 
 
-def _state(world: PressWorld, name: str) -> State:
+def _state(world: PressWorld, name: str) -> SheetState:
     sensor = world.sensors[0]
-    return State(
+    return SheetState(
         name, *world.marker_poses(0), sensor.stretch_and_area()[0], sensor.height_at(0.0, 0.0)
     )
 

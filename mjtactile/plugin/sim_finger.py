@@ -29,7 +29,7 @@ OUTPUTS = {"wrench": 6, "pressure": 1, "touching": 1}
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class FingerReading:
     """What one image of a finger's camera said: `touch` as old as it was then, the membrane at
     `rest`, and `pressure_gauge` Pa and `temperature` K in the chamber when it was taken."""
 
@@ -100,7 +100,7 @@ class SimFinger:
         return self._image
 
     @property
-    def seen(self) -> Seen:
+    def seen(self) -> FingerReading:
         """All that the newest image said, in one piece: for other threads than the one that
         steps."""
         return self._seen
@@ -193,7 +193,7 @@ class SimFinger:
         reading = self._finger.reading(self._valve.state())
         self._touch = self._perception.perceive(self._image, self._time, reading)
         reference = self._perception.state.reference
-        self._seen = Seen(
+        self._seen = FingerReading(
             self._image,
             self._touch,
             None if reference is None else reference.surface,

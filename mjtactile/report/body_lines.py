@@ -9,7 +9,7 @@ import numpy as np
 
 from mjtactile.core.types import Array, FeltShape
 from mjtactile.recording.reader import Recording
-from mjtactile.report.scene_picture import View
+from mjtactile.report.scene_picture import SceneCamera
 
 _ARC = 1.2  # rad to either side of the nearest point, of a bent body
 _REACH = 8e-3  # m, of a flat one, and at most of any
@@ -54,7 +54,7 @@ def _arc(curvature: float) -> tuple[Array, Array]:
     return radius * np.sin(turn), radius * (1 - np.cos(turn))
 
 
-def true_lines(shape: FeltShape, view: View, finger: int) -> Array:
+def true_lines(shape: FeltShape, view: SceneCamera, finger: int) -> Array:
     """What a simulated scene truly has where a body is believed: straight pieces (n, 2, 3) m in S,
     in which the planes of the body's arcs cut it. For pictures only; sensing knows no scene."""
     if shape.kind == "unknown" or not np.isfinite(shape.p_SO).all():

@@ -16,14 +16,14 @@ if TYPE_CHECKING:  # what a run needs is imported while this process starts
     from mjtactile.core.types import Array
     from mjtactile.recording.columns import CycleLike
     from mjtactile.recording.reader import Recording
-    from mjtactile.report.scene_picture import View
+    from mjtactile.report.scene_picture import SceneCamera
 
 _PATIENCE = 60.0  # s; a busy computer draws for some
 
 
 @dataclass(frozen=True, eq=False)
 class _Still:
-    """A `View` without the model that it was taken of."""
+    """A `SceneCamera` without the model that it was taken of."""
 
     p_WS: Array
     R_WS: Array
@@ -39,13 +39,13 @@ class _Still:
         return self.corners, self.rgba
 
 
-def _still(scene: View, snapshot: CycleLike | None) -> _Still:
+def _still(scene: SceneCamera, snapshot: CycleLike | None) -> _Still:
     shaped = snapshot is not None and any(touch.shape is not None for touch in snapshot.touch)
     thing = scene.things() if shaped else None
     return _Still(scene.p_WS, scene.R_WS, *scene.triangles(), thing)
 
 
-class Drawing:
+class FigureWriter:
     """As `mjtactile.report.summary_figure.write_figure`, in a process; where there is none, or
     none any more, here."""
 
@@ -58,7 +58,7 @@ class Drawing:
         recording: Recording,
         snapshot: CycleLike | None,
         summary: Mapping[str, Any],
-        scene: View | None = None,
+        scene: SceneCamera | None = None,
     ) -> None:
         from mjtactile.report.summary_figure import write_figure
         from mjtactile.run.perceive import value_of
@@ -79,14 +79,14 @@ class Drawing:
 
 
 @contextlib.contextmanager
-def drawing_beside() -> Iterator[Drawing]:
+def drawing_beside() -> Iterator[FigureWriter]:
     """What draws the figure of a run that goes on meanwhile."""
     with contextlib.ExitStack() as stack:
         worker = None
         with contextlib.suppress(OSError):  # a computer that has no room for another process
             worker = WorkerProcess(__name__, "draws the figure")
             stack.callback(worker.close)
-        yield Drawing(worker)
+        yield FigureWriter(worker)
 
 
 def serve(channel: Channel) -> None:

@@ -25,7 +25,7 @@ VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class NamedImage:
     """`name` of the image, its pixels (H, W) or (H, W, 3) as stored, None when it cannot be
     read."""
 
@@ -40,7 +40,7 @@ class Frame:
         return grey if grey.dtype == np.uint8 else (grey >> 8).astype(np.uint8)
 
 
-def read_frames(source: Path) -> Iterator[Frame]:
+def read_frames(source: Path) -> Iterator[NamedImage]:
     """Yield the images of `source`. Raises InputError when there is none."""
     if source.is_dir():
         files = sorted(path for path in source.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
@@ -54,17 +54,17 @@ def read_frames(source: Path) -> Iterator[Frame]:
     elif source.suffix.lower() in VIDEO_SUFFIXES:
         yield from _read_video(source)
     else:
-        yield Frame(source.name, load_image(source))
+        yield NamedImage(source.name, load_image(source))
 
 
-def _read(path: Path) -> Frame:
+def _read(path: Path) -> NamedImage:
     try:
-        return Frame(path.name, load_image(path))
+        return NamedImage(path.name, load_image(path))
     except InputError:
-        return Frame(path.name, None)
+        return NamedImage(path.name, None)
 
 
-def _read_video(path: Path) -> Iterator[Frame]:
+def _read_video(path: Path) -> Iterator[NamedImage]:
     video = cv2.VideoCapture(str(path))
     count = 0
     try:
@@ -72,7 +72,7 @@ def _read_video(path: Path) -> Iterator[Frame]:
             ok, pixels = video.read()
             if not ok:
                 break
-            yield Frame(f"{path.name}#{count:06d}", pixels)
+            yield NamedImage(f"{path.name}#{count:06d}", pixels)
             count += 1
     finally:
         video.release()
@@ -80,7 +80,7 @@ def _read_video(path: Path) -> Iterator[Frame]:
         raise InputError("a video without a frame that can be read", source=path, field="SOURCE")
 
 
-def to_image(frame: Frame, design: SensorDesign) -> Image | str:
+def to_image(frame: NamedImage, design: SensorDesign) -> Image | str:
     """The frame as the sensor's camera would give it, or why it cannot be used."""
     pixels = frame.grey()
     if pixels is None:

@@ -27,7 +27,7 @@ _AROUND = 2.4
 _PER_NEWTON = 0.75  # length of a force's arrow, in halves of the picture
 
 
-class View(Protocol):
+class SceneCamera(Protocol):
     """What `mjtactile.sim.scenes.view.SceneView` is."""
 
     @property
@@ -38,7 +38,9 @@ class View(Protocol):
     def triangles(self) -> tuple[Array, Array]: ...
 
 
-def draw_scene(axes: Any, view: View, touch: Sequence[Touch], colours: Sequence[str]) -> None:
+def draw_scene(
+    axes: Any, view: SceneCamera, touch: Sequence[Touch], colours: Sequence[str]
+) -> None:
     """Draw what is around the sensors, and how each of them that touches feels to push, an arrow in
     its colour."""
     middle, half, axes_PW = _framing(view)
@@ -67,7 +69,7 @@ def draw_scene(axes: Any, view: View, touch: Sequence[Touch], colours: Sequence[
     axes.set_axis_off()
 
 
-def picture_of(view: View, size: tuple[int, int], samples: int = _SAMPLES) -> Array:
+def picture_of(view: SceneCamera, size: tuple[int, int], samples: int = _SAMPLES) -> Array:
     """The scene around the sensors, (*size, 3) from 0 to 1; `samples` along a side of a pixel make
     edges smooth."""
     middle, half, axes_PW = _framing(view)
@@ -79,7 +81,7 @@ def picture_of(view: View, size: tuple[int, int], samples: int = _SAMPLES) -> Ar
     return image.reshape(rows, samples, columns, samples, 3).mean(axis=(1, 3))
 
 
-def _framing(view: View) -> tuple[Array, float, Array]:
+def _framing(view: SceneCamera) -> tuple[Array, float, Array]:
     """The picture's middle (3,) m in W, half of its width, m, and its axes."""
     middle = view.p_WS.mean(axis=0)
     half = max(_LEAST, _AROUND * float(np.linalg.norm(view.p_WS - middle, axis=1).max()))

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.errors import MjtactileError
-from mjtactile.core.types import Array, Ellipses, Felt, FeltShape, Image, Surface, Touch
+from mjtactile.core.types import Array, Ellipses, FeltShape, Image, Surface, Touch, TouchImage
 from mjtactile.recording.columns import CycleLike
 from mjtactile.recording.reader import Recording
 from mjtactile.report.body_lines import lines_of, true_lines, words_of
 from mjtactile.report.overlay import find_ellipses
-from mjtactile.report.scene_picture import View, draw_scene
+from mjtactile.report.scene_picture import SceneCamera, draw_scene
 from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
 
 PHASE_COLOURS = {
@@ -43,7 +43,7 @@ def write_figure(
     recording: Recording,
     snapshot: CycleLike | None,
     summary: Mapping[str, Any],
-    scene: View | None = None,
+    scene: SceneCamera | None = None,
 ) -> None:
     """Draw the run's picture into `path` (PNG); `snapshot` is the cycle whose images, surfaces and
     `scene` are shown.
@@ -94,13 +94,13 @@ def write_figure(
 
 
 def _draw_finger(
-    figure: Any, place: Any, snapshot: CycleLike, finger: int, name: str, scene: View | None
+    figure: Any, place: Any, snapshot: CycleLike, finger: int, name: str, scene: SceneCamera | None
 ) -> None:
     """One finger's image above its surface in `place`, a column of a grid; without an image, its
     touch alone."""
     image = snapshot.images[finger]
     touch = snapshot.touch[finger]
-    if isinstance(image, Felt):
+    if isinstance(image, TouchImage):
         _draw_felt(figure.add_subplot(place), touch, name)
         return
     grid = place.get_gridspec()
@@ -232,7 +232,7 @@ def draw_surface(axes: Any, touch: Touch, unit: float | None = None) -> None:
     )
 
 
-def _draw_body(axes: Any, shape: FeltShape, scene: View | None, finger: int) -> None:
+def _draw_body(axes: Any, shape: FeltShape, scene: SceneCamera | None, finger: int) -> None:
     """What is believed to touch, and, where a scene knows, what is truly there."""
     true = [] if scene is None else true_lines(shape, scene, finger)
     for piece in true:

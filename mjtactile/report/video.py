@@ -23,7 +23,7 @@ from mjtactile.recording.reader import Recording
 from mjtactile.report.body_lines import recorded_shape, true_lines
 from mjtactile.report.body_section import draw_section
 from mjtactile.report.overlay import with_ellipses
-from mjtactile.report.scene_picture import View, picture_of
+from mjtactile.report.scene_picture import SceneCamera, picture_of
 from mjtactile.report.summary_figure import FINGER_COLOURS, PHASE_COLOURS
 from mjtactile.report.video_file import NOTE, Pixels, Writer, write_frames
 
@@ -45,7 +45,7 @@ _SAME = 0.05  # s between a scene and a cycle, that still show the same
 def write_video(
     path: Path,
     recording: Recording,
-    views: Sequence[tuple[float, View]] = (),
+    views: Sequence[tuple[float, SceneCamera]] = (),
     *,
     speed: float = 1.0,
     begin: float = 0.0,
@@ -111,7 +111,7 @@ def is_own(path: Path) -> bool:
 class _Film:
     """The frames of one recording."""
 
-    def __init__(self, recording: Recording, views: Sequence[tuple[float, View]]):
+    def __init__(self, recording: Recording, views: Sequence[tuple[float, SceneCamera]]):
         if not len(recording) or not any(len(names) for names in recording.columns["images"]):
             raise InputError(
                 "no image was recorded; record with --frames 1", source=recording.folder
@@ -172,7 +172,7 @@ class _Film:
         self._bodies = (row, picture)
         return picture
 
-    def _view_at(self, time: float) -> View | None:
+    def _view_at(self, time: float) -> SceneCamera | None:
         """The scene that was kept then, if one was."""
         index = max(bisect.bisect_right(self._view_times, time + 1e-9) - 1, 0)
         if not self._views or abs(self._view_times[index] - time) > _SAME:

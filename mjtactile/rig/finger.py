@@ -12,7 +12,7 @@ from mjtactile.core.calibration import Calibration, pressure_reading
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import TOLD, PressureReading, Told, ValveState
 from mjtactile.rig.limits import Limits
-from mjtactile.rig.protocols import Camera, Clock, Gripper, Valve
+from mjtactile.rig.protocols import CameraDevice, Clock, Gripper, Valve
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Finger:
 
     name: str
     design: SensorDesign
-    camera: Camera
+    camera: CameraDevice
     valve: Valve | None = None
     calibration: Calibration | None = None
 
@@ -122,7 +122,7 @@ class Rig:
         return 1.0 / min(finger.design.camera.rate for finger in self.fingers)
 
     @cached_property
-    def cameras(self) -> tuple[Camera, ...]:
+    def cameras(self) -> tuple[CameraDevice, ...]:
         """The cameras, in the order of their fingers."""
         return tuple(finger.camera for finger in self.fingers)
 
@@ -150,7 +150,7 @@ class Rig:
 def make_fingers(
     names: tuple[str, ...],
     designs: tuple[SensorDesign, ...],
-    cameras: tuple[Camera, ...],
+    cameras: tuple[CameraDevice, ...],
     valves: tuple[Valve, ...] = (),
     calibrations: tuple[Calibration | None, ...] = (),
 ) -> tuple[Finger, ...]:

@@ -12,7 +12,7 @@ from mjtactile.core.types import Command, GripperState, Image, ValveState
 
 
 @runtime_checkable
-class Camera(Protocol):
+class CameraDevice(Protocol):
     """A sensor's camera."""
 
     def read(self) -> Image:

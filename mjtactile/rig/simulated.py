@@ -47,7 +47,7 @@ _PER = {"mm_per_rad": 1e-3, "mm_per_mm": 1.0}
 
 
 @dataclass(frozen=True)
-class SimFinger:
+class SimFingerConfig:
     """A finger: the `site` of the MJCF that carries its sensor (z points at the object, out of the
     sensor), and the `sensor`: its file, shipped name or design (None: the one that the command
     names)."""
@@ -92,7 +92,7 @@ class SimActuator:
 
 
 @dataclass(frozen=True)
-class SimGripper:
+class SimGripperConfig:
     """Jaws: `opening` m (lowest, highest), `start` m, `force_max` N on each finger, `speed` m/s of
     the opening."""
 
@@ -103,7 +103,7 @@ class SimGripper:
     speed: float = number("speed_max_mm_s", 0.1, 1000, MM, default=0.05)
 
     @classmethod
-    def from_section(cls, section: Section) -> SimGripper:
+    def from_section(cls, section: Section) -> SimGripperConfig:
         """The jaws start within their opening, at its end where nothing is said."""
         opening = OPENING.read(section, ...)
         low, high = opening
@@ -177,8 +177,8 @@ class SimRigFile:
     name: str = text("name")
     path: Path = given()
     model: Path = given()
-    fingers: tuple[SimFinger, ...] = parts("finger", SimFinger, high=FINGERS_MAX)
-    gripper: SimGripper = part("gripper", SimGripper)
+    fingers: tuple[SimFingerConfig, ...] = parts("finger", SimFingerConfig, high=FINGERS_MAX)
+    gripper: SimGripperConfig = part("gripper", SimGripperConfig)
     lift: SimLift = part("lift", SimLift)
     air: SimAir = part("air", SimAir, default=SimAir())
     keyframe: str | None = None

@@ -26,7 +26,7 @@ _FIRST_TIME = 3.0
 _ANOTHER_MOMENT = 0.02
 
 
-class Stepper(Protocol):
+class LoadedController(Protocol):
     """A controller as the loop sees it; `path` is for messages."""
 
     @property
@@ -85,7 +85,7 @@ class ControllerThread:
     A step is given `limit` s of wall time. A switch to the thread and back takes some 0.03 ms.
     """
 
-    def __init__(self, controller: Stepper, limit: float):
+    def __init__(self, controller: LoadedController, limit: float):
         self.controller = controller
         self._limit = limit
         self._patience = max(limit, _FIRST_TIME)

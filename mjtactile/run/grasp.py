@@ -18,7 +18,7 @@ from mjtactile.core.scenario import TIME_LIMIT, Scenario
 from mjtactile.core.task import load_task
 from mjtactile.recording.observer import Observer, Observers
 from mjtactile.rig.finger import Rig
-from mjtactile.run.controller import Stepper, load_controller
+from mjtactile.run.controller import LoadedController, load_controller
 from mjtactile.run.cycle import Cycle
 from mjtactile.run.session import open_session
 from mjtactile.run.supervisor import HEIGHT_TOLERANCE
@@ -158,7 +158,7 @@ def run_grasp(
     scenario: Scenario,
     observers: Sequence[Observer] = (),
     *,
-    controller: Stepper | None = None,
+    controller: LoadedController | None = None,
     workers: int | None = None,
     error_estimate: bool = False,
 ) -> GraspResult:

@@ -18,7 +18,7 @@ from mjtactile.core.signals import Stop
 from mjtactile.core.types import Command, Observation, Touch
 from mjtactile.recording.observer import Observer
 from mjtactile.rig.finger import Rig
-from mjtactile.run.controller import ControllerThread, Stepper
+from mjtactile.run.controller import ControllerThread, LoadedController
 from mjtactile.run.cycle import ENDS, WAIT_TIME, ControlCycle, Cycle
 from mjtactile.run.perceive import Perceiver, Perceivers
 from mjtactile.run.perception_pool import PerceptionPool
@@ -31,7 +31,7 @@ _STEP_SHARE = 0.8
 def run_loop(
     rig: Rig,
     perceptions: Sequence[Perceiver],
-    controller: Stepper,
+    controller: LoadedController,
     *,
     time_limit: float,
     observer: Observer | None = None,
@@ -141,7 +141,7 @@ def _may_hold(touch: Touch) -> bool:
     return touch.touching or not math.isfinite(touch.force_normal)
 
 
-def _too_late(controller: Stepper, command: Command, time_limit: float) -> SafeStop:
+def _too_late(controller: LoadedController, command: Command, time_limit: float) -> SafeStop:
     return SafeStop(
         f"controller {controller.path}: still in phase {command.phase!r} after {time_limit:g} s",
         kind="hung",

@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 from mjtactile.core import pace, system
 from mjtactile.core.status import Status, StatusCode
-from mjtactile.core.types import Felt, Image, PressureReading, Touch
+from mjtactile.core.types import Image, PressureReading, Touch, TouchImage
 
 # s for an answer where nobody says how long; a chain needs a hundredth of a second for an image
 PATIENCE = 10.0
@@ -37,8 +37,8 @@ class Perceiver(Protocol):
 
 
 class DrawnPerception:
-    """In place of a chain where touch was drawn (`Felt`): it hands on what it is given. Shapes are
-    not drawn."""
+    """In place of a chain where touch was drawn (`TouchImage`): it hands on what it is given.
+    Shapes are not drawn."""
 
     shapes = False
     state: Any = None
@@ -50,7 +50,7 @@ class DrawnPerception:
     ) -> None: ...
 
     def perceive(self, image: Image, now: float, reading: PressureReading | None = None) -> Touch:
-        assert isinstance(image, Felt) and image.touch is not None
+        assert isinstance(image, TouchImage) and image.touch is not None
         touch = image.touch
         return touch if now == touch.time else replace(touch, age=now - touch.time)
 

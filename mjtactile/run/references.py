@@ -11,7 +11,7 @@ from mjtactile.core import signals
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Image
 from mjtactile.rig.finger import Finger
-from mjtactile.rig.protocols import Camera, Clock
+from mjtactile.rig.protocols import CameraDevice, Clock
 
 REFERENCE_IMAGES = 10  # averaging ten takes the reference's noise to a third of an image's
 SETTLE_TIME = 0.5  # s for the membrane to come to rest after the valve moved
@@ -22,7 +22,7 @@ Shots = list[list[Image]]
 
 
 @dataclass(frozen=True, eq=False)
-class Reference:
+class ReferenceImages:
     """Images of the membranes in one state, with nothing touching.
 
     Attributes:
@@ -38,7 +38,7 @@ class Reference:
 
 def take_references(
     fingers: Sequence[Finger], clock: Clock, say: Callable[[str], None] = lambda _: None
-) -> Iterator[Reference]:
+) -> Iterator[ReferenceImages]:
     """Bring the membranes into each of their two reference states, and take their images there.
 
     A generator: the second state is gone to when the first was worked on, so that a sensor that
@@ -59,14 +59,14 @@ def take_references(
     say("reference: flat, valve open")
     for valve in valves:
         valve.open(0.0)
-    yield Reference("flat", settled_images(fingers, clock), [0.0 for _ in valves])
+    yield ReferenceImages("flat", settled_images(fingers, clock), [0.0 for _ in valves])
     say("reference: inflated, nothing touching")
     inflate(fingers, clock)
     readings: list[list[float | None]] = []
     images = settled_images(
         fingers, clock, lambda: readings.append([v.state().pressure_gauge for v in valves])
     )
-    yield Reference("rest", images, [_mean(each) for each in zip(*readings, strict=True)])
+    yield ReferenceImages("rest", images, [_mean(each) for each in zip(*readings, strict=True)])
 
 
 def inflate(fingers: Sequence[Finger], clock: Clock) -> None:
@@ -103,7 +103,7 @@ def _mean(readings: Sequence[float | None]) -> float | None:
     return math.fsum(known) / len(known) if known else None
 
 
-def patient_read(camera: Camera, clock: Clock, period: float) -> Image:
+def patient_read(camera: CameraDevice, clock: Clock, period: float) -> Image:
     """An image while nothing moves yet: a late one is waited for.
 
     Raises:

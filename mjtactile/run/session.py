@@ -19,14 +19,14 @@ from mjtactile.core.types import Command
 from mjtactile.recording.observer import CycleCallback, Observer, Observers
 from mjtactile.rig.finger import Rig
 from mjtactile.rig.registry import as_scenario, build_rig
-from mjtactile.run.controller import Stepper
+from mjtactile.run.controller import LoadedController
 from mjtactile.run.cycle import WAIT_TIME, Cycle
 from mjtactile.run.flags import FlagNotes
 from mjtactile.run.loop import run_loop
 from mjtactile.run.perceive import DrawnPerception, Perceiver
 from mjtactile.run.perception_pool import PerceptionPool, default_count
 from mjtactile.run.push import PushWatch
-from mjtactile.run.references import Reference, inflate, take_references
+from mjtactile.run.references import ReferenceImages, inflate, take_references
 from mjtactile.run.steps import Steps
 from mjtactile.run.supervisor import Supervisor
 from mjtactile.sensing.perception import Perception
@@ -117,7 +117,7 @@ class Session:
             observer.add_reference(reference.stage, reference.images, reference.pressure_gauge)
             self._zero(reference)
 
-    def _zero(self, reference: Reference) -> None:
+    def _zero(self, reference: ReferenceImages) -> None:
         """Have each chain take its own images as its reference."""
         pressures = iter(reference.pressure_gauge)
         for finger, perception, images in zip(
@@ -152,7 +152,7 @@ class Session:
 
     def run(
         self,
-        controller: Stepper,
+        controller: LoadedController,
         *,
         time_limit: float,
         on_cycle: Callable[[Cycle], Any] | None = None,

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from mjtactile.core.types import Command, Touch, ValveState
-from mjtactile.run.landing import Load
+from mjtactile.run.landing import HangingLoad
 
 BLIND_TIME_MAX = 0.5  # s without a known force before the gripper opens by itself
 RETREAT_SPEED = 0.030  # m/s of opening, and of lowering
@@ -60,7 +60,7 @@ class Supervisor:
         self._bulge: list[float] | None = None
         self._sink_cycles = 0
         self._wanted_safe = ""
-        self._load = Load()
+        self._load = HangingLoad()
         self._stands = False
         self._height = math.nan
         self._retreat_time = self._down_time = 0.0

@@ -8,7 +8,7 @@ from dataclasses import replace
 from mjtactile.core.types import Contact, FeltShape, Touch
 from mjtactile.sensing.body.finder import Found
 from mjtactile.sensing.body.fuse import Borne, with_load
-from mjtactile.sensing.body.motion import Rubber, rubber_step
+from mjtactile.sensing.body.motion import RubberMotion, rubber_step
 from mjtactile.sensing.settings import SlipSettings
 from mjtactile.sensing.state import ChainState, Reference
 from mjtactile.sensing.touch.moving import with_motion
@@ -76,7 +76,7 @@ def after_shape(
     return replace(felt, slip=judged), replace(after, slip=history)
 
 
-def rubber_between(before: ChainState, after: ChainState) -> Rubber | None:
+def rubber_between(before: ChainState, after: ChainState) -> RubberMotion | None:
     """How the rubber that touches has moved from one image to the next; None: unknown."""
     if before.slip is None or after.slip is None:
         return None

@@ -16,7 +16,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Array, Command, Image, PressureReading
 from mjtactile.experiments.stage import record_stage
-from mjtactile.export.episode import Episode
+from mjtactile.export.episode import RecordedEpisode
 from mjtactile.recording.observer import Observer
 from mjtactile.recording.reader import Recording
 from mjtactile.recording.stage import Stage, stage_from_note
@@ -56,7 +56,7 @@ class HandAgain:
         Raises:
             InputError: The simulated rig has not as many fingers.
         """
-        episode = Episode(self.folder)
+        episode = RecordedEpisode(self.folder)
         count = len(episode.fingers)
         file = load_sim_rig(self.scenario.rig)
         if len(file.fingers) != count:
@@ -104,7 +104,7 @@ class StageAgain:
         Returns:
             What the simulated sensor says.
         """
-        episode = Episode(self.folder)
+        episode = RecordedEpisode(self.folder)
         stage = stage_from_note(episode.recording.notes["stage"], self.folder)
         specimen = _specimen(amounts, 0)
         true = true_design(episode.design, specimen)

@@ -42,7 +42,7 @@ Simulate = Callable[[Mapping[str, Sequence[float]]], Signals]
 
 
 @dataclass(frozen=True)
-class Tried:
+class TriedCause:
     """A cause: its `amounts` on each finger, SI, their sd, and the share of the difference that it
     explains, with what is allowed for."""
 
@@ -75,10 +75,10 @@ class Shadow:
     explained: Signals | None
     apart: Mapping[str, Array]
     left: Mapping[str, Array]
-    tried: tuple[Tried, ...]
-    named: Tried | None
+    tried: tuple[TriedCause, ...]
+    named: TriedCause | None
     differs: bool
-    alike: tuple[Tried, ...] = ()
+    alike: tuple[TriedCause, ...] = ()
     allowed: Mapping[str, float] = field(default_factory=dict)
     explains: float = 0.0
 
@@ -186,12 +186,12 @@ def explain(
 class _Checked:
     """A cause whose amount the simulator was given: what it said, and the share explained."""
 
-    tried: Tried
+    tried: TriedCause
     signals: Signals
     explains: float
 
 
-def _is_named(best: _Checked, linear: Tried, left: float) -> bool:
+def _is_named(best: _Checked, linear: TriedCause, left: float) -> bool:
     """Whether a cause explains enough to be named: simulated, and by its slope; `left` is the share
     that stays unexplained by what is usual."""
     explains = min(best.explains, linear.explains) >= _LEAST_EXPLAINED
@@ -199,7 +199,7 @@ def _is_named(best: _Checked, linear: Tried, left: float) -> bool:
 
 
 def _checked(
-    one: Tried,
+    one: TriedCause,
     allowed: Mapping[str, float],
     there: Signals,
     here: Signals,
@@ -228,13 +228,13 @@ def _checked(
 
 
 def _on_each_finger(
-    one: Tried,
+    one: TriedCause,
     allowed: Mapping[str, float],
     there: Signals,
     here: Signals,
     simulate: Simulate,
     time: Array,
-) -> Tried:
+) -> TriedCause:
     """The same with what each finger's own share does to all fingers: what one of them lets go of,
     the other has to hold."""
     fingers = there.fingers
@@ -265,7 +265,7 @@ def attempted(simulate: Simulate, amounts: Mapping[str, Sequence[float]]) -> Sig
         return None
 
 
-def _amounts(best: Tried, allowed: Mapping[str, float]) -> dict[str, Sequence[float]]:
+def _amounts(best: TriedCause, allowed: Mapping[str, float]) -> dict[str, Sequence[float]]:
     count = len(best.amounts)
     beside: dict[str, Sequence[float]] = {
         name: (value,) * count for name, value in allowed.items() if name not in ("left", "time")
@@ -288,7 +288,7 @@ def _tried(
     causes: Sequence[Cause],
     probes: Sequence[Signals],
     shifted: tuple[Signals, Signals],
-) -> tuple[list[Tried], dict[str, dict[str, float]]]:
+) -> tuple[list[TriedCause], dict[str, dict[str, float]]]:
     """Each cause, best first; and what was allowed for beside each ("": beside none)."""
     rows = _Rows.of([there, here, *probes, *shifted])
     base = rows.vector(here)
@@ -320,7 +320,7 @@ def _tried(
         allowed[cause.name] = found
         everywhere = tuple(np.broadcast_to(amounts, there.fingers).tolist())
         sds = tuple(np.broadcast_to(sd, there.fingers).tolist())
-        tried.append(Tried(cause, everywhere, sds, 1 - found["left"] / total))
+        tried.append(TriedCause(cause, everywhere, sds, 1 - found["left"] / total))
     for found in allowed.values():
         found["left"] /= total
     return sorted(tried, key=lambda one: -one.explains), allowed

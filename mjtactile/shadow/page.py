@@ -11,7 +11,7 @@ import numpy as np
 from mjtactile.core.types import Array
 from mjtactile.report import html
 from mjtactile.shadow.causes import words
-from mjtactile.shadow.explain import Shadow, Tried
+from mjtactile.shadow.explain import Shadow, TriedCause
 from mjtactile.shadow.signals import KINDS, TOLERANCE, UNIT, Signals
 
 _COLOURS = {"recorded": "#1f5fa8", "simulated": "#b9b9b9", "with what is named": "#d1571b"}
@@ -42,7 +42,7 @@ def parting(shadow: Shadow) -> list[str]:
     ]
 
 
-def say(one: Tried, fingers: Sequence[str] = ()) -> str:
+def say(one: TriedCause, fingers: Sequence[str] = ()) -> str:
     """A cause with its amount: of a sensor, that of each finger where they differ."""
     amounts = one.amounts
     largest = max(range(len(amounts)), key=lambda k: abs(amounts[k]))
@@ -68,7 +68,7 @@ def numbers(shadow: Shadow, fingers: Sequence[str]) -> dict[str, Any]:
             if kind in found
         }
 
-    def tried(one: Tried) -> dict[str, Any]:
+    def tried(one: TriedCause) -> dict[str, Any]:
         scale = one.cause.scale
         return {
             "cause": one.cause.name,

@@ -12,7 +12,7 @@ from joblib import Parallel, delayed
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
-from mjtactile.export.episode import Episode
+from mjtactile.export.episode import RecordedEpisode
 from mjtactile.shadow.again import Amounts, HandAgain, StageAgain, undrawn
 from mjtactile.shadow.causes import causes_of
 from mjtactile.shadow.explain import Shadow, attempted, explain
@@ -28,7 +28,7 @@ def shadow_of(
     causes: Sequence[str] = (),
     workers: int = 1,
     say: Callable[[str], None] = lambda _: None,
-) -> tuple[Shadow, Episode]:
+) -> tuple[Shadow, RecordedEpisode]:
     """Simulate again what was recorded, and say where the two part.
 
     Args:
@@ -46,7 +46,7 @@ def shadow_of(
     Raises:
         InputError: The recording names no object or stage, or has no cycles.
     """
-    episode = Episode(folder)
+    episode = RecordedEpisode(folder)
     staged = "stage" in episode.recording.notes
     again = StageAgain(folder, until) if staged else _hand(episode, folder, rig, thing, until)
     found = recorded(episode)
@@ -62,7 +62,7 @@ def shadow_of(
     return explain(found, again.run, chosen, many=many, say=say), episode
 
 
-def _hand(episode: Episode, folder: Path, rig: str, thing: str, until: float) -> HandAgain:
+def _hand(episode: RecordedEpisode, folder: Path, rig: str, thing: str, until: float) -> HandAgain:
     header = episode.recording.header
     name = thing or header.get("object")
     if not name:

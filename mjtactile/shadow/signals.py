@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.types import Array, Touch, ValveState
-from mjtactile.export.episode import Episode
+from mjtactile.export.episode import RecordedEpisode
 
 KINDS = ("force", "markers", "pressure")
 TOLERANCE = {"force": 0.03, "markers": 3e-5, "pressure": 25.0}
@@ -85,7 +85,7 @@ def gauges(valves: Sequence[ValveState], episode: Any = None) -> list[float | No
     ]
 
 
-def recorded(episode: Episode) -> Signals:
+def recorded(episode: RecordedEpisode) -> Signals:
     """What a recording says: felt again from its images where it has all, else as it was felt."""
     counts = [episode.design_of(name).markers.count for name in episode.fingers]
     gathered = Gathered(counts)

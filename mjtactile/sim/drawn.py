@@ -2,7 +2,7 @@
 sensing chain has at that load. A model of the sensor with its software, which may read the truth as
 a camera's may; what comes out is a measurement.
 
-It stands where a camera does, and gives `Felt` in place of an image.
+It stands where a camera does, and gives `TouchImage` in place of an image.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.status import OK, Status, StatusCode
-from mjtactile.core.types import Array, Contact, Felt, Slip, SlipState, Touch, Traction
+from mjtactile.core.types import Array, Contact, Slip, SlipState, Touch, TouchImage, Traction
 from mjtactile.core.types.arrays import fixed
 from mjtactile.kernels import bound
 from mjtactile.sim.chain_errors import AtLoad, ChainErrors
@@ -123,7 +123,7 @@ class TouchDrawer:
         self._time = math.nan
         self._touching = False
         self._slides: deque[tuple[float, float]] = deque()
-        self._drawn: Felt | None = None
+        self._drawn: TouchImage | None = None
         self.reseed(seed)
 
     def reseed(self, seed: int) -> None:
@@ -134,9 +134,9 @@ class TouchDrawer:
 
     def draw(self) -> None:
         """Have the touch of now ready for `read`."""
-        self._drawn = Felt.of(self._touch())
+        self._drawn = TouchImage.of(self._touch())
 
-    def read(self) -> Felt:
+    def read(self) -> TouchImage:
         """What is felt now."""
         if self._drawn is None or self._drawn.time != self._sensor.time:
             self.draw()

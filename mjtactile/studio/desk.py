@@ -18,8 +18,8 @@ from mjtactile.core.errors import MjtactileError
 from mjtactile.experiments.accuracy import effects_of
 from mjtactile.run.session import Session
 from mjtactile.studio.guard import guarded
-from mjtactile.studio.hand import Wish
-from mjtactile.studio.layout import ABOVE_LOOK, LEFT, RED, Layout
+from mjtactile.studio.hand import HandGoal
+from mjtactile.studio.layout import ABOVE_LOOK, LEFT, RED, WindowLayout
 from mjtactile.studio.moment import Moment
 from mjtactile.studio.show import Show
 
@@ -38,7 +38,7 @@ class Desk(plugin.ViewerPlugin):
     def __init__(self, show: Show):
         self.show = show
         self.complain = show.message
-        self._layout = Layout()
+        self._layout = WindowLayout()
         self._supply: float | None = None
         self._pierced: set[int] = set()
         self._session: Session | None = None
@@ -135,7 +135,7 @@ class Desk(plugin.ViewerPlugin):
         wish = show.wish
         changed, on = imgui.Checkbox("in place of the controller", wish is not None)
         if changed:
-            show.wish = Wish(state.opening, state.lift_height) if on else None
+            show.wish = HandGoal(state.opening, state.lift_height) if on else None
         if wish is None or not on:
             return
         most = min(limits.opening[1], 0.1), min(limits.lift[1], 0.1)
@@ -152,7 +152,7 @@ class Desk(plugin.ViewerPlugin):
             _, force = imgui.SliderFloat("felt, N", force, *_SQUEEZE, "%.2f")
         if changed and not squeezes:
             opening = 1e3 * state.opening
-        now = Wish(1e-3 * opening, 1e-3 * lift, force)
+        now = HandGoal(1e-3 * opening, 1e-3 * lift, force)
         if now != wish:
             show.wish = now
 

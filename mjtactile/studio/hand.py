@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mjtactile.core.types import Command, Observation
-from mjtactile.run.controller import Stepper
+from mjtactile.run.controller import LoadedController
 
 # m/s
 _OPENING_SPEED = 0.03
@@ -24,7 +24,7 @@ _SERVO_FORCE = 4.0  # N, the most that the servo may push
 
 
 @dataclass(frozen=True)
-class Wish:
+class HandGoal:
     """Where jaws and lift shall go, m; `force` N: how hard to squeeze, as felt, instead of an
     opening (NaN: the opening)."""
 
@@ -69,10 +69,10 @@ def _towards(start: float, goal: float, most: float) -> float:
 class ByHand:
     """A controller that can be taken over from: while there is a `wish`, it is not asked."""
 
-    def __init__(self, controller: Stepper):
+    def __init__(self, controller: LoadedController):
         self._controller = controller
         self.reads = getattr(controller, "reads", ())
-        self.wish: Wish | None = None
+        self.wish: HandGoal | None = None
 
     @property
     def path(self) -> Path:

@@ -16,7 +16,7 @@ _GAP = 4
 _LEAST = 120  # px
 
 
-class Layout:
+class WindowLayout:
     """`begin` with each frame; `place` before each window. Whoever moves a window has it there
     until the page's size changes."""
 

@@ -18,7 +18,7 @@ from mjtactile.core.types import Ellipses
 from mjtactile.report.overlay import find_ellipses, followed, with_ellipses
 from mjtactile.studio import marks, plots, surface
 from mjtactile.studio.guard import guarded
-from mjtactile.studio.layout import LEFT, LOOK, RED, Layout
+from mjtactile.studio.layout import LEFT, LOOK, RED, WindowLayout
 from mjtactile.studio.moment import Felt, History, Moment, Pose, finger_lines
 from mjtactile.studio.own import OwnFingers
 
@@ -35,7 +35,7 @@ _FINGER = (364, 294)  # px, a finger's window
 _CURVES = 250  # px, the height of the curves
 
 
-class Source(Protocol):
+class MomentSource(Protocol):
     """Where moments come from."""
 
     history: History
@@ -57,10 +57,12 @@ class Panel(plugin.ViewerPlugin):
     may be filled later, or another source of moments.
     """
 
-    def __init__(self, fingers: Sequence[Any] | Source):
-        self.source: Source = OwnFingers(fingers) if isinstance(fingers, Sequence) else fingers
+    def __init__(self, fingers: Sequence[Any] | MomentSource):
+        self.source: MomentSource = (
+            OwnFingers(fingers) if isinstance(fingers, Sequence) else fingers
+        )
         self.look = marks.Look()
-        self._layout = Layout()
+        self._layout = WindowLayout()
         self.error = ""
         self._brush = marks.Brush()
         self._mine = []

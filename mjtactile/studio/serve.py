@@ -22,8 +22,8 @@ from mjtactile.studio.desk import Desk
 from mjtactile.studio.loopback import launch, looked_at
 from mjtactile.studio.mirror import Mirror
 from mjtactile.studio.panel import Panel
-from mjtactile.studio.show import Restart, Show
-from mjtactile.studio.tape import Deck, Tape
+from mjtactile.studio.show import RestartAsked, Show
+from mjtactile.studio.tape import Deck, TapePlayer
 
 _PERIOD = 0.005  # s between two looks at the session,
 # s: sensing lets go of the interpreter for each kernel, and waited up to 5 ms for the windows each
@@ -76,7 +76,7 @@ def watch(
     )
     mirror = Mirror(show)
     studio_app = app.App(app.Config(show_options=False, show_inspector=False))
-    desk = Deck(show) if isinstance(show, Tape) else Desk(show)
+    desk = Deck(show) if isinstance(show, TapePlayer) else Desk(show)
     plugins = [studio_app, desk, Panel(show), mirror]
     handle = launch_window(config, plugins) if native else launch(config, plugins=plugins)
     studio = threading.Thread(target=_sync, args=(handle, mirror, show), name="studio", daemon=True)
@@ -116,7 +116,7 @@ def _run(show: Show) -> None:
         controller = show.take_over(load_controller(scenario.controller))
         result = run_grasp(scenario, [show], controller=controller)
         show.outcome = f"{result.outcome}" + (f": {result.reason}" if result.reason else "")
-    except Restart:
+    except RestartAsked:
         show.outcome = "again"
     except Interrupted:
         raise

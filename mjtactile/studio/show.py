@@ -22,10 +22,10 @@ from mjtactile.core.errors import DeviceError, Interrupted, SimulationError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Array, Image, Surface
 from mjtactile.recording.observer import Observer
-from mjtactile.run.controller import Stepper
+from mjtactile.run.controller import LoadedController
 from mjtactile.run.cycle import Cycle
 from mjtactile.run.session import Session
-from mjtactile.studio.hand import ByHand, Wish
+from mjtactile.studio.hand import ByHand, HandGoal
 from mjtactile.studio.moment import Felt, History, Moment, Pose, SessionState
 
 RED_BUTTON = "somebody pressed the red button"
@@ -34,7 +34,7 @@ _PAUSED = 0.02  # s between two looks at whether it still is
 Task = Callable[[Session], None]
 
 
-class Restart(SimulationError):
+class RestartAsked(SimulationError):
     """Somebody asked for another run: the world that was is given up as it is."""
 
     def __init__(self) -> None:
@@ -42,7 +42,7 @@ class Restart(SimulationError):
 
 
 @dataclass(frozen=True)
-class Gas:
+class ChamberReadings:
     """What is in the chambers of a simulated rig: gauge pressures, Pa, and temperatures, K, one a
     finger."""
 
@@ -71,13 +71,13 @@ class Show(Observer):
         self.closed = threading.Event()
         self.pull: Array | None = None
         """What the mouse pulls at (bodies, 6), N and N m, from now on."""
-        self._wish: Wish | None = None
+        self._wish: HandGoal | None = None
         self._hand: ByHand | None = None
         self._single = False
         self._halted = False
         self._flagged: set[str] = set()
         """Kinds of doubt that were said."""
-        self._gas = Gas()
+        self._gas = ChamberReadings()
         self._say = say
         self._tasks: queue.SimpleQueue[Task] = queue.SimpleQueue()
         self._pace: tuple[float, float] | None = None
@@ -95,7 +95,7 @@ class Show(Observer):
         self.history.clear()
         self.runs += 1
 
-    def take_over(self, controller: Stepper) -> Stepper:
+    def take_over(self, controller: LoadedController) -> LoadedController:
         """The controller, with a hand that can take over from it."""
         self._hand = ByHand(controller)
         self._hand.wish = self._wish
@@ -108,7 +108,7 @@ class Show(Observer):
         if self._halted:  # nothing moves yet that the supervisor could retreat
             raise DeviceError(RED_BUTTON)
         if self.restart.is_set() or self.closed.is_set():
-            raise Restart
+            raise RestartAsked
 
     def message(self, text: str) -> None:
         self.said = text
@@ -136,7 +136,7 @@ class Show(Observer):
         self._leave()
         scene = None if self.session is None else self.session.rig.scene
         if scene is not None:
-            self._gas = Gas(
+            self._gas = ChamberReadings(
                 tuple(s.pressure_gauge for s in scene.sensors),
                 tuple(s.temperature for s in scene.sensors),
             )
@@ -176,13 +176,13 @@ class Show(Observer):
         return self.session is None or not math.isfinite(self.session.rig.host_timeout)
 
     @property
-    def wish(self) -> Wish | None:
+    def wish(self) -> HandGoal | None:
         """What is wished for by hand in place of the controller's commands; None: the controller is
         asked."""
         return self._wish
 
     @wish.setter
-    def wish(self, wish: Wish | None) -> None:
+    def wish(self, wish: HandGoal | None) -> None:
         self._wish = wish
         if self._hand is not None:
             self._hand.wish = wish
@@ -219,7 +219,7 @@ class Show(Observer):
         if not (self.restart.is_set() or self.closed.is_set()):
             return
         if self.session is None or self.may_pause:
-            raise Restart
+            raise RestartAsked
         self.session.make_safe(
             "Studio was closed" if self.closed.is_set() else "another run was asked for"
         )
@@ -252,7 +252,7 @@ def moment_of(
     session: Session | None,
     view: Any,
     truth: Mapping[str, Any],
-    gas: Gas,
+    gas: ChamberReadings,
     number: int,
 ) -> Moment:
     """What a cycle shows, with what is true of it, where that is known."""

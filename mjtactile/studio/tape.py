@@ -18,12 +18,12 @@ from mjtactile.core.types import Image
 from mjtactile.recording.reader import Recording
 from mjtactile.run.cycle import Cycle
 from mjtactile.studio.guard import guarded
-from mjtactile.studio.layout import ABOVE_LOOK, LEFT, Layout
+from mjtactile.studio.layout import ABOVE_LOOK, LEFT, WindowLayout
 from mjtactile.studio.moment import Curves, History, Moment
-from mjtactile.studio.show import Gas, Show, moment_of
+from mjtactile.studio.show import ChamberReadings, Show, moment_of
 
 
-class Tape(Show):
+class TapePlayer(Show):
     """Shows what was felt at the time `at`, s from the first cycle, which goes with the clock while
     `playing`."""
 
@@ -51,7 +51,7 @@ class Tape(Show):
             true = {"force_normal_true": self._true[number].tolist()}
         else:
             true = {}
-        moment = moment_of(cycle, self.session, view, true, Gas(), number)
+        moment = moment_of(cycle, self.session, view, true, ChamberReadings(), number)
         self.history.add(moment)
         if not self._times:
             self.at = 0.0
@@ -109,7 +109,7 @@ class Tape(Show):
 class TapeHistory(History):
     """All of a recording, and where it is looked at."""
 
-    def __init__(self, tape: Tape):
+    def __init__(self, tape: TapePlayer):
         super().__init__(seconds=math.inf)
         self._tape = tape
 
@@ -123,10 +123,10 @@ class TapeHistory(History):
 class Deck(plugin.ViewerPlugin):
     """The window from which a recording is played."""
 
-    def __init__(self, tape: Tape):
+    def __init__(self, tape: TapePlayer):
         self.tape = tape
         self.complain = tape.message
-        self._layout = Layout()
+        self._layout = WindowLayout()
 
     @messages.handler
     @guarded

@@ -31,7 +31,7 @@ _IMAGE = 1 / 30  # s
 
 
 @dataclass(frozen=True, eq=False)
-class Pressed:
+class PressedFilm:
     """A film `state` at rest on a body, and the `height` m of the body's place."""
 
     state: FilmState
@@ -43,7 +43,7 @@ Coming = Callable[[float], Obstacle]
 
 
 @dataclass(frozen=True, eq=False)
-class Felt:
+class FilmTouch:
     """What the chain makes of a film: the `touch` of an image of what is at rest, and the `state`
     of the chain after it."""
 
@@ -119,7 +119,7 @@ class Stand:
     # -- what presses
     # --------------------------------------------------------------------------------
 
-    def press(self, body: Coming, force: float) -> Pressed | None:
+    def press(self, body: Coming, force: float) -> PressedFilm | None:
         """Let a body come down until it presses with a force.
 
         Args:
@@ -157,7 +157,7 @@ class Stand:
                 low = middle
                 state = found
         off = abs(state.force_normal - force)
-        return Pressed(state, low) if off < _OFF * force else None
+        return PressedFilm(state, low) if off < _OFF * force else None
 
     def _solve(self, body: Obstacle, start: FilmState | None) -> FilmState | None:
         """The film on a body, from a state near it, without what it did on the way there, or from
@@ -210,7 +210,7 @@ class Stand:
         """The markers that the chain would find, with their covariance."""
         return self.chain.see(self.state, self.sight(film))[0]
 
-    def feel(self, film: FilmState) -> Felt:
+    def feel(self, film: FilmState) -> FilmTouch:
         """What the chain says of a film at rest: of a second image, since what has just come is
         doubted.
 
@@ -224,9 +224,9 @@ class Stand:
         for number in (1, 2):
             time = number * _IMAGE
             touch, state = self.chain.step(state, self.sight(film, time), time)
-        return Felt(touch, state)  # pyright: ignore[reportPossiblyUnboundVariable] the loop runs
+        return FilmTouch(touch, state)  # pyright: ignore[reportPossiblyUnboundVariable] the loop runs
 
-    def noise(self, felt: Felt) -> Array:
+    def noise(self, felt: FilmTouch) -> Array:
         """Covariance (3, 3) N^2 of the felt force by the pixels' noise alone, from image to image.
 
         The chain's tractions are linear in the whitened markers, traction = P^(1/2) half^T

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mjtactile.cli import main
-from mjtactile.explore.run import Store
+from mjtactile.explore.run import PatchStore
 
 
 def refused(capsys, *arguments):
@@ -40,7 +40,7 @@ def test_a_recorded_press_is_a_place_of_the_indenter(capsys, tmp_path):
     assert main(["explore", "--from", run, "--out", str(tmp_path / "ball"), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["patches"] == 1
-    patch = Store(tmp_path / "ball" / "touched.jsonl").read()[0]
+    patch = PatchStore(tmp_path / "ball" / "touched.jsonl").read()[0]
     off = np.linalg.norm(patch.points - [0, 0, 0.008], axis=1) - 0.008
     # the frame begins at the ball's lowest point. On a mesh of 13 x 11 the sheet lies 0.1 to 0.2 mm
     # off a ball between its vertices

@@ -10,13 +10,13 @@ import pytest
 from mjtactile.cli import main
 from mjtactile.make import build as room
 from mjtactile.make import manual
-from mjtactile.make.states import State
+from mjtactile.make.states import SheetState
 
 
 def flat(design, *_):
     """In place of the simulation, which tests/unit/make has."""
     p = design.markers.p_SM
-    return [State("flat", p, np.tile([0.0, 0, 1], (len(p), 1)), 1.0, 0.0)]
+    return [SheetState("flat", p, np.tile([0.0, 0, 1], (len(p), 1)), 1.0, 0.0)]
 
 
 @pytest.fixture

@@ -25,7 +25,7 @@ from mjtactile.recording.writer import Recorder
 from mjtactile.replay.rig import build_replay_rig
 from mjtactile.rig.file import load_rig_file
 from mjtactile.rig.limits import PRESSURE_STEP
-from mjtactile.rig.protocols import Camera, Clock, Gripper, Valve
+from mjtactile.rig.protocols import CameraDevice, Clock, Gripper, Valve
 from mjtactile.rig.registry import build_rig
 from mjtactile.run.references import patient_read
 from mjtactile.run.session import Session
@@ -111,7 +111,7 @@ def rig(request):
 def test_its_parts_are_what_the_protocols_say(rig):
     assert len(rig.cameras) == len(rig.fingers) == (3 if rig.name == "sim_three_finger" else 2)
     assert len({finger.name for finger in rig.fingers}) == len(rig.fingers)
-    assert all(isinstance(camera, Camera) for camera in rig.cameras)
+    assert all(isinstance(camera, CameraDevice) for camera in rig.cameras)
     assert all(isinstance(valve, Valve) for valve in rig.valves)
     assert isinstance(rig.gripper, Gripper)
     assert isinstance(rig.clock, Clock)

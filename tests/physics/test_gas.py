@@ -8,7 +8,7 @@ import pytest
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.sensor_parts import Chamber
-from mjtactile.sim.sensor.gas import Gas
+from mjtactile.sim.sensor.gas import ChamberGas
 
 AMBIENT = 101325.0
 VOLUME = 2.4e-5
@@ -16,7 +16,7 @@ VOLUME = 2.4e-5
 
 def closed(gauge=1000.0, **chamber):
     """A chamber of 24 mL, filled to `gauge` Pa and closed."""
-    gas = Gas(Chamber(0.02, **chamber))
+    gas = ChamberGas(Chamber(0.02, **chamber))
     gas.open(gauge)
     gas.advance(VOLUME, 0.0)
     gas.close()

@@ -14,7 +14,7 @@ from mjtactile.experiments.station import View, take_references
 from mjtactile.sim import truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.sensor.mesh import make_mesh
-from mjtactile.sim.sensor.relaxing import Relaxing
+from mjtactile.sim.sensor.relaxing import RelaxingMesh
 from mjtactile.sim.sensor.switches import PHYSICS, Effect
 
 DENSE = load_sensor("dense")
@@ -30,7 +30,7 @@ class Patch:
         mesh = make_mesh(DENSE.frame.length, DENSE.frame.width, 5, 5)
         self.flat = mesh.p_SV
         self.relaxation = relaxation
-        self.sheet = Relaxing(mesh, DENSE.membrane, relaxation)
+        self.sheet = RelaxingMesh(mesh, DENSE.membrane, relaxation)
         # the lasting stress of the mounted sheet, Pa
         self.at_rest = self.sheet._memory[0, :, 0].copy()
 

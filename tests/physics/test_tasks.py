@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from mjtactile.core.task import Event, load_task
+from mjtactile.core.task import DrawnHappening, load_task
 from mjtactile.run.judge import Judge
 from mjtactile.sim import truth
 from mjtactile.sim.scenes.grasp_world import GraspWorld
@@ -26,7 +26,7 @@ def world_with(*events):
 
 
 def event(kind, begin, last, direction=(1.0, 0.0, 0.0), **values):
-    return Event(kind, begin, last, values, direction)
+    return DrawnHappening(kind, begin, last, values, direction)
 
 
 def advance(world, seconds):

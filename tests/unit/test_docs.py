@@ -16,7 +16,7 @@ from mjtactile.commands import COMMANDS
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.entries import Number, Text
 from mjtactile.core.errors import InputError
-from mjtactile.core.fields import Part, default_of, entries
+from mjtactile.core.fields import SectionEntry, default_of, entries
 from mjtactile.core.types import Command, GripperState, Observation, Slip, Touch, ValveState
 from mjtactile.recording.columns import SENSED, TRUE
 from mjtactile.run.controller import load_controller
@@ -350,7 +350,9 @@ def test_a_number_that_a_page_lacks_is_named():
         numbers.cell(page, "torque", "dense", source="x")
 
 
-SECTIONS = [name for name, entry in entries(SensorDesign).items() if isinstance(entry, Part)]
+SECTIONS = [
+    name for name, entry in entries(SensorDesign).items() if isinstance(entry, SectionEntry)
+]
 
 
 @pytest.mark.parametrize("section", SECTIONS)

@@ -14,11 +14,11 @@ from mjtactile.core.types.devices import FINGERS, GripperState, PressureReading,
 from mjtactile.core.types.felt import (
     SLIP_STATES,
     Contact,
-    Felt,
     Slip,
     SlipState,
     Surface,
     Touch,
+    TouchImage,
     Traction,
 )
 from mjtactile.core.types.seen import (
@@ -46,7 +46,6 @@ __all__ = [
     "Command",
     "Contact",
     "Ellipses",
-    "Felt",
     "FeltShape",
     "FiducialsSeen",
     "GripperState",
@@ -62,6 +61,7 @@ __all__ = [
     "Surface",
     "Told",
     "Touch",
+    "TouchImage",
     "Traction",
     "ValveState",
 ]

@@ -193,13 +193,13 @@ class Touch:
 
 
 @dataclass(frozen=True, eq=False)
-class Felt(Image):
+class TouchImage(Image):
     """In place of an image: the `touch` that would be found in it. It has no pixels."""
 
     touch: Touch | None = None
 
     @classmethod
-    def of(cls, touch: Touch) -> Felt:
+    def of(cls, touch: Touch) -> TouchImage:
         """Hand over a touch where an image would be.
 
         Args:

@@ -12,7 +12,7 @@ import numpy as np
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
-from mjtactile.export.episode import Episode, meanings
+from mjtactile.export.episode import RecordedEpisode, meanings
 from mjtactile.export.lerobot import statistics
 from mjtactile.export.lerobot.features import INDEX, Feature, features_of
 from mjtactile.export.lerobot.files import CHUNK, DATA_MB, FILE, VIDEO_MB, DataFiles, VideoFile
@@ -20,7 +20,7 @@ from mjtactile.recording.files import write_json
 
 
 def write(
-    episodes: Sequence[Episode],
+    episodes: Sequence[RecordedEpisode],
     out: Path,
     *,
     images: str = "video",
@@ -73,7 +73,11 @@ def write(
 
 
 def _check(
-    episode: Episode, first: Episode, fps: int, features: Mapping[str, Feature], images: str
+    episode: RecordedEpisode,
+    first: RecordedEpisode,
+    fps: int,
+    features: Mapping[str, Feature],
+    images: str,
 ) -> None:
     """Raise InputError where `episode` cannot stand beside the `first`."""
     folder = episode.recording.folder
@@ -104,7 +108,7 @@ def _check(
 
 
 def _episode(
-    episode: Episode,
+    episode: RecordedEpisode,
     number: int,
     first: int,
     fps: int,
@@ -155,7 +159,7 @@ def _episode(
 
 
 def _episode_row(
-    episode: Episode,
+    episode: RecordedEpisode,
     number: int,
     length: int,
     first: int,
@@ -199,7 +203,7 @@ def _episode_row(
     )
 
 
-def _keep_files(out: Path, number: int, episode: Episode) -> None:
+def _keep_files(out: Path, number: int, episode: RecordedEpisode) -> None:
     """Sensor, rig and calibration files, and the images of the references."""
     folder = out / "references" / f"episode-{number:06d}"
     folder.mkdir(parents=True, exist_ok=True)
@@ -211,7 +215,7 @@ def _keep_files(out: Path, number: int, episode: Episode) -> None:
 
 def _write_meta(
     out: Path,
-    episodes: Sequence[Episode],
+    episodes: Sequence[RecordedEpisode],
     features: Mapping[str, Feature],
     rows: Sequence[Mapping[str, Any]],
     tasks: Sequence[str],

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.types import Array, Image
-from mjtactile.export.episode import LISTS, Episode, Perceived, part_names
+from mjtactile.export.episode import LISTS, Perceived, RecordedEpisode, part_names
 from mjtactile.recording.columns import TRUE
 from mjtactile.recording.files import to_json
 
@@ -52,7 +52,7 @@ class Feature:
         }
 
 
-def features_of(episode: Episode, images: str) -> dict[str, Feature]:
+def features_of(episode: RecordedEpisode, images: str) -> dict[str, Feature]:
     """The columns that `episode` gives."""
     wrench = [
         f"{finger}.{name}"
@@ -97,11 +97,11 @@ def features_of(episode: Episode, images: str) -> dict[str, Feature]:
     return found
 
 
-def _first_images(episode: Episode) -> tuple[Image, ...]:
+def _first_images(episode: RecordedEpisode) -> tuple[Image, ...]:
     return next((images for images in episode.recording.images() if images), ())
 
 
-def _column(episode: Episode, key: str) -> dict[str, Feature]:
+def _column(episode: RecordedEpisode, key: str) -> dict[str, Feature]:
     """A column of the log: numbers as one feature, texts as one a finger, all else as JSON."""
     name = f"{'truth' if key in TRUE else 'recorded'}.{key}"
     column = episode.recording.columns[key]

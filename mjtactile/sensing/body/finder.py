@@ -17,7 +17,7 @@ from mjtactile.sensing.body.bodies import Hint
 from mjtactile.sensing.body.fit import Data
 from mjtactile.sensing.body.forward import Forward
 from mjtactile.sensing.body.fuse import Borne, borne
-from mjtactile.sensing.body.motion import Rubber, motion, tracked
+from mjtactile.sensing.body.motion import RubberMotion, motion, tracked
 from mjtactile.sensing.body.press import Press, follow
 from mjtactile.sensing.body.search import Films
 from mjtactile.sensing.body.words import words
@@ -78,7 +78,7 @@ class ShapeFinder:
         return found.shape
 
     def follow(
-        self, touch: Touch, press: Press | None, p_rest: Array, rubber: Rubber | None = None
+        self, touch: Touch, press: Press | None, p_rest: Array, rubber: RubberMotion | None = None
     ) -> Found:
         """Say what touches in one image more.
 

@@ -17,7 +17,7 @@ _LEAST = 3  # images that a rate wants
 
 
 @dataclass(frozen=True, eq=False)
-class Rubber:
+class RubberMotion:
     """How the rubber under a contact has moved since the image before: `step` (2,) m, and `twist`
     rad about z."""
 
@@ -25,7 +25,7 @@ class Rubber:
     twist: float
 
 
-def rubber_step(weights: tuple[Array, Array], positions: tuple[Array, Array]) -> Rubber:
+def rubber_step(weights: tuple[Array, Array], positions: tuple[Array, Array]) -> RubberMotion:
     """Of two images.
 
     Args:
@@ -42,11 +42,13 @@ def rubber_step(weights: tuple[Array, Array], positions: tuple[Array, Array]) ->
     away = away - weight @ away
     left = moved - step
     turning = weight @ (away[:, 0] * left[:, 1] - away[:, 1] * left[:, 0])
-    return Rubber(step[:2], float(turning / max(weight @ (away[:, :2] ** 2).sum(axis=1), 1e-12)))
+    return RubberMotion(
+        step[:2], float(turning / max(weight @ (away[:, :2] ** 2).sum(axis=1), 1e-12))
+    )
 
 
 @dataclass(frozen=True, eq=False)
-class Stand:
+class BodyPose:
     """Where a body of `family` stands in one image: `time` s; its place over the rubber, (2,) m
     since the track began, and the `angle` rad about z over the rubber; its `turns` (3,) rad about
     x, y and z (NaN: the family has none); of all these the variances `var` (6,); what the rubber
@@ -60,11 +62,16 @@ class Stand:
     twisted: float
 
 
-Track = tuple[Stand, ...]
+Track = tuple[BodyPose, ...]
 
 
 def tracked(
-    track: Track, found: Fit, time: float, rubber: Rubber | None, scale: float, s: BodySettings
+    track: Track,
+    found: Fit,
+    time: float,
+    rubber: RubberMotion | None,
+    scale: float,
+    s: BodySettings,
 ) -> Track:
     """A track with one image more.
 
@@ -104,7 +111,7 @@ def tracked(
     values = np.array([*place, turns[2] - twisted, *turns])
     places = 1e-6 * np.diag(cov)[:2] + s.motion_sd**2
     var = np.array([*places, turn_var[2], *turn_var])
-    stand = Stand(name, time, values, var, dragged, twisted)
+    stand = BodyPose(name, time, values, var, dragged, twisted)
     return (*(old for old in track if time - old.time < s.motion_time), stand)
 
 

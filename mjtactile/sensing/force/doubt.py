@@ -23,7 +23,7 @@ AXES = np.array([0, 0, 1, 2, 2, 3])
 
 
 @dataclass(frozen=True, eq=False)
-class Felt:
+class ShapeEvidence:
     """What a shape says: nodal `force` (3, J) N, by how much the wrench has changed since the last
     image, `change` (6,), the mean `velocity` (3,) m/s of the sheet since then, and the mean over
     all markers of their squared noise over its sd, `excess`; by how much the pressure has changed
@@ -58,7 +58,7 @@ class Doubt:
         self._area = frame.area
         self._unit = np.array([1.0, 1.0, 1.0, *np.full(3, settings.lever)])
 
-    def variance(self, felt: Felt) -> Array:
+    def variance(self, felt: ShapeEvidence) -> Array:
         """Of force, N^2, and torque, (N m)^2, about the origin of S, (6,)."""
         size = float(np.linalg.norm(felt.force.sum(axis=1)))
         sums = np.abs(felt.force)

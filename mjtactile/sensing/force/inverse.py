@@ -27,7 +27,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, Markers, Traction
 from mjtactile.kernels import kernel
 from mjtactile.sensing.force.camera import CameraSeen, known_modes
-from mjtactile.sensing.force.doubt import AXES, Doubt, Felt
+from mjtactile.sensing.force.doubt import AXES, Doubt, ShapeEvidence
 from mjtactile.sensing.force.drift import CameraBelief, camera_modes, drift_of
 from mjtactile.sensing.force.gain import Gain, Shape
 from mjtactile.sensing.force.loaded import LoadedSheet
@@ -322,7 +322,7 @@ class InverseMembrane(LoadedSheet):
         if before is not None:
             change = wrench - _net(before.traction * self.node_area, positions)
             moved = self._at_nodes @ (shape.c - before.c).T
-        felt = Felt(
+        felt = ShapeEvidence(
             force,
             change,
             self.node_area @ moved / (self.node_area.sum() * max(seconds, 1e-3)),

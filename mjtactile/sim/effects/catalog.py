@@ -33,7 +33,7 @@ from mjtactile.sim.sensor.switches import Effect
 
 
 @dataclass(frozen=True)
-class Entry:
+class EffectEntry:
     """`name`; `kind` of place it lives in; `gate` that says whether a scene needs it and why;
     `built`: False when this version has no such effect, `fixed` when it cannot be taken out."""
 
@@ -49,7 +49,7 @@ class Choice:
     """One row of the table: the effect, whether it is on, why, ms per simulated second it costs,
     and what leaving it out costs, N and um (NaN: not measured)."""
 
-    effect: Entry
+    effect: EffectEntry
     on: bool
     why: str
     cost: float
@@ -157,48 +157,52 @@ def _with_what_goes_along(forced: dict[Effect, bool]) -> dict[Effect, bool]:
     return forced | {Effect.IMAGES: False}
 
 
-EFFECTS: tuple[Entry, ...] = (
-    Entry(
+EFFECTS: tuple[EffectEntry, ...] = (
+    EffectEntry(
         Effect.SHEET,
         "physics",
         lambda s: (True, "without, a film lies on what touches, beside MuJoCo's model"),
     ),
-    Entry(Effect.GAS, "physics", gates.gas),
-    Entry(Effect.LARGE_DEFLECTION, "the membrane's elements", gates.large_deflection, fixed=True),
-    Entry(Effect.BENDING, "physics", gates.bending),
-    Entry(Effect.FRICTION, "physics", gates.friction),
-    Entry(Effect.GRAVITY, "physics", gates.gravity),
-    Entry(Effect.FOLLOWER_PRESSURE, "physics", gates.follower),
-    Entry(Effect.HYPERELASTICITY, "membrane", gates.hyperelastic),
-    Entry(Effect.HEAT_EXCHANGE, "chamber", gates.heat),
-    Entry(Effect.VALVE_FLOW, "chamber", gates.valve),
-    Entry(Effect.RELAXATION, "membrane", gates.relaxation),
-    Entry(Effect.SERVO_DYNAMICS, "rig", gates.servo),
-    Entry(Effect.CAMERA_NOISE, "camera", lambda s: gates.has(s.design.camera.noise_dn, "noise")),
-    Entry(Effect.BLUR, "camera", lambda s: gates.has(s.design.camera.blur_px, "blur")),
-    Entry(Effect.MOTION_BLUR, "camera", gates.motion_blur),
-    Entry(Effect.DISTORTION, "camera", gates.distortion),
-    Entry(Effect.REFRACTION, "camera", gates.refraction),
-    Entry(Effect.LED_SHADING, "camera", gates.led_shading),
-    Entry(Effect.SHADOWS, "camera", gates.shadows),
-    Entry(Effect.LATENCY, "camera", gates.latency),
-    Entry(
+    EffectEntry(Effect.GAS, "physics", gates.gas),
+    EffectEntry(
+        Effect.LARGE_DEFLECTION, "the membrane's elements", gates.large_deflection, fixed=True
+    ),
+    EffectEntry(Effect.BENDING, "physics", gates.bending),
+    EffectEntry(Effect.FRICTION, "physics", gates.friction),
+    EffectEntry(Effect.GRAVITY, "physics", gates.gravity),
+    EffectEntry(Effect.FOLLOWER_PRESSURE, "physics", gates.follower),
+    EffectEntry(Effect.HYPERELASTICITY, "membrane", gates.hyperelastic),
+    EffectEntry(Effect.HEAT_EXCHANGE, "chamber", gates.heat),
+    EffectEntry(Effect.VALVE_FLOW, "chamber", gates.valve),
+    EffectEntry(Effect.RELAXATION, "membrane", gates.relaxation),
+    EffectEntry(Effect.SERVO_DYNAMICS, "rig", gates.servo),
+    EffectEntry(
+        Effect.CAMERA_NOISE, "camera", lambda s: gates.has(s.design.camera.noise_dn, "noise")
+    ),
+    EffectEntry(Effect.BLUR, "camera", lambda s: gates.has(s.design.camera.blur_px, "blur")),
+    EffectEntry(Effect.MOTION_BLUR, "camera", gates.motion_blur),
+    EffectEntry(Effect.DISTORTION, "camera", gates.distortion),
+    EffectEntry(Effect.REFRACTION, "camera", gates.refraction),
+    EffectEntry(Effect.LED_SHADING, "camera", gates.led_shading),
+    EffectEntry(Effect.SHADOWS, "camera", gates.shadows),
+    EffectEntry(Effect.LATENCY, "camera", gates.latency),
+    EffectEntry(
         Effect.IMAGES,
         "camera",
         lambda s: (True, "without, the markers' ellipses are drawn from their error's bound"),
     ),
-    Entry(
+    EffectEntry(
         Effect.CHAIN,
         "camera",
         lambda s: (True, "without, touch is drawn: a film's own, with the errors of the chain"),
     ),
-    Entry(
+    EffectEntry(
         Effect.PLASTICITY,
         "the object's own file (docs/objects.md)",
         gates.material("amorphous"),
         built=False,
     ),
-    Entry(
+    EffectEntry(
         Effect.VOLUMETRIC_SOFTNESS,
         "the object's own file (docs/objects.md)",
         gates.material("soft"),

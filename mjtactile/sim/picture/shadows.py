@@ -55,7 +55,7 @@ class ShadowedLight(Light):
 
     def __init__(self, design: SensorDesign, camera: Camera):
         super().__init__(design, camera)
-        self._sheet = Sheet(design)
+        self._sheet = SmoothSheet(design)
         self._p_SL = np.column_stack([self._leds, np.full(len(self._leds), -self._distance)])
         loss = float(self._loss)
         self._direct = self._falloff / loss if loss > self._falloff else float(self._falloff > 0)
@@ -140,7 +140,7 @@ class ShadowedLight(Light):
         return slopes * (self._distance + height - shift)[..., None]
 
 
-class Sheet:
+class SmoothSheet:
     """The smooth sheet through the markers, fixed to the frame; `xy` (ny, nx, 2) m are its nodes, a
     regular grid of S."""
 

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mjtactile.core.task import Event
+from mjtactile.core.task import DrawnHappening
 from mjtactile.core.types import Array
 from mjtactile.sim.scenes.objects import PREFIX, moving_bodies
 
@@ -33,7 +33,7 @@ _STRONGEST_TURN = math.radians(60)
 class Happenings:
     """The events of one grasp. `step` after each step of the world prepares the next one."""
 
-    def __init__(self, world: HandWorld, events: Sequence[Event], lift_height: float):
+    def __init__(self, world: HandWorld, events: Sequence[DrawnHappening], lift_height: float):
         model = world.model
         self._world = world
         self._events = events
@@ -91,7 +91,7 @@ class Happenings:
         model.body_subtreemass[self._bodies] += added
         model.body_subtreemass[0] += added.sum()
 
-    def _pull(self, event: Event, done: float) -> Array:
+    def _pull(self, event: DrawnHappening, done: float) -> Array:
         """N; who pulls at an object that is let go of has it, and holds it where it is, whatever
         the hand touches then: nobody pulls on at what he has, nor presses it against a finger."""
         data = self._world.data
@@ -109,7 +109,7 @@ class Happenings:
         return sum(sensor.is_touched for sensor in sensors) >= min(_HOLDS, len(sensors))
 
 
-def _shaken(gravity: Array, event: Event, time: float, done: float) -> Array:
+def _shaken(gravity: Array, event: DrawnHappening, time: float, done: float) -> Array:
     """Gravity in a hand that moves along the event's direction and turns about it, which begins
     and ends softly."""
     swell = math.sin(math.pi * done) ** 0.5

@@ -34,7 +34,7 @@ _FRICTION = 'friction="0.3 0.005 0.0001"'
 
 
 @dataclass(frozen=True)
-class Thing:
+class RandomObject:
     """Half sizes `a` (x, between the fingers), `b` (y), `c` (z) m, `mass` kg, `break_force` N on
     each finger; `detail` is the shape's own: a box's edge radius m, a cone's slope (radius lost per
     height), a bottle's neck (radius, height) m, a fruit's stiffness N/m."""
@@ -76,14 +76,14 @@ def object_text(name: str) -> str | None:
     return None if seed is None else to_mjcf(random_thing(seed), "random")
 
 
-def random_thing(seed: int) -> Thing:
+def random_thing(seed: int) -> RandomObject:
     """The thing of `seed`."""
     rng = np.random.default_rng([seed, zlib.crc32(b"random object")])
     shape = str(rng.choice(list(_SHAPES)))
     (a, b, c), detail, volume, density = _SHAPES[shape](rng)
     mass = float(np.clip(volume * density, *_MASS))
     least = max(_FRAGILE, _CARRIES * mass)
-    return Thing(shape, a, b, c, mass, _log(rng, least, _STURDY), detail)
+    return RandomObject(shape, a, b, c, mass, _log(rng, least, _STURDY), detail)
 
 
 Drawn = tuple[tuple[float, float, float], tuple[float, ...], float, float]
@@ -148,7 +148,7 @@ def _log(rng: Rng, low: float, high: float) -> float:
     return float(low * (high / low) ** rng.random())
 
 
-def to_mjcf(thing: Thing, name: str) -> str:
+def to_mjcf(thing: RandomObject, name: str) -> str:
     """The object's file, in the format of docs/objects.md."""
     t = thing
     stand = max(_CLEAR - t.c, 0.0)
@@ -207,7 +207,7 @@ def _row(values: tuple[float, ...]) -> str:
     return " ".join(f"{value:.6g}" for value in values)
 
 
-def _inertial(t: Thing, share: float) -> str:
+def _inertial(t: RandomObject, share: float) -> str:
     """A full body's: `share` is what moments are of m times the sum of the two squared half
     sizes."""
     moments = (
@@ -218,7 +218,7 @@ def _inertial(t: Thing, share: float) -> str:
     return f'<inertial pos="0 0 0" mass="{t.mass:.6g}" diaginertia="{_row(moments)}"/>'
 
 
-def _foot(t: Thing) -> str:
+def _foot(t: RandomObject) -> str:
     """What a round thing stands on; table and stand feel it, membranes do not."""
     size = (_FOOT * t.a, 0.05 * t.c)
     low = -0.95 * t.c - 2e-4
@@ -227,7 +227,7 @@ def _foot(t: Thing) -> str:
     )
 
 
-def _build_egg(t: Thing) -> Built:
+def _build_egg(t: RandomObject) -> Built:
     return "", [
         _inertial(t, 0.2),
         _geom("shell", "ellipsoid", (t.a, t.b, t.c), colour="0.93 0.85 0.75 1"),
@@ -235,7 +235,7 @@ def _build_egg(t: Thing) -> Built:
     ]
 
 
-def _build_box(t: Thing) -> Built:
+def _build_box(t: RandomObject) -> Built:
     """The convex hull of a ball in each corner: one geom, since a membrane that meets several in
     one place is pushed twice."""
     r = t.detail[0]
@@ -264,11 +264,11 @@ def _mesh(name: str, vertices: Array, colour: str, inertial: str) -> Built:
     )
 
 
-def _build_cylinder(t: Thing) -> Built:
+def _build_cylinder(t: RandomObject) -> Built:
     return "", [_inertial(t, 0.27), _geom("body", "cylinder", (t.a, t.c))]
 
 
-def _build_cone(t: Thing) -> Built:
+def _build_cone(t: RandomObject) -> Built:
     angle = np.arange(_CORNERS) * (2 * np.pi / _CORNERS)
     rings = [
         np.column_stack(
@@ -283,7 +283,7 @@ def _build_cone(t: Thing) -> Built:
     return _mesh("cone", np.concatenate(rings), "0.9 0.9 0.85 1", _inertial(t, 0.27))
 
 
-def _build_bottle(t: Thing) -> Built:
+def _build_bottle(t: RandomObject) -> Built:
     radius, height = t.detail
     return "", [
         _inertial(t, 0.27),
@@ -298,7 +298,7 @@ def _build_bottle(t: Thing) -> Built:
     ]
 
 
-def _build_fruit(t: Thing) -> Built:
+def _build_fruit(t: RandomObject) -> Built:
     """Flesh in segments around a core, each on a radial spring, as the shipped strawberry's."""
     stiffness = t.detail[0]
     off = 0.4 * t.a
@@ -330,7 +330,7 @@ def _build_fruit(t: Thing) -> Built:
     return "", lines
 
 
-_BUILD: dict[str, Callable[[Thing], Built]] = {
+_BUILD: dict[str, Callable[[RandomObject], Built]] = {
     "egg": _build_egg,
     "box": _build_box,
     "cylinder": _build_cylinder,

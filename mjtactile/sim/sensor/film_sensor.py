@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
-from mjtactile.film import Film, Status
+from mjtactile.film import Film, FilmStatus
 from mjtactile.film.live import HEAT_RATIO, LiveFilm
 from mjtactile.film.places import carried
 from mjtactile.kernels import bound, words
@@ -195,7 +195,7 @@ class FilmSensor(SheetSensor):
         if abs(pressure) < _FLAT and not self.is_touched:
             live.lie_flat()
             self._memory[_SOLVED_GAS] = pressure, 0.0
-        elif live.go_to_pressure(pressure) != Status.CONVERGED:
+        elif live.go_to_pressure(pressure) != FilmStatus.CONVERGED:
             self._memory[_LOST] += 1
         live.settings[:2] = pressure, 0.0
 
@@ -381,23 +381,25 @@ class FilmSensor(SheetSensor):
     def failure(self) -> str | None:
         """Say why this sensor's state is outside what the film describes, or None."""
         if self._memory[_LOST]:
-            pushed = self._memory[_STATUS] == Status.ON_THE_GLASS
+            pushed = self._memory[_STATUS] == FilmStatus.ON_THE_GLASS
             if pushed or self._memory[_LOST] >= _PATIENCE:
                 return f"sensor {self.prefix!r}: {self._reason()}; leave the sheet on"
         return self._empty()
 
     def _reason(self) -> str:
-        return _REASONS.get(Status(int(self._memory[_STATUS])), "its pressure jumps")
+        return _REASONS.get(FilmStatus(int(self._memory[_STATUS])), "its pressure jumps")
 
 
 _REASONS = {
-    Status.NOT_CONVERGED: "the film does not come to rest on what touches it",
-    Status.AT_THE_RIM: "something presses below the frame's rim",
-    Status.ON_THE_GLASS: "the membrane is pushed against the glass",
-    Status.INSIDE_OUT: "what touches is steeper than a film can follow",
-    Status.BROKEN_DOWN: "what touches is more than a film can follow",
-    Status.GOES_THROUGH: "what touches is so thin that it goes through between the film's nodes",
-    Status.OVERSTRETCHED: "the sheet is stretched beyond what its rubber's law is known for",
+    FilmStatus.NOT_CONVERGED: "the film does not come to rest on what touches it",
+    FilmStatus.AT_THE_RIM: "something presses below the frame's rim",
+    FilmStatus.ON_THE_GLASS: "the membrane is pushed against the glass",
+    FilmStatus.INSIDE_OUT: "what touches is steeper than a film can follow",
+    FilmStatus.BROKEN_DOWN: "what touches is more than a film can follow",
+    FilmStatus.GOES_THROUGH: (
+        "what touches is so thin that it goes through between the film's nodes"
+    ),
+    FilmStatus.OVERSTRETCHED: "the sheet is stretched beyond what its rubber's law is known for",
 }
 
 

@@ -19,7 +19,7 @@ _LEVEL = 0.01
 _WARM = 1e-4
 
 
-class Gas:
+class ChamberGas:
     """Gas of one chamber. Pressures in Pa, volumes in m^3, time in s; "gauge" means above ambient.
 
     With an ideal valve (infinite conductance, the default) the open chamber is at the supply's

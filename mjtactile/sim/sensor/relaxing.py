@@ -30,7 +30,7 @@ _STILL = 1e-4
 rest: 0.6 um of a bulge of 3 mm."""
 
 
-class Relaxing:
+class RelaxingMesh:
     """What one sheet remembers. It begins as one that has been mounted, flat, for ever.
 
     Args:

@@ -18,7 +18,7 @@ from mjtactile.sim.sensor.facets import StandOff
 from mjtactile.sim.sensor.membrane import FLEX, ContactStiffness, pre_stretch, touch_with
 from mjtactile.sim.sensor.mesh import MembraneMesh
 from mjtactile.sim.sensor.points import ContactPoints
-from mjtactile.sim.sensor.relaxing import Relaxing
+from mjtactile.sim.sensor.relaxing import RelaxingMesh
 from mjtactile.sim.sensor.rubber import Rubber, all_rows
 from mjtactile.sim.sensor.sharp import missed
 from mjtactile.sim.sensor.sheet_sensor import SheetSensor, require
@@ -310,7 +310,7 @@ def _vertex_geoms(model: mujoco.MjModel, mesh: MembraneMesh, prefix: str) -> NDA
     return np.array([require(model, mujoco.mjtObj.mjOBJ_GEOM, name) for name in names])
 
 
-def _relaxing(design: SensorDesign, mesh: MembraneMesh) -> Relaxing | None:
+def _relaxing(design: SensorDesign, mesh: MembraneMesh) -> RelaxingMesh | None:
     if design.relaxation is None:
         return None
     if design.membrane.law is not Law.NEO_HOOKEAN:
@@ -319,4 +319,4 @@ def _relaxing(design: SensorDesign, mesh: MembraneMesh) -> Relaxing | None:
             source=design.name,
             field="effects",
         )
-    return Relaxing(mesh, design.membrane, design.relaxation)
+    return RelaxingMesh(mesh, design.membrane, design.relaxation)

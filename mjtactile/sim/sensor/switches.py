@@ -22,7 +22,7 @@ from mjtactile.core.rubber import Law
 from mjtactile.core.sensor_parts import Chamber
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor.chamber import ChamberGeometry, GasTendon
-from mjtactile.sim.sensor.gas import Gas
+from mjtactile.sim.sensor.gas import ChamberGas
 from mjtactile.sim.sensor.membrane import FLEX, TENDON
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
@@ -187,7 +187,7 @@ class FixedLoad:
         self._last = (math.nan, None)
 
 
-class FixedGas(Gas):
+class FixedGas(ChamberGas):
     """When "gas" is off: the closed valve keeps the pressure that was there, whatever the
     volume."""
 
@@ -220,8 +220,8 @@ def make_geometry(mesh: MembraneMesh, volume_flat: float, on: frozenset[str]) ->
     return FlatGeometry(mesh, volume_flat)
 
 
-def make_gas(chamber: Chamber, on: frozenset[str]) -> Gas:
-    return Gas(chamber) if Effect.GAS in on else FixedGas(chamber)
+def make_gas(chamber: Chamber, on: frozenset[str]) -> ChamberGas:
+    return ChamberGas(chamber) if Effect.GAS in on else FixedGas(chamber)
 
 
 def make_load(

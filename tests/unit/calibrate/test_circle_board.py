@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from benchmarks.paper import marker_scenes
-from mjtactile.calibrate.camera import View, calibrate_camera
+from mjtactile.calibrate.camera import BoardView, calibrate_camera
 from mjtactile.calibrate.circle_board import CircleFinder, calibrate_from_circles, number_grid
 from mjtactile.cli import main
 from mjtactile.core import optics
@@ -59,7 +59,7 @@ def exact_view(pose, camera=CAMERA, noise_px=0.02, seed=0):
     uv = np.array(uv) + np.random.default_rng(seed).normal(0, noise_px, (len(uv), 2))
     inside = ((uv > 5) & (uv < np.array(SIZE) - 5)).all(axis=1)
     ids = np.array([(i + 500) * 1000 + j + 500 for i, j in places], dtype=np.int32)
-    return View(str(seed), ids[inside], uv[inside])
+    return BoardView(str(seed), ids[inside], uv[inside])
 
 
 def test_intrinsics_and_k3_come_back_from_ellipses_centres():

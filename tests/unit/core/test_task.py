@@ -9,7 +9,7 @@ import pytest
 from mjtactile.core import resources
 from mjtactile.core.errors import InputError
 from mjtactile.core.fields import entries
-from mjtactile.core.task import Counts, Happening, Orders, Task, Thing, load_task
+from mjtactile.core.task import Counts, Happening, Orders, Task, TaskObject, load_task
 from mjtactile.core.types import Told
 
 NAMES = resources.names("models/tasks", ".toml")
@@ -33,7 +33,7 @@ def test_lift_is_what_it_was_and_shows_every_field():
     whole = "\n".join(
         line.removeprefix("# ") for line in text.splitlines() if "=" in line or "[" in line
     )
-    keys = {entry.key for kind in (Orders, Thing, Counts) for entry in entries(kind).values()}
+    keys = {entry.key for kind in (Orders, TaskObject, Counts) for entry in entries(kind).values()}
     assert all(f"{key} = " in whole for key in keys)
 
 
@@ -54,7 +54,7 @@ def test_what_is_drawn_is_within_its_range_and_the_file_s_own_units():
 
 def test_masses_are_as_likely_per_doubling():
     masses = [load_task("weigh").thing.mass]
-    task = Task("mine", (), thing=Thing(mass=masses[0]))
+    task = Task("mine", (), thing=TaskObject(mass=masses[0]))
     drawn = [math.log(task.draw(seed, 2).mass) for seed in range(400)]
     low, high = (math.log(value) for value in masses[0])
     assert sum(drawn) / 400 == pytest.approx((low + high) / 2, abs=4 * (high - low) / 12**0.5 / 20)

@@ -12,7 +12,7 @@ import pytest
 from mjtactile.core import system
 from mjtactile.core.design import load_sensor
 from mjtactile.emulator.faults import Faults
-from mjtactile.emulator.hardware import Hardware
+from mjtactile.emulator.hardware import EmulatedHardware
 from mjtactile.emulator.options import EmulatorOptions
 from mjtactile.emulator.shared import SharedState
 from mjtactile.emulator.world import _FALL_SPEED_MAX, EmulatedWorld
@@ -26,7 +26,9 @@ def test_a_lift_without_torque_has_no_goal():
     shared = SharedState(descriptor)
     os.close(descriptor)
     shared["opening"] = 0.08
-    with contextlib.closing(Hardware(load_rig_file("emulated"), shared, Faults())) as hardware:
+    with contextlib.closing(
+        EmulatedHardware(load_rig_file("emulated"), shared, Faults())
+    ) as hardware:
         lift = hardware.servos[3]
         assert wait_for(lambda: math.isnan(shared["lift_goal"]))
         # 2 rad on a rack of 20 mm

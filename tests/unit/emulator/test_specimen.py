@@ -15,7 +15,7 @@ from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.emulator.faults import Faults
-from mjtactile.emulator.mechanism import Jaw, Jaws
+from mjtactile.emulator.mechanism import GearedJaws, Jaw
 from mjtactile.emulator.servo import EmulatedServo
 from mjtactile.emulator.valve import ValveFirmware, framed, unframed
 from mjtactile.rig.file import ServoConfig, load_rig_file, rig_from_table
@@ -136,7 +136,7 @@ def test_shafts_with_backlash_turn_before_the_jaws_follow():
     jaw = Jaw(servo, config, "rig.toml")
     goal = 0.024
     servo.drive = lambda: SimpleNamespace(goal=jaw.angle(goal), torque_max=0.1)
-    jaws = Jaws([jaw], backlash=1e-3)
+    jaws = GearedJaws([jaw], backlash=1e-3)
 
     def driven(opening):
         jaws.follow_load(opening, 0.0, 0.0, 0.01)

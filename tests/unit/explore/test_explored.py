@@ -13,8 +13,8 @@ from mjtactile.core.errors import InputError
 from mjtactile.explore.files import write_ply, write_stl
 from mjtactile.explore.page import write_page
 from mjtactile.explore.patch import Patch
-from mjtactile.explore.run import Store, explored
-from mjtactile.explore.stiffness import Stiffness
+from mjtactile.explore.run import PatchStore, explored
+from mjtactile.explore.stiffness import ComplianceMap
 
 RADIUS = 0.012
 
@@ -50,11 +50,11 @@ def test_what_is_said_of_a_ball(ball):
 
 def test_nothing_gave_way_is_a_bound_and_unseen_is_unknown(ball):
     both = [patch([0, 0, 1], 0.0), patch([0, 0, -1], 0.0)]
-    stiff = Stiffness.of(both, ball.mesh).summary()
+    stiff = ComplianceMap.of(both, ball.mesh).summary()
     assert math.isnan(stiff["stiffness_N_m"])
     # two sd of the mean of two: 2 * 1e-4 / sqrt(2) m/N
     assert stiff["stiffness_least_N_m"] == pytest.approx(1 / (2e-4 / math.sqrt(2)))
-    unseen = Stiffness.of([patch([0, 0, 1])], ball.mesh).summary()
+    unseen = ComplianceMap.of([patch([0, 0, 1])], ball.mesh).summary()
     assert math.isnan(unseen["stiffness_N_m"]) and math.isnan(unseen["stiffness_least_N_m"])
 
 
@@ -83,7 +83,7 @@ def test_the_page_asks_for_nothing(ball, tmp_path):
 
 
 def test_a_line_that_was_cut_off_costs_that_touch_alone(tmp_path):
-    store = Store(tmp_path / "touched.jsonl")
+    store = PatchStore(tmp_path / "touched.jsonl")
     for way in ([0, 0, 1], [1, 0, 0]):
         store.write(patch(way))
     before = store.path.read_text()

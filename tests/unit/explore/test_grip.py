@@ -10,7 +10,7 @@ import pytest
 
 from mjtactile.core.types import Command, GripperState, Observation, Touch
 from mjtactile.explore.fuse import fuse
-from mjtactile.explore.grip import _FACING, HEIGHTS, Moment, Squeeze, grips_of
+from mjtactile.explore.grip import _FACING, HEIGHTS, GripController, GripCycle, grips_of
 from mjtactile.explore.patch import Patch, between
 from mjtactile.explore.simulated import TURNS, next_grip
 from mjtactile.explore.size import principal_sizes
@@ -46,7 +46,9 @@ def drive(squeeze, force_of, cycles=600, period=1 / 30):
 def test_the_squeeze_stops_at_its_force_and_comes_down():
     # 160 N/m a finger, as two membranes are, around a thing of 30 mm
     heights = (0.012, 0.006)
-    sent = drive(Squeeze(heights, 0.3), lambda opening: [max(0.0, 160 * (0.03 - opening))] * 2)
+    sent = drive(
+        GripController(heights, 0.3), lambda opening: [max(0.0, 160 * (0.03 - opening))] * 2
+    )
     assert sent[-1][0].phase == "done"
     most = max(force[0] for _, force in sent)
     # one cycle at 3 mm/s is 0.016 N
@@ -55,7 +57,7 @@ def test_the_squeeze_stops_at_its_force_and_comes_down():
     assert sent[-1][0].lift_height == 0
     # each height is a grip of its own; a hand that goes up with what it holds ends one
     moments = [
-        Moment(tuple(Touch(0.0, 0.0, one, 0.01, one > 0) for one in force), command.opening, at)
+        GripCycle(tuple(Touch(0.0, 0.0, one, 0.01, one > 0) for one in force), command.opening, at)
         for command, force in sent
         for at in [command.lift_height]
     ]
@@ -66,12 +68,14 @@ def test_the_squeeze_stops_at_its_force_and_comes_down():
 
 
 def test_one_finger_alone_is_not_pressed_on():
-    sent = drive(Squeeze((0.0,), 0.3), lambda opening: [max(0.0, 160 * (0.03 - opening)), 0.0])
+    sent = drive(
+        GripController((0.0,), 0.3), lambda opening: [max(0.0, 160 * (0.03 - opening)), 0.0]
+    )
     assert max(force[0] for _, force in sent) < 1.5 * 0.3 + 0.02
 
 
 def test_an_unknown_force_stands_still():
-    sent = drive(Squeeze((0.0,), 0.3), lambda opening: [math.nan, 0.1], cycles=20)
+    sent = drive(GripController((0.0,), 0.3), lambda opening: [math.nan, 0.1], cycles=20)
     assert {command.opening for command, _ in sent} == {0.08}
 
 

@@ -12,7 +12,7 @@ from mjtactile.core import optics
 from mjtactile.core.design import load_sensor
 from mjtactile.core.optics import Camera
 from mjtactile.export import mcap, rosbag2
-from mjtactile.export.episode import Episode, find_episodes
+from mjtactile.export.episode import RecordedEpisode, find_episodes
 from mjtactile.recording.reader import load_recording
 
 # -- LeRobot
@@ -83,10 +83,10 @@ def test_an_mcap_file_is_the_recording(pair, tmp_path):
 
 
 def test_the_membrane_is_a_cloud_in_the_sensors_frame(press, tmp_path):
-    mcap.write([Episode(press)], tmp_path)
+    mcap.write([RecordedEpisode(press)], tmp_path)
     found, metadata, attachments = read_mcap(tmp_path / "episode_000000.mcap")
     _, cloud = found["/left/membrane"][-1]
-    touch = list(Episode(press).cycles())[-1].touch[0]
+    touch = list(RecordedEpisode(press).cycles())[-1].touch[0]
     points = np.frombuffer(cloud.data, "<f8").reshape(-1, 3)
     np.testing.assert_array_equal(points[:, 2], touch.surface.z.ravel())
     assert [field.name for field in cloud.fields] == [
@@ -162,7 +162,7 @@ def test_a_bag_is_the_recording(pair, tmp_path):
 def test_frames_of_a_bag_put_a_point_of_the_membrane_into_the_image(press, tmp_path):
     """A marker's point through tf_static and camera_info lands on the pixel at which a marker is
     dark."""
-    rosbag2.write([Episode(press)], tmp_path)
+    rosbag2.write([RecordedEpisode(press)], tmp_path)
     found, _ = read_bag(tmp_path / "episode_000000")
     transform = found["/tf_static"][0][1].transforms[0]
     assert (transform.header.frame_id, transform.child_frame_id) == ("left_sensor", "left_camera")

@@ -11,7 +11,7 @@ import pytest
 
 from mjtactile.core.errors import InputError
 from mjtactile.export import mcap, rosbag2
-from mjtactile.export.episode import Episode, find_episodes
+from mjtactile.export.episode import RecordedEpisode, find_episodes
 from mjtactile.export.lerobot import dataset as lerobot
 from mjtactile.recording.files import to_json
 from mjtactile.recording.reader import load_recording
@@ -153,11 +153,11 @@ def test_a_recording_without_images_is_exported_without_them(tmp_path, write):
         for i in range(3):
             recorder.add(fake_cycle(i))
     (tmp_path / "out").mkdir()
-    assert write([Episode(tmp_path / "run")], tmp_path / "out")["frames"] == 3
+    assert write([RecordedEpisode(tmp_path / "run")], tmp_path / "out")["frames"] == 3
 
 
 def test_what_is_felt_again_is_what_was_felt(felt, tmp_path):
-    episode = Episode(felt)
+    episode = RecordedEpisode(felt)
     lerobot.write([episode], tmp_path, images="none")
     kept = json.loads((tmp_path / "meta/mjtactile.json").read_text())["episodes"][0]
     # the same images, the same chain: bit for bit
@@ -165,9 +165,9 @@ def test_what_is_felt_again_is_what_was_felt(felt, tmp_path):
 
 
 def test_markers_are_those_that_the_chain_sees(press, tmp_path):
-    lerobot.write([Episode(press)], tmp_path, images="none")
+    lerobot.write([RecordedEpisode(press)], tmp_path, images="none")
     rows = pq.read_table(tmp_path / "data/chunk-000/file-000.parquet").to_pylist()
-    last = list(Episode(press).cycles())[-1].touch[0]
+    last = list(RecordedEpisode(press).cycles())[-1].touch[0]
     np.testing.assert_array_equal(
         np.reshape(rows[-1]["observation.markers.left"], (-1, 3))[last.markers.ids],
         last.markers.p_SM.astype(np.float32),
@@ -176,7 +176,9 @@ def test_markers_are_those_that_the_chain_sees(press, tmp_path):
 
 def test_episodes_that_do_not_fit_are_named(pair, press, tmp_path):
     with pytest.raises(InputError, match="other columns"):
-        lerobot.write([Episode(pair / "a"), Episode(press)], tmp_path, images="none")
+        lerobot.write(
+            [RecordedEpisode(pair / "a"), RecordedEpisode(press)], tmp_path, images="none"
+        )
     with pytest.raises(InputError, match="no recording here or below"):
         find_episodes(tmp_path)
     shutil.copytree(pair / "a", tmp_path / "few")
@@ -185,4 +187,4 @@ def test_episodes_that_do_not_fit_are_named(pair, press, tmp_path):
     lines[5]["images"] = []
     log.write_text("".join(json.dumps(line) + "\n" for line in lines))
     with pytest.raises(InputError, match=r"11 of 12 cycles have their images.*valid: none"):
-        lerobot.write([Episode(tmp_path / "few")], tmp_path / "out")
+        lerobot.write([RecordedEpisode(tmp_path / "few")], tmp_path / "out")

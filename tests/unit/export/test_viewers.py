@@ -12,7 +12,7 @@ import mjtactile
 from mjtactile.commands.record import Monitor
 from mjtactile.core.design import load_sensor
 from mjtactile.export import drawing, live, mcap
-from mjtactile.export.episode import Episode
+from mjtactile.export.episode import RecordedEpisode
 from mjtactile.run.session import open_session
 from tests.unit.export.test_export import read_mcap
 
@@ -51,9 +51,9 @@ def grasping(view):
 
 
 def test_a_membrane_is_drawn_where_it_is_felt(press, tmp_path):
-    mcap.write([Episode(press)], tmp_path)
+    mcap.write([RecordedEpisode(press)], tmp_path)
     found, _, _ = read_mcap(tmp_path / "episode_000000.mcap")
-    touch = list(Episode(press).cycles())[-1].touch[0]
+    touch = list(RecordedEpisode(press).cycles())[-1].touch[0]
     (entity,) = found["/left/membrane/drawn"][-1][1].entities
     (surface,) = entity.triangles
     assert entity.frame_id == "left_sensor"
@@ -71,7 +71,7 @@ def test_a_membrane_is_drawn_where_it_is_felt(press, tmp_path):
 
 
 def test_an_arrow_is_the_force(press):
-    touch = list(Episode(press).cycles())[-1].touch[0]
+    touch = list(RecordedEpisode(press).cycles())[-1].touch[0]
     arrow = drawing.force_arrow(touch.traction, touch.surface)
     np.testing.assert_allclose(arrow.vectors[0], drawing.FORCE * touch.traction.wrench[:3])
     # the press was in the middle: the axis of the wrench goes through it, to the markers' noise
@@ -87,11 +87,11 @@ def test_an_arrow_is_the_force(press):
 def test_rerun_opens_a_recording(felt, tmp_path):
     from mjtactile.export import rrd
 
-    assert rrd.write([Episode(felt)], tmp_path)["episodes"] == 1
+    assert rrd.write([RecordedEpisode(felt)], tmp_path)["episodes"] == 1
     found = read_rrd(tmp_path / "episode_000000.rrd")
-    recording = Episode(felt).recording
+    recording = RecordedEpisode(felt).recording
     sensor = "/gripper_start/gripper/left_sensor"
-    touch = list(Episode(felt).cycles())[-1].touch[0]
+    touch = list(RecordedEpisode(felt).cycles())[-1].touch[0]
     points = np.array(found[f"{sensor}/membrane"][-1]["Mesh3D:vertex_positions"])
     heights = touch.surface.z.ravel().astype(np.float32)
     np.testing.assert_array_equal(points[..., 2].ravel(), heights)

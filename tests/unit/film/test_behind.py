@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mjtactile import Film
-from mjtactile.film import Status
+from mjtactile.film import FilmStatus
 
 KINDS = {
     "sphere": lambda r: (r,),
@@ -64,9 +64,9 @@ def test_what_goes_through_is_refused_and_nothing_else(film, kind):
     batch = film.solve_batch([[body] for body, _ in presses])
     judged = []
     for (body, own), x, force, found in zip(presses, batch.x, batch.force, batch, strict=True):
-        if found.status in (Status.CONVERGED, Status.GOES_THROUGH):
+        if found.status in (FilmStatus.CONVERGED, FilmStatus.GOES_THROUGH):
             behind = is_behind(film, body, own, x, force)
-            judged.append((found.status is Status.GOES_THROUGH, behind))
+            judged.append((found.status is FilmStatus.GOES_THROUGH, behind))
     refused, behind = np.array(judged).T
     assert 2 <= behind.sum() <= PRESSES / 2  # there is something to tell apart
     np.testing.assert_array_equal(refused, behind)

@@ -11,7 +11,7 @@ import pytest
 
 import benchmarks.film
 from mjtactile import Film, InputError
-from mjtactile.film import Status
+from mjtactile.film import FilmStatus
 
 # An independent sheet of 9-node elements on `dense` at 1 kPa, neo-Hookean, frictionless, sealed: radius mm, place mm, force N,
 # gauge pressure Pa, height of the ball's middle mm against the sheet's middle.
@@ -150,8 +150,8 @@ def test_what_does_not_converge_is_no_number(coarse):
     assert batch.converged.tolist() == [False, False, True]
     assert np.isnan(batch.force_normal[:2]).all() and batch.force_normal[2] > 0
     lost = batch[0]
-    assert lost.status in (Status.NOT_CONVERGED, Status.INSIDE_OUT)
-    assert batch[1].status is Status.AT_THE_RIM
+    assert lost.status in (FilmStatus.NOT_CONVERGED, FilmStatus.INSIDE_OUT)
+    assert batch[1].status is FilmStatus.AT_THE_RIM
     numbers = (lost.pressure_gauge, lost.area, lost.volume, *lost.wrench)
     assert np.isnan(numbers).all() and np.isnan(lost.heights).all()
     again = coarse.solve_batch([[fine]] * 3, batch)  # from rest, where there was nothing

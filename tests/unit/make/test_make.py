@@ -16,7 +16,7 @@ from mjtactile.make import camera, hardware, limits, patterns, sheets
 from mjtactile.make.build import write
 from mjtactile.make.hardware import Hardware
 from mjtactile.make.layout import Layout
-from mjtactile.make.states import State, growth, simulate
+from mjtactile.make.states import SheetState, growth, simulate
 
 SVG = {"svg": "http://www.w3.org/2000/svg"}
 DENSE = load_sensor("dense")
@@ -32,7 +32,7 @@ def bulged(design, height):
     x = design.markers.p_SM[:, 0] / (design.frame.length / 2)
     y = design.markers.p_SM[:, 1] / (design.frame.width / 2)
     p = np.column_stack([design.markers.p_SM[:, :2], height * (1 - x**2) * (1 - y**2)])
-    return State(f"{1e3 * height:g} mm", p, np.tile([0.0, 0, 1], (len(p), 1)), 1.1, height)
+    return SheetState(f"{1e3 * height:g} mm", p, np.tile([0.0, 0, 1], (len(p), 1)), 1.1, height)
 
 
 STATES = [bulged(DENSE, h) for h in (0.0, 0.003, -0.004)]
@@ -304,7 +304,7 @@ def test_elastic_markers_grow_with_the_sheet():
     """By the sheet's own stretch where that is the same everywhere; turned and shifted it is no
     larger."""
     turn = np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]])
-    stretched = State(
+    stretched = SheetState(
         "x", 1.03 * DENSE.markers.p_SM @ turn.T + [0, 0, 0.004], np.zeros((81, 3)), 1.1, 0.0
     )
     assert growth(DENSE, [STATES[0], stretched]) == pytest.approx(0.03)

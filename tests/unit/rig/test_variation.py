@@ -36,7 +36,7 @@ from mjtactile.sim.picture.renderer import Renderer
 from mjtactile.sim.rig import build_sim_rig
 from mjtactile.sim.scenes.changed import change
 from mjtactile.sim.scenes.objects import load_object
-from mjtactile.sim.sensor.gas import Gas
+from mjtactile.sim.sensor.gas import ChamberGas
 
 DESIGN = load_sensor("dense")
 FILE = load_sim_rig("sim")
@@ -215,7 +215,7 @@ def test_a_sealed_rigid_chamber_warms_as_the_gas_law_says():
     """p / T is constant at a constant volume: 3 K of 293.15 in 30 s, in steps, with and without an
     exchange of heat."""
     for chamber in (Chamber(0.02), Chamber(0.02, heat_ratio=1.4, heat_exchange=1.0)):
-        gas = Gas(chamber)
+        gas = ChamberGas(chamber)
         gas.open(1000.0)
         gas.advance(2e-5, 0.0)
         gas.close()

@@ -12,7 +12,7 @@ from mjtactile.cli import main
 from mjtactile.core.scenario import Scenario
 from mjtactile.evaluate.episodes import Episode, run_episode
 from mjtactile.evaluate.report import page
-from mjtactile.export.episode import Episode as Exported
+from mjtactile.export.episode import RecordedEpisode as Exported
 from mjtactile.recording.observer import Observer
 from mjtactile.recording.reader import load_recording
 from mjtactile.run.flags import FlagNotes

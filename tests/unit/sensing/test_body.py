@@ -18,7 +18,7 @@ from mjtactile.film import obstacle
 from mjtactile.sensing.body.finder import Found
 from mjtactile.sensing.body.forward import Forward
 from mjtactile.sensing.body.fuse import _model, below_frame
-from mjtactile.sensing.body.motion import Rubber, rubber_step
+from mjtactile.sensing.body.motion import RubberMotion, rubber_step
 from mjtactile.sensing.settings import DEFAULTS
 from mjtactile.sensing.shaped import with_shape
 from mjtactile.sensing.touch.slip import SlipHistory, SlipSample
@@ -263,7 +263,7 @@ def test_a_ball_that_is_dragged_over_still_rubber_rolls_or_slides(sensor, fine_f
         )
         for n in range(7)
     ]
-    still = Rubber(np.zeros(2), 0.0)
+    still = RubberMotion(np.zeros(2), 0.0)
     motion = follow(sensor, touches, still)[-1].shape.motion
     sd = np.sqrt(np.diag(motion.velocity_cov))
     assert (sd < 0.3 * speed).all()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mjtactile.core.design import load_sensor
-from mjtactile.sensing.force.doubt import Doubt, Felt
+from mjtactile.sensing.force.doubt import Doubt, ShapeEvidence
 from mjtactile.sensing.settings import DEFAULTS
 
 DENSE = load_sensor("dense")
@@ -20,7 +20,7 @@ NOTHING = DEFAULTS.override(
     }
     | {"doubt.drag": 0.0}
 ).doubt
-AT_REST = Felt(np.zeros((3, 2)), np.zeros(6), np.zeros(3), 0.0)
+AT_REST = ShapeEvidence(np.zeros((3, 2)), np.zeros(6), np.zeros(3), 0.0)
 
 
 def sd(felt, design=DENSE, nodes=NODES, **shares):

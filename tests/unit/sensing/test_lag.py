@@ -6,7 +6,7 @@ import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.types import Markers
-from mjtactile.sensing.force.doubt import Doubt, Felt
+from mjtactile.sensing.force.doubt import Doubt, ShapeEvidence
 from mjtactile.sensing.force.lag import BlendFinder
 
 SD = 2e-6  # m
@@ -73,7 +73,8 @@ def test_what_lags_is_as_doubtful_as_it_changes():
     force = np.zeros((3, 2))
     force[2] = -0.5
     without, late = (
-        doubt.variance(Felt(force, change, np.zeros(3), 0.0, lag=lag)) for lag in (0.0, 1.0)
+        doubt.variance(ShapeEvidence(force, change, np.zeros(3), 0.0, lag=lag))
+        for lag in (0.0, 1.0)
     )
     assert late[2] - without[2] == pytest.approx(0.25**2)
     assert late[[0, 1, 3, 4, 5]] == pytest.approx(without[[0, 1, 3, 4, 5]])

@@ -14,9 +14,9 @@ from mjtactile.recording.observer import Observer
 from mjtactile.report.overlay import find_ellipses, followed
 from mjtactile.run.controller import load_controller
 from mjtactile.run.grasp import run_grasp
-from mjtactile.studio.hand import Wish
+from mjtactile.studio.hand import HandGoal
 from mjtactile.studio.moment import finger_lines
-from mjtactile.studio.show import RED_BUTTON, Restart, Show
+from mjtactile.studio.show import RED_BUTTON, RestartAsked, Show
 from tests.fake_run import fake_cycle
 
 
@@ -123,12 +123,12 @@ def test_what_is_asked_for_is_done_by_the_sessions_thread_and_what_raises_is_sai
 def test_another_run_and_a_closed_viewer_end_a_world_that_waits_and_retreat_from_a_real_one(name):
     show = Show()
     getattr(show, name).set()
-    with pytest.raises(Restart):
+    with pytest.raises(RestartAsked):
         show.add(fake_cycle(0))
     show.session = fake_session(host_timeout=0.25)
     show.add(fake_cycle(0))  # goes on: the supervisor opens the hand first
     assert len(show.session.reasons) == 1
-    with pytest.raises(Restart):  # nothing moves yet
+    with pytest.raises(RestartAsked):  # nothing moves yet
         show.add_reference("flat", [], [])
 
 
@@ -168,7 +168,7 @@ def test_a_grasp_shows_its_scene_and_obeys():
         for valve in show.session.rig.valves:
             valve.open(500.0)
 
-    actions = {3: lambda: setattr(show, "wish", Wish(0.075, 0.01)), 10: supply, 20: show.halt}
+    actions = {3: lambda: setattr(show, "wish", HandGoal(0.075, 0.01)), 10: supply, 20: show.halt}
     with pytest.raises(DeviceError, match=f"stopped safely: {RED_BUTTON}"):
         controller = show.take_over(load_controller("gentle"))
         run_grasp(Scenario(), [show, Look()], controller=controller, workers=0)
