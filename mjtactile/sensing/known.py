@@ -10,7 +10,7 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.optics import Camera
 from mjtactile.core.types import Array, Ellipses, FiducialsSeen, Markers
-from mjtactile.sensing.force.camera import KNOWN_MODES, CameraFinder, CameraSeen
+from mjtactile.sensing.force.camera import KNOWN_MODES, CameraFinder
 from mjtactile.sensing.force.rest import darker
 from mjtactile.sensing.pose.fixed import FiducialFinder
 from mjtactile.sensing.pose.picture import UNCHANGED
@@ -73,12 +73,12 @@ class KnownCamera:
         markers, seen = self._circles.split(ellipses, before)
         camera = None if before is None else self._camera.find(seen, before)
         if camera is None and before is not None and state.camera is not None:
-            camera = CameraSeen(state.camera.mean, np.eye(KNOWN_MODES), None)
-        picture = UNCHANGED if camera is None else self._camera.picture(camera.mean)
+            camera = replace(state.camera, root=np.eye(KNOWN_MODES), change=None)
+        picture = UNCHANGED if camera is None else self._camera.picture(camera.mean, camera.darker)
         ellipses = picture.undone_ellipses(ellipses, markers)
         return ellipses, replace(state, camera=camera, fiducials=seen)
 
-    def undone(self, state: ChainState, markers: Markers) -> Markers:
+    def undone(self, state: ChainState, markers: Markers) -> tuple[Markers, ChainState]:
         """Take markers back to where the camera of the rest reference would see them.
 
         Args:
@@ -86,10 +86,12 @@ class KnownCamera:
             markers: Of a picture that is taken back.
 
         Returns:
-            The markers, with the fiducials beside.
+            The markers, with the fiducials beside, and the state with what is in doubt of them.
         """
         p_SM = markers.p_SM
         reference = state.reference
         if reference is not None and state.camera is not None:
-            p_SM = self._camera.undone(p_SM, darker(markers, reference.rest), state.camera)
-        return replace(markers, p_SM=p_SM, fiducials=state.fiducials)
+            changed = darker(markers, reference.rest)
+            p_SM = self._camera.undone(p_SM, changed, state.camera)
+            state = replace(state, camera=self._camera.doubted(state.camera, changed))
+        return replace(markers, p_SM=p_SM, fiducials=state.fiducials), state

@@ -68,7 +68,7 @@ class MarkerSight:
             darkness=ellipses.darkness,
         )
         if self.known is not None:
-            markers = self.known.undone(state, markers)
+            markers, state = self.known.undone(state, markers)
         return markers, replace(
             state,
             expected=moved(state.expected, markers),

@@ -9,8 +9,7 @@ first, the markers are taken back by their mean, and what is left in doubt are t
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,17 +33,19 @@ _AROUND = 24  # points of a circle's outline
 _STEP = 1e-3  # of a mode's sd, for differences
 _ROUNDS = 4
 _BELONGS = 0.5  # of an outlier's misfit: below it nobody is one
+_BENT_LEAST = 0.01  # of the size's sd, below which a curve is a line
 _LINEAR_PX = 0.3  # of the picture's motion, beyond which one linear step is not enough
 
 
 @dataclass(frozen=True, eq=False)
 class CameraSeen:
     """The camera in one image: modes in their sd, `mean` (K,), and the lower factor `root` (K, K)
-    of their covariance; `change` says the same in words (None: fiducials were not seen, and it is
-    that of an image before)."""
+    of their covariance; by how much fiducials are `darker` than they were, their mean; `change`
+    says the same in words (None: fiducials were not seen, and it is that of an image before)."""
 
     mean: Array
     root: Array
+    darker: float
     change: CameraChange | None
 
 
@@ -137,40 +138,60 @@ class CameraFinder:
         if px > _LINEAR_PX:
             moved = self._left(mean, ids, shown, before, rows) + rows @ mean
             mean, covariance, misfit = _solve(weighted, weight * moved, likely, outlier)
-        covariance[_SIZE, _SIZE] += self._by_curve(mean, float(np.abs(darker).mean())) ** 2
+        grown = self._grown(mean, float(darker.mean()))
+        covariance[_SIZE, _SIZE] += (self._own.curve_left * grown) ** 2
         root = np.linalg.cholesky(covariance)
-        return CameraSeen(mean, root, self._change(mean, now, rest, here, there, misfit))
+        change = self._change(mean, now, rest, here, there, misfit)
+        return CameraSeen(mean, root, float(darker.mean()), change)
 
-    def _by_curve(self, mean: Array, darker: float) -> float:
-        """Sd of the circles' growth, in its mode's, where they grew as levels changed, by `darker`
-        on the average: markers have other levels and another blur, and grew by a part of it more
-        or less."""
+    def _grown(self, mean: Array, darker: float) -> float:
+        """By how much circles that are `darker` than they were grew, in the size's sd."""
         s = self._s
-        grown = s.drift_size * float(mean[_SIZE])
+        return float(mean[_SIZE]) + s.drift_levels * float(mean[_LEVELS]) * darker / s.drift_size
+
+    def doubted(self, seen: CameraSeen, darker: Array) -> CameraSeen:
+        """The camera with what it leaves in doubt of markers that are `darker` (m,) than they were.
+
+        Circles grow with the change of their level by a curve, of which fiducials show one place
+        and the slope there. How far markers are off that tangent goes with how far they are away:
+        where they clip and fiducials hardly do, their own circles have to tell.
+        """
+        farther = float(darker.mean()) - seen.darker
+        bent = self._own.curve_share * float(seen.mean[_LEVELS])
+        off = self._s.drift_levels * bent * farther / self._s.drift_size
+        if abs(off) < _BENT_LEAST:
+            return seen
+        covariance = seen.root @ seen.root.T
+        covariance[_SIZE, _SIZE] += off**2
+        covariance[_LEVELS, _LEVELS] += bent**2
+        return replace(seen, root=np.linalg.cholesky(covariance))
+
+    def picture(self, mean: Array, darker: float) -> PictureChange:
+        """What of a camera's change `mean` (K,) is one of its picture, whose circles are `darker`
+        than they were."""
+        s = self._s
         by_levels = s.drift_levels * float(mean[_LEVELS]) * darker
-        return self._own.curve_share * math.hypot(grown, by_levels) / s.drift_size
-
-    def picture(self, mean: Array) -> PictureChange:
-        """What of a camera's change `mean` (K,) is one of its picture."""
-        s = self._s
         return PictureChange(
             np.array([self.camera.cx, self.camera.cy]),
             self._own.picture * mean[MODES:],
             s.knock_turn * float(mean[_TURN]),
             s.drift_zoom * float(mean[_ZOOM]),
-            s.drift_size * float(mean[_SIZE]),
+            s.drift_size * float(mean[_SIZE]) + by_levels,
         )
 
     def undone(self, p_SM: Array, darker: Array, seen: CameraSeen) -> Array:
         """Where markers (m, 3) m in S would be seen by the camera of the rest reference, whose
         picture is already taken back; `darker` (m,) as of `camera_modes`."""
         R, aside = self._motion(seen.mean)
-        p_SC = self.design.camera.p_SC
-        away = (p_SM - p_SC - aside) @ R
-        # a circle that seems larger seems nearer by the same share
-        radius_px = self.design.camera.fx * self.design.markers.radius / away[:, 2]
-        grown_px = self._s.drift_levels * float(seen.mean[_LEVELS]) * darker
-        return p_SC + away * (1 + grown_px / radius_px)[:, None]
+        design = self.design
+        away = (p_SM - design.camera.p_SC - aside) @ R
+        # from where the camera seems to be through its pane, distance goes with one over the radius
+        apparent = away - [0.0, 0.0, design.pane_thickness_apparent]
+        radius_px = design.camera.fx * design.markers.radius / apparent[:, 2]
+        levels_px = self._s.drift_levels * float(seen.mean[_LEVELS])
+        grown_px = levels_px * (darker - seen.darker)
+        nearer = grown_px / (radius_px - grown_px)
+        return design.camera.p_SC + away + nearer[:, None] * apparent
 
     def _motion(self, mean: Array) -> tuple[Array, Array]:
         """Turn (3, 3) and shift (3,) m of what the camera sees, but for the turn of its picture."""
@@ -181,7 +202,7 @@ class CameraFinder:
     def _left(self, mean: Array, ids: Array, shown: Array, before: Array, rows: Array) -> Array:
         """What `mean` leaves unexplained of circles (n, 3) px that are `shown` and were `before`,
         without any linearisation but that of levels."""
-        picture = self.picture(mean)
+        picture = self.picture(mean, 0.0)
         then = before + (self._outlines(*self._motion(mean)) - self._unmoved)[ids]
         levels = rows[:, 2, _LEVELS] * mean[_LEVELS]
         radius = (shown[:, 2] - levels - picture.grown) / (1 + picture.scale)

@@ -214,9 +214,15 @@ class FiducialSettings:
         "bench trust: zoom",
     )
     curve_share: float = number(
-        0.2,
-        "of what circles grew by their levels, that markers may have grown by more or less",
-        "bench fiducials: gamma, clipping",
+        0.3,
+        "of how growth goes with levels, that it may go by more or less where markers are",
+        "bench fiducials: clipped whites",
+        low=0.0,
+    )
+    curve_left: float = number(
+        0.02,
+        "of what circles grew, that markers of the same level may have grown by more or less",
+        "bench fiducials: gamma",
         low=0.0,
     )
     outlier: float = number(

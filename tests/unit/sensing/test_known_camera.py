@@ -13,7 +13,7 @@ from mjtactile.core.toml import Section
 from mjtactile.core.types import FiducialsSeen, Image
 from mjtactile.doctor import fiducial_findings
 from mjtactile.rig.troubles import CameraTroubles
-from mjtactile.sensing.force.camera import KNOWN_MODES, CameraFinder, _solve
+from mjtactile.sensing.force.camera import KNOWN_MODES, CameraFinder, CameraSeen, _solve
 from mjtactile.sensing.force.inverse import InverseMembrane
 from mjtactile.sensing.force.sheet import Gas
 from mjtactile.sensing.force.tone import tone_of
@@ -31,6 +31,7 @@ CHANGES = (
     {"gamma": 1.3},
     {"gamma": 0.8},
     {"black_DN": 50},
+    {"white_DN": 140},
     {"knock_px": [0.4, -0.3]},
     {"knock_px": [4.0, 3.0], "turn_deg": 0.3},
     {"defocus_px": 1.0},
@@ -85,6 +86,24 @@ def test_what_has_changed_is_said():
     assert blurred.blur_px == pytest.approx(1.0, abs=0.15)
     curved = touches(troubled({"gamma": 1.3}))[0][0].camera
     assert curved.gamma == pytest.approx(1.3, abs=0.1)
+
+
+def test_circles_that_grew_by_their_level_are_taken_back_exactly():
+    """Through the pane a camera is nearer by what the pane shortens, and from there a circle's
+    distance goes with one over its radius: exact, however much it grew."""
+    sensor, _ = begun()
+    finder = sensor.chain.sight.known._camera
+    s = DEFAULTS.inverse
+    p_SM = DESIGN.markers.p_SM + [0.0, 0.0, 2e-3]
+    eye = DESIGN.camera.p_SC + [0.0, 0.0, DESIGN.pane_thickness_apparent]
+    radius_px = DESIGN.camera.fx * DESIGN.markers.radius / (p_SM - eye)[:, 2]
+    darker = np.linspace(-0.1, 0.3, len(p_SM))
+    mean = np.zeros(KNOWN_MODES)
+    mean[8] = -1.3
+    grown_px = s.drift_levels * mean[8] * (darker - 0.05)
+    shown = eye + (p_SM - eye) * (radius_px / (radius_px + grown_px))[:, None]
+    camera = CameraSeen(mean, np.eye(KNOWN_MODES), 0.05, None)
+    assert finder.undone(shown, darker, camera) == pytest.approx(p_SM, abs=1e-12)
 
 
 def felt_after_a_loss(sensor, share, load):
