@@ -9,6 +9,7 @@ first, the markers are taken back by their mean, and what is left in doubt are t
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,7 +34,8 @@ _AROUND = 24  # points of a circle's outline
 _STEP = 1e-3  # of a mode's sd, for differences
 _ROUNDS = 4
 _BELONGS = 0.5  # of an outlier's misfit: below it nobody is one
-_BENT_LEAST = 0.01  # of the size's sd, below which a curve is a line
+_AS_DARK = 0.03  # of levels as above: a load changes those of markers by 0.01
+_LEVELS_LEAST = 0.01  # rms, of a level inside over that outside: noise has 0.005
 _LINEAR_PX = 0.3  # of the picture's motion, beyond which one linear step is not enough
 
 
@@ -119,24 +121,23 @@ class CameraFinder:
             )
         if len(ids) < self._own.fewest:
             return None
-        shown = np.concatenate([now.center_px, now.radius_px[:, None]], axis=1)[here]
-        before = np.concatenate([rest.center_px, rest.radius_px[:, None]], axis=1)[there]
-        then = rest.inside[there] / rest.outside[there]
-        darker = np.log(now.inside[here] / now.outside[here] / then)
-        darker[~np.isfinite(darker)] = 0.0
-        rows = self._modes[ids].copy()
+        moved = np.empty((len(ids), 3))
+        np.subtract(now.center_px[here], rest.center_px[there], out=moved[:, :2])
+        np.subtract(now.radius_px[here], rest.radius_px[there], out=moved[:, 2])
+        darker = _darker(now, rest, here, there)
+        rows = self._modes[ids]
         rows[:, 2, _LEVELS] = self._s.drift_levels * darker
         # place and size of a circle are independent, nearly
         variance = np.diagonal(now.cov[here] + rest.cov[there], axis1=1, axis2=2)
         weight = 1 / np.sqrt(variance + self._floor**2)
         weighted = weight[:, :, None] * rows
-        moved = shown - before
         px = _middle(np.hypot(moved[:, 0], moved[:, 1]))
         likely = self._likely(px)
         outlier = self._own.outlier
         mean, covariance, misfit = _solve(weighted, weight * moved, likely, outlier)
         if px > _LINEAR_PX:
-            moved = self._left(mean, ids, shown, before, rows) + rows @ mean
+            before = np.column_stack([rest.center_px, rest.radius_px])[there]
+            moved = self._left(mean, ids, before + moved, before, rows) + rows @ mean
             mean, covariance, misfit = _solve(weighted, weight * moved, likely, outlier)
         grown = self._grown(mean, float(darker.mean()))
         covariance[_SIZE, _SIZE] += (self._own.curve_left * grown) ** 2
@@ -157,10 +158,10 @@ class CameraFinder:
         where they clip and fiducials hardly do, their own circles have to tell.
         """
         farther = float(darker.mean()) - seen.darker
-        bent = self._own.curve_share * float(seen.mean[_LEVELS])
-        off = self._s.drift_levels * bent * farther / self._s.drift_size
-        if abs(off) < _BENT_LEAST:
+        if abs(farther) < _AS_DARK:
             return seen
+        bent = self._own.curve_share * math.hypot(1.0, float(seen.mean[_LEVELS]))
+        off = self._s.drift_levels * bent * farther / self._s.drift_size
         covariance = seen.root @ seen.root.T
         covariance[_SIZE, _SIZE] += off**2
         covariance[_LEVELS, _LEVELS] += bent**2
@@ -185,10 +186,12 @@ class CameraFinder:
         R, aside = self._motion(seen.mean)
         design = self.design
         away = (p_SM - design.camera.p_SC - aside) @ R
+        levels_px = self._s.drift_levels * float(seen.mean[_LEVELS])
+        if levels_px == 0.0:
+            return design.camera.p_SC + away
         # from where the camera seems to be through its pane, distance goes with one over the radius
         apparent = away - [0.0, 0.0, design.pane_thickness_apparent]
         radius_px = design.camera.fx * design.markers.radius / apparent[:, 2]
-        levels_px = self._s.drift_levels * float(seen.mean[_LEVELS])
         grown_px = levels_px * (darker - seen.darker)
         nearer = grown_px / (radius_px - grown_px)
         return design.camera.p_SC + away + nearer[:, None] * apparent
@@ -312,6 +315,21 @@ def _solve(rows: Array, moved: Array, likely: Array, outlier: float) -> tuple[Ar
     misfit = float(weight @ square / weight.sum())
     covariance *= max(misfit, 1.0)
     return mean, covariance, misfit
+
+
+def _darker(
+    now: FiducialsSeen, rest: FiducialsSeen, here: Array | slice, there: Array | slice
+) -> Array:
+    """By how much (n,) the level inside over that outside has changed; none at all where that is
+    the levels' own noise, of which the slope of a curve would be made."""
+    then = rest.inside[there] / rest.outside[there]
+    darker = np.log(now.inside[here] / now.outside[here] / then)
+    # False for NaN: unknown
+    known = np.abs(darker) < np.inf
+    if not known.all():
+        darker[~known] = 0.0
+    changed = float(darker @ darker) > len(darker) * _LEVELS_LEAST**2
+    return darker if changed else np.zeros_like(darker)
 
 
 def _middle(values: Array) -> float:

@@ -167,4 +167,6 @@ def darker(markers: Markers, rest: InverseRest) -> Array:
     """By how much the darkness (m,) of each marker has changed since `rest`; 0 where unknown."""
     if markers.darkness is None or rest.darkness is None:
         return np.zeros(len(markers))
-    return np.nan_to_num(markers.darkness - rest.darkness[markers.ids])
+    changed = markers.darkness - rest.darkness[markers.ids]
+    changed[~(np.abs(changed) < np.inf)] = 0.0
+    return changed
