@@ -21,7 +21,7 @@ from mjtactile.core.errors import InputError
 ROUNDS = 3
 RATES = (30.0, 60.0)  # Hz
 PHASES = ("approach", *probe.TOUCHING, "release", probe.ALONE)
-_HOME = Path(__file__).resolve().parents[3]
+_HOME = Path(__file__).resolve().parents[2]
 
 Say = Callable[[str], None]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -28,14 +29,12 @@ def paired(first: Iterable[Line], second: Iterable[Line]) -> dict[str, Any]:
     end of, with its 95 % interval (`paired_interval`), in how many of them both ended alike, and
     how many more episodes like these would put the interval to one side of zero (None: nothing
     differs)."""
-    held = [
-        {line["episode"]: line["outcome"] == "held" for line in lines if line["outcome"] != "error"}
-        for lines in (first, second)
-    ]
-    both = sorted(held[0].keys() & held[1].keys())
+    by_first = _held_by_episode(first)
+    by_second = _held_by_episode(second)
+    both = sorted(by_first.keys() & by_second.keys())
     n = len(both)
-    only_first = sum(held[0][k] and not held[1][k] for k in both)
-    only_second = sum(held[1][k] and not held[0][k] for k in both)
+    only_first = sum(by_first[k] and not by_second[k] for k in both)
+    only_second = sum(by_second[k] and not by_first[k] for k in both)
     return {
         "episodes": n,
         "alike": n - only_first - only_second,
@@ -44,6 +43,13 @@ def paired(first: Iterable[Line], second: Iterable[Line]) -> dict[str, Any]:
         "difference": (only_second - only_first) / n if n else 0.0,
         "difference_interval": list(paired_interval(only_first, only_second, n)),
         "episodes_to_settle": _episodes_to_settle(only_first, only_second, n),
+    }
+
+
+def _held_by_episode(lines: Iterable[Line]) -> dict[int, bool]:
+    """Whether each episode that came to its end was held."""
+    return {
+        line["episode"]: line["outcome"] == "held" for line in lines if line["outcome"] != "error"
     }
 
 
@@ -63,11 +69,14 @@ def paired_interval(only_first: float, only_second: float, n: float) -> tuple[fl
     b_low, b_high = exact_limits(only_first, n)
     c_low, c_high = exact_limits(only_second, n)
     together = math.sqrt(b * c / ((1 - b) * (1 - c))) if max(b, c) < 1 else 1.0
-    down, up = (
-        math.sqrt(mine**2 + theirs**2 + 2 * together * mine * theirs)
-        for mine, theirs in ((c - c_low, b_high - b), (c_high - c, b - b_low))
-    )
+    down = _joined(c - c_low, b_high - b, together)
+    up = _joined(c_high - c, b - b_low, together)
     return max(c - b - down, -1.0), min(c - b + up, 1.0)
+
+
+def _joined(one: float, other: float, correlation: float) -> float:
+    """What the sum of two numbers is off by, each of which is off by so much."""
+    return math.sqrt(one**2 + other**2 + 2 * correlation * one * other)
 
 
 def exact_limits(count: float, n: float) -> tuple[float, float]:
@@ -93,7 +102,10 @@ def _episodes_to_settle(only_first: int, only_second: int, n: int) -> int | None
         most = 2 * most
     while most - least > 1:
         middle = (least + most) // 2
-        least, most = (least, middle) if is_settled(middle) else (middle, most)
+        if is_settled(middle):
+            most = middle
+        else:
+            least = middle
     return most - n
 
 
@@ -105,21 +117,19 @@ def summarise(lines: Sequence[Line]) -> dict[str, Any]:
     result: dict[str, Any] = {"episodes": len(lines), "controllers": {}, "paired": []}
     for name, mine in own.items():
         objects = list(dict.fromkeys(line["object"] for line in mine))
+        by_object = {}
+        for one in objects:
+            by_object[one] = _group([line for line in mine if line["object"] == one])
         result["controllers"][name] = _group(mine) | {
-            "objects": {
-                one: _group([line for line in mine if line["object"] == one]) for one in objects
-            },
+            "objects": by_object,
             "varied": against(mine, lines),
             "flags": _by_flag(mine),
         }
-    for k, first in enumerate(controllers):
-        result["paired"] += [
-            {"first": first, "second": second, **paired(own[first], own[second])}
-            for second in controllers[k + 1 :]
-        ]
-    return result | {
-        name: False for name in LEFT_OUT if any(line.get(name) is False for line in lines)
-    }
+    for first, second in combinations(controllers, 2):
+        difference = paired(own[first], own[second])
+        result["paired"].append({"first": first, "second": second, **difference})
+    left_out = [name for name in LEFT_OUT if any(line.get(name) is False for line in lines)]
+    return result | dict.fromkeys(left_out, False)
 
 
 def _by_flag(lines: Sequence[Line]) -> dict[str, Any]:
@@ -127,17 +137,20 @@ def _by_flag(lines: Sequence[Line]) -> dict[str, Any]:
     went, and those without; and of any of them."""
     kinds = dict.fromkeys(kind for line in lines for kind in line.get("flags", {}))
     found = {}
-    for kind in (*sorted(kinds), *(["any"] if kinds else [])):
-        has = [kind in flags or (kind == "any" and bool(flags)) for flags in map(_flags, lines)]
-        found[kind] = {
-            "with": _outcomes([line for line, one in zip(lines, has, strict=True) if one]),
-            "without": _outcomes([line for line, one in zip(lines, has, strict=True) if not one]),
-        }
+    for kind in sorted(kinds):
+        found[kind] = _parted(lines, [kind in line.get("flags", {}) for line in lines])
+    if kinds:
+        found["any"] = _parted(lines, [bool(line.get("flags")) for line in lines])
     return found
 
 
-def _flags(line: Line) -> Mapping[str, str]:
-    return line.get("flags", {})
+def _parted(lines: Sequence[Line], has: Sequence[bool]) -> dict[str, Any]:
+    """Outcomes of the lines that have something, and of the others."""
+    pairs = list(zip(lines, has, strict=True))
+    return {
+        "with": _outcomes([line for line, one in pairs if one]),
+        "without": _outcomes([line for line, one in pairs if not one]),
+    }
 
 
 def _outcomes(lines: Sequence[Line]) -> dict[str, Any]:
@@ -177,33 +190,48 @@ def table(summary: Mapping[str, Any]) -> str:
     ]
     for name, mine in summary["controllers"].items():
         for label, group in (("all", mine), *mine["objects"].items()):
-            low, high = group["success_interval"]
-            ended = group["episodes"] - group["error"]
-            lines.append(
-                f"| {name} | {label} | {group['held']} of {ended} | "
-                f"{100 * low:.1f}-{100 * high:.1f} % | {group['dropped']} | {group['crushed']} | "
-                f"{stopped_text(group)} | {group['error']} | "
-                f"{_texts(group['peak_N'], '{median:.2f} ({most:.2f})')} | "
-                f"{_texts(group['hold_N'], '{p5:.2f}-{p95:.2f}')} | "
-                f"{_texts(group['margin'], '{median:.1f}')} |"
-            )
+            lines.append(_row(name, label, group))
     for pair in summary["paired"]:
         lines += ["", pair_text(pair)]
     if summary.get("missing"):
         lines += ["", f"{len(summary['missing'])} episodes of this evaluation are missing."]
     for name, mine in summary["controllers"].items():
-        flags = {kind: one["with"]["episodes"] for kind, one in mine["flags"].items()}
-        if flags:
-            flagged = flags.pop("any")
-            kinds = ", ".join(f"{kind} {count}" for kind, count in flags.items())
-            lines += [
-                "",
-                f"{name}: the simulation doubts its own numbers in {flagged} of "
-                f"{mine['episodes']} episodes ({kinds}).",
-            ]
+        if mine["flags"]:
+            lines += ["", f"{name}: {_flags_text(mine)}."]
     for name, text in level_texts(summary).items():
         lines += ["", f"{name.capitalize()}: {text}."]
     return "\n".join(lines) + "\n"
+
+
+def _row(controller: str, label: str, group: Mapping[str, Any]) -> str:
+    """A row of the table: all of a controller's episodes, or those with one object."""
+    low, high = group["success_interval"]
+    ended = group["episodes"] - group["error"]
+    cells = [
+        controller,
+        label,
+        f"{group['held']} of {ended}",
+        f"{100 * low:.1f}-{100 * high:.1f} %",
+        group["dropped"],
+        group["crushed"],
+        stopped_text(group),
+        group["error"],
+        _texts(group["peak_N"], "{median:.2f} ({most:.2f})"),
+        _texts(group["hold_N"], "{p5:.2f}-{p95:.2f}"),
+        _texts(group["margin"], "{median:.1f}"),
+    ]
+    return f"| {' | '.join(map(str, cells))} |"
+
+
+def _flags_text(group: Mapping[str, Any]) -> str:
+    """In how many episodes the simulation doubts its own numbers, by kind."""
+    flags = {kind: one["with"]["episodes"] for kind, one in group["flags"].items()}
+    flagged = flags.pop("any")
+    kinds = ", ".join(f"{kind} {count}" for kind, count in flags.items())
+    return (
+        f"the simulation doubts its own numbers in {flagged} of {group['episodes']} episodes "
+        f"({kinds})"
+    )
 
 
 def stopped_text(group: Mapping[str, Any]) -> str:

@@ -62,7 +62,7 @@ def against(lines: Sequence[Line], everybody: Sequence[Line] = ()) -> list[dict[
     table = [flat(line) for line in ended]
     pool = [flat(line) for line in everybody or lines]
     names = list(dict.fromkeys(name for row in table for name in row))
-    found = []
+    found: list[dict[str, Any]] = []
     for name in names:
         pairs = [(row[name], line) for row, line in zip(table, ended, strict=True) if name in row]
         one = _one(name, pairs, [row[name] for row in pool if name in row])
@@ -109,9 +109,8 @@ def _chance(numbers: np.ndarray, held: np.ndarray) -> tuple[float, bool]:
     from the middle, and whether it is the distance: what is bad on both sides. Twice the smaller of
     the two chances."""
     far = np.abs(numbers - np.median(numbers))
-    plain, distance = (
-        float(stats.mannwhitneyu(one[held], one[~held]).pvalue) for one in (numbers, far)
-    )
+    plain = float(stats.mannwhitneyu(numbers[held], numbers[~held]).pvalue)
+    distance = float(stats.mannwhitneyu(far[held], far[~held]).pvalue)
     return min(2 * min(plain, distance), 1.0), distance < plain
 
 
@@ -134,20 +133,21 @@ def _bins(
     """Each value by itself where they are few, else as many of the `pool` in each bin."""
     kinds = sorted(set(pool), key=str if words else float)  # type: ignore[arg-type]
     if words or len(kinds) <= _CATEGORIES:
-        return [
-            {"value": kind} | _share(held[[value == kind for value in values]])
-            for kind in kinds
-            if kind in values
-        ]
+        return [_bin_of(kind, values, held) for kind in kinds if kind in values]
     numbers = np.array(values, float)
     edges = np.unique(np.quantile(np.array(pool, float), np.linspace(0, 1, _BINS + 1)))
     number = np.clip(np.searchsorted(edges, numbers, side="right") - 1, 0, len(edges) - 2)
-    return [
-        {"from": float(f"{edges[k]:.4g}"), "to": float(f"{edges[k + 1]:.4g}")}
-        | _share(held[number == k])
-        for k in range(len(edges) - 1)
-        if (number == k).any()
-    ]
+    found = []
+    for k in range(len(edges) - 1):
+        if (number == k).any():
+            ends = {"from": float(f"{edges[k]:.4g}"), "to": float(f"{edges[k + 1]:.4g}")}
+            found.append(ends | _share(held[number == k]))
+    return found
+
+
+def _bin_of(kind: float | str, values: Sequence[float | str], held: np.ndarray) -> dict[str, Any]:
+    """The episodes in which one value was drawn."""
+    return {"value": kind} | _share(held[[value == kind for value in values]])
 
 
 def _share(held: np.ndarray) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mjtactile.core.calibration import calibration_from_table, pressure_reading
 from mjtactile.core.design import SensorDesign, load_sensor
@@ -59,16 +60,14 @@ def patches_of_recording(recording: Recording, group: int, yaw: float = 0.0) -> 
             "is neither a grip of two fingers nor a press on a stage", source=recording.folder
         )
     designs = [finger.design for finger in rig.fingers]
-    return [
-        patch
-        for number, grip in enumerate(grips_of(moments))
-        for patch in patches_of_grip(
-            grip, session.perceptions, designs, yaw=yaw, group=group + number
-        )
-    ]
+    patches = []
+    for number, grip in enumerate(grips_of(moments), group):
+        patches += patches_of_grip(grip, session.perceptions, designs, yaw=yaw, group=number)
+    return patches
 
 
 def _felt_again(recording: Recording, session: Session) -> list[GripCycle]:
+    """What every cycle's images say, with where the jaws and the hand were."""
     moments = []
     for cycle, images in enumerate(recording.images()):
         now = float(recording.column("time")[cycle, 0])
@@ -78,9 +77,8 @@ def _felt_again(recording: Recording, session: Session) -> list[GripCycle]:
             chain.perceive(image, now, reading)
             for chain, image, reading in zip(session.perceptions, images, readings, strict=True)
         )
-        opening, height = (
-            float(recording.column(name)[cycle, 0]) for name in ("opening", "lift_height")
-        )
+        opening = float(recording.column("opening")[cycle, 0])
+        height = float(recording.column("lift_height")[cycle, 0])
         moments.append(GripCycle(touch, opening, height))
     return moments
 
@@ -103,12 +101,7 @@ def _of_presses(recording: Recording) -> list[Patch]:
     felt = np.where(np.isfinite(forces) & np.isfinite(depths), forces, 0.0)
     if not len(felt) or felt.max() < _SEEN:
         return []
-    end = int(felt.argmax())
-    quiet = np.flatnonzero(felt[:end] < _SEEN)
-    way = np.arange(quiet[-1] + 1 if len(quiet) else 0, end + 1)
-    way = way[:: -(-len(way) // _MOST)] if len(way) > _MOST else way
-    if way[-1] != end:
-        way = np.append(way, end)
+    way = _way_to_firmest(felt)
     rest = perception.state.reference.surface
     row = int(np.abs(rest.y - stage.at[1]).argmin())
     column = int(np.abs(rest.x - stage.at[0]).argmin())
@@ -120,6 +113,21 @@ def _of_presses(recording: Recording) -> list[Patch]:
     pressed = Pressed(touches, np.eye(3), p_SH, perception.shape(touches))
     patch = patch_of(pressed, design)
     return [] if patch is None else [patch]
+
+
+def _way_to_firmest(felt: Array) -> NDArray[np.int64]:
+    """Cycles from where something is felt for good to the firmest hold, at most `_MOST` and that
+    one, of the forces `felt` (k,) N."""
+    firmest = int(felt.argmax())
+    quiet = np.flatnonzero(felt[:firmest] < _SEEN)
+    begin = quiet[-1] + 1 if len(quiet) else 0
+    way = np.arange(begin, firmest + 1)
+    if len(way) > _MOST:
+        every = math.ceil(len(way) / _MOST)
+        way = way[::every]
+    if way[-1] != firmest:
+        way = np.append(way, firmest)
+    return way
 
 
 def _zeroed(recording: Recording, finger: int, design: SensorDesign) -> Perception:
@@ -144,8 +152,10 @@ def _zeroed(recording: Recording, finger: int, design: SensorDesign) -> Percepti
 def _driven(moves: tuple[Move, ...], times: Array) -> tuple[Array, Array]:
     """Depths, m below first touch, and shears, m, of a stage at some times, s; NaN where it is
     lifted off, or loaded with a weight."""
-    depths, shears = np.full(len(times), np.nan), np.zeros(len(times))
-    depth, shear = math.nan, 0.0
+    depths = np.full(len(times), np.nan)
+    shears = np.zeros(len(times))
+    depth = math.nan
+    shear = 0.0
     for move in moves:
         later = times >= move.time
         start = depth if math.isfinite(depth) else move.depth - _LIFTED
@@ -153,5 +163,6 @@ def _driven(moves: tuple[Move, ...], times: Array) -> tuple[Array, Array]:
         share = np.clip((times[later] - move.time) * move.speed / way, 0.0, 1.0)
         depths[later] = start + share * (move.depth - start)
         shears[later] = shear + share * (move.shear - shear)
-        depth, shear = move.depth, move.shear
+        depth = move.depth
+        shear = move.shear
     return depths, shears

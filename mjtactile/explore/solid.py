@@ -53,38 +53,43 @@ def _between(
     """How far a place is inside, between the nodes of a grid; in plain numbers, since it is asked
     place by place, a hundred thousand times."""
     nx, ny, nz = (count - 2 for count in counts)
-    row, plane = counts[2], counts[1] * counts[2]
+    row = counts[2]
+    plane = counts[1] * counts[2]
     x0, y0, z0 = low
     per = 1 / edge
 
+    def along_yz(at: int, v: float, w: float) -> float:
+        """Between the four nodes of a cell's side, from node `at` on."""
+        here = (1 - w) * outside[at] + w * outside[at + 1]
+        next_row = (1 - w) * outside[at + row] + w * outside[at + row + 1]
+        return (1 - v) * here + v * next_row
+
     def inside(x: float, y: float, z: float) -> float:
-        u, v, w = (x - x0) * per, (y - y0) * per, (z - z0) * per
-        i, j, k = min(max(int(u), 0), nx), min(max(int(v), 0), ny), min(max(int(w), 0), nz)
-        u, v, w = u - i, v - j, w - k
+        # in cells
+        u = (x - x0) * per
+        v = (y - y0) * per
+        w = (z - z0) * per
+        i = min(max(int(u), 0), nx)
+        j = min(max(int(v), 0), ny)
+        k = min(max(int(w), 0), nz)
         at = i * plane + j * row + k
-        near = (1 - v) * ((1 - w) * outside[at] + w * outside[at + 1]) + v * (
-            (1 - w) * outside[at + row] + w * outside[at + row + 1]
-        )
-        at += plane
-        far = (1 - v) * ((1 - w) * outside[at] + w * outside[at + 1]) + v * (
-            (1 - w) * outside[at + row] + w * outside[at + row + 1]
-        )
-        return -((1 - u) * near + u * far)
+        near = along_yz(at, v - j, w - k)
+        far = along_yz(at + plane, v - j, w - k)
+        return -((1 - (u - i)) * near + (u - i) * far)
 
     return inside
 
 
 def with_doubt(surface: BelievedSurface, vertices: Array, triangles: Array) -> Mesh:
     """A mesh with its normals and standard deviations."""
-    slope = np.stack(
-        [
-            surface.distance(vertices + step) - surface.distance(vertices - step)
-            for step in _SLOPE_STEP * np.eye(3)
-        ],
-        axis=1,
-    ) / (2 * _SLOPE_STEP)
-    steep = np.maximum(np.linalg.norm(slope, axis=1), 0.2)
-    normals = slope / np.maximum(np.linalg.norm(slope, axis=1), 1e-9)[:, None]
+    risen = [
+        surface.distance(vertices + step) - surface.distance(vertices - step)
+        for step in _SLOPE_STEP * np.eye(3)
+    ]
+    slope = np.stack(risen, axis=1) / (2 * _SLOPE_STEP)
+    length = np.linalg.norm(slope, axis=1)
+    steep = np.maximum(length, 0.2)
+    normals = slope / np.maximum(length, 1e-9)[:, None]
     sd = surface.distance_sd(vertices) / steep
     return Mesh(vertices, np.asarray(triangles, int), normals, sd)
 

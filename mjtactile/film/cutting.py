@@ -10,6 +10,7 @@ square, as the error of whole cells does.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -85,8 +86,10 @@ class _Crossings:
     @classmethod
     def of(cls, outline: Outline, x: Array, y: Array) -> _Crossings:
         points = outline.points(_POINTS)
-        across_y, across_x = _chains(points, x), _chains(points[:, ::-1], y)
-        near_x, near_y = _NEAREST * (x[1] - x[0]), _NEAREST * (y[1] - y[0])
+        across_y = _chains(points, x)
+        across_x = _chains(points[:, ::-1], y)
+        near_x = _NEAREST * (x[1] - x[0])
+        near_y = _NEAREST * (y[1] - y[0])
         along_y = (y > across_y[0][:, None] + near_y) & (y < across_y[1][:, None] - near_y)
         along_x = (x > across_x[0][:, None] + near_x) & (x < across_x[1][:, None] - near_x)
         return cls(x, y, along_y & along_x.T, across_x, across_y)
@@ -103,12 +106,15 @@ class _Crossings:
 
     def between(self, free: tuple[int, int], held: tuple[int, int]) -> tuple[float, float]:
         """Place, m, where the link from a free node to a held neighbour ends."""
-        (i, j), (k, m) = free, held
+        i, j = free
+        k, m = held
         if i == k:
-            end = self.across_y[int(m > j), i]
-            return self.x[i], float(np.clip(end, *sorted((self.y[j], self.y[m]))))
-        end = self.across_x[int(k > i), j]
-        return float(np.clip(end, *sorted((self.x[i], self.x[k])))), self.y[j]
+            crossing = self.across_y[int(m > j), i]
+            low, high = sorted((self.y[j], self.y[m]))
+            return self.x[i], float(np.clip(crossing, low, high))
+        crossing = self.across_x[int(k > i), j]
+        low, high = sorted((self.x[i], self.x[k]))
+        return float(np.clip(crossing, low, high)), self.y[j]
 
 
 def _chains(points: Array, at: Array) -> Array:
@@ -116,8 +122,9 @@ def _chains(points: Array, at: Array) -> Array:
     second coordinate (2, n), NaN where they do not."""
     turned = np.roll(points, -int(points[:, 0].argmin()), axis=0)
     far = int(turned[:, 0].argmax())
-    one, other = turned[: far + 1], np.concatenate([turned[far:], turned[:1]])[::-1]
-    found = [np.interp(at, *chain.T, left=np.nan, right=np.nan) for chain in (one, other)]
+    there = turned[: far + 1]
+    back = np.concatenate([turned[far:], turned[:1]])[::-1]
+    found = [np.interp(at, *chain.T, left=np.nan, right=np.nan) for chain in (there, back)]
     return np.sort(found, axis=0)
 
 
@@ -147,7 +154,8 @@ def _triangles(grid: _Crossings, i: int, j: int) -> Iterator[_Triangle]:
         if grid.inside[one]:
             polygon.append(_Corner((grid.x[one[0]], grid.y[one[1]]), one))
         if grid.inside[one] != grid.inside[other]:
-            free, held = (one, other) if grid.inside[one] else (other, one)
+            free = one if grid.inside[one] else other
+            held = other if grid.inside[one] else one
             polygon.append(_Corner(grid.between(free, held), None))
             towards[free] = held
     for part, share in _divided(polygon):
@@ -172,24 +180,33 @@ def _divided(
 
 def _grouped(triangles: Sequence[_Triangle], rows: int, cell: float) -> tuple[Array, float]:
     """Groups (n, 13, 8) of triangles for the kernel, and the area of all."""
-    line = -(-rows // _TOGETHER) * _TOGETHER
+    line = _whole_groups(rows)
     found = []
     total = 0.0
     for one in triangles:
         p = np.array([corner.place for corner in one.corners])
         doubled = float(np.linalg.det(p[1:] - p[0]))
-        next_, after = np.roll(p, -1, axis=0), np.roll(p, -2, axis=0)
         if doubled < _NOTHING * cell:
             continue
-        by_x, by_y = (next_ - after)[:, 1] / doubled, (after - next_)[:, 0] / doubled
+        # a displacement's derivatives by those of the corners, from the side opposite to each
+        next_ = np.roll(p, -1, axis=0)
+        after = np.roll(p, -2, axis=0)
+        by_x = (next_ - after)[:, 1] / doubled
+        by_y = (after - next_)[:, 0] / doubled
         nodes = [corner.node for corner in one.corners]
         numbers = [0 if node is None else node[0] * line + node[1] for node in nodes]
         links = [_link(nodes[a], nodes[(a + 1) % 3], one.towards, line) for a in range(3)]
-        total += one.share * doubled / 2
-        found.append([one.share * doubled / 2, *by_x, *by_y, *numbers, *links])
-    groups = np.zeros((-(-len(found) // _TOGETHER) * _TOGETHER, 13))
+        area = one.share * doubled / 2
+        total += area
+        found.append([area, *by_x, *by_y, *numbers, *links])
+    groups = np.zeros((_whole_groups(len(found)), 13))
     groups[: len(found)] = found
     return np.ascontiguousarray(groups.reshape(-1, _TOGETHER, 13).swapaxes(1, 2)), total
+
+
+def _whole_groups(count: int) -> int:
+    """As many, and what is wanting of whole groups."""
+    return math.ceil(count / _TOGETHER) * _TOGETHER
 
 
 def _link(
@@ -205,6 +222,8 @@ def _link(
     if one is None or other is None:
         if free not in towards:
             return 0
-        one, other = free, towards[free]
+        one = free
+        other = towards[free]
     (i, j), (k, m) = sorted((one, other))
-    return 0 if i != k and j != m else 2 * (i * line + j) + (i == k)
+    is_diagonal = i != k and j != m
+    return 0 if is_diagonal else 2 * (i * line + j) + (i == k)

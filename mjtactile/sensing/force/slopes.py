@@ -31,21 +31,24 @@ class MarkerSlopes:
     def off(self, markers: Markers, c: Array) -> Array:
         """Measured less modelled slopes (m, 2), for coefficients `c` (3, n) m; NaN where a marker's
         normal is not known."""
-        (x1, y1, z1), (x2, y2, z2) = (g.T for g in self._tangents(c, markers.ids))
-        over = 1 / (x1 * y2 - y1 * x2)  # of the normal's z; x and y of it follow
-        slopes = np.stack([z1 * y2 - y1 * z2, x1 * z2 - z1 * x2], axis=1) * over[:, None]
+        g1, g2 = self._tangents(c, markers.ids)
+        x1, y1, z1 = g1.T
+        x2, y2, z2 = g2.T
+        # of the normal g1 x g2: x and y, negative, over its z
+        by_z = 1 / (x1 * y2 - y1 * x2)
+        slopes = np.stack([z1 * y2 - y1 * z2, x1 * z2 - z1 * x2], axis=1) * by_z[:, None]
         return geometry.slope_from_normal(markers.n_S) - slopes
 
     def weights(self, markers: Markers, c: Array) -> Array:
         """One over the sd (m,) of measured slopes; 0 for those that say nothing."""
-        N = geometry.cross(*self._tangents(c, markers.ids))
-        n = N / np.linalg.norm(N, axis=1)[:, None]
+        outward = geometry.cross(*self._tangents(c, markers.ids))
+        n = outward / np.linalg.norm(outward, axis=1)[:, None]
         p_CM = markers.p_SM + self._behind
         s = self._settings
         sd = np.hypot(s.slope_model_sd, slope_sd(n, p_CM, markers.cov_p[:, 2, 2]))
-        # False for NaN
-        use = (sd < s.slope_sd_most) & (np.abs(self.off(markers, c)).max(axis=1) < s.slope_off_most)
-        return np.where(use, 1 / sd, 0.0)
+        off = np.abs(self.off(markers, c)).max(axis=1)
+        is_used = (sd < s.slope_sd_most) & (off < s.slope_off_most)  # False for NaN
+        return np.where(is_used, 1 / sd, 0.0)
 
     def rows(self, c: Array, ids: NDArray[np.int64]) -> Array:
         """Derivatives (2, m, 2, 3) of the slopes by the sheet's derivatives by its own coordinates

@@ -110,13 +110,15 @@ def boundary(center: Array, shape: Array, count: int) -> tuple[Array, Array]:
 def moved(center: Array, shape: Array, move: Array) -> tuple[Array, Array]:
     """Ellipses after a `move` (N, 5) = (w, V) with V = [[V0, V1], [V1, V2]], in units of the local
     radius (cut at 0.4): centre c + S w, and the shape whose square is that of S (I + V)."""
-    w0, w1, a, b, c = np.minimum(np.maximum(move.T.astype(float), -0.4), 0.4)
+    w0, w1, v0, v1, v2 = np.minimum(np.maximum(move.T.astype(float), -0.4), 0.4)
     p, q, s = shape.T
-    a = 1 + a
-    c = 1 + c
-    A = p * a + q * b
-    B = p * b + q * c
-    C = q * a + s * b
-    D = q * b + s * c
-    squared = np.array([A * A + B * B, A * C + B * D, C * C + D * D]).T
-    return center + np.array([p * w0 + q * w1, q * w0 + s * w1]).T, shape_from_moments(squared / 4)
+    a = 1 + v0
+    c = 1 + v2
+    # rows of M = S (I + V); its square is M M^T
+    m00 = p * a + q * v1
+    m01 = p * v1 + q * c
+    m10 = q * a + s * v1
+    m11 = q * v1 + s * c
+    squared = np.array([m00 * m00 + m01 * m01, m00 * m10 + m01 * m11, m10 * m10 + m11 * m11]).T
+    shift = np.array([p * w0 + q * w1, q * w0 + s * w1]).T
+    return center + shift, shape_from_moments(squared / 4)
