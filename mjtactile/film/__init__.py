@@ -20,9 +20,11 @@ What it leaves out, and what that costs (docs/benchmarks.md, `bench film`):
 - What happens between nodes: a contact smaller than a few cells hangs on its place between them, a
   4 mm ball 0.5 mm deep by up to 14 % on nodes 2 mm apart, a thin rod by more; blades are met by the
   nearest line of nodes; ridges are a tenth too stiff there, and a cone's tip of 45 degrees a third
-  too soft (most steeper ones are refused). `FilmState.doubt` says how far 9 of 10 such forces are
-  off at most, and `Film.fine_enough` finds a grid for a body: three times the time on 41 x 31
-  nodes. What is thinner than a tenth of the spacing may be missed, and needles slip aside.
+  too soft (most steeper ones are refused). `FilmState.doubt` says
+  how far 9 of 10 such forces are off at most (1: a tip that no node meets), `area_doubt` areas,
+  which are not known where a contact is a point or a line for the grid, and `Film.fine_enough`
+  finds a grid for a body: three times the time on 41 x 31 nodes. What is thinner than a tenth of
+  the spacing may be missed, and needles slip aside.
 
 What it refuses, in one line: what touches the rim, lies on the glass, pulls the sheet inside out
 or beyond what its rubber's law is known for, or goes through between nodes. What does not converge

@@ -53,11 +53,13 @@ class Obstacle:
         kind: One of KINDS.
         numbers: (NUMBERS,) for the kernel.
         pool: Its planes, triangles or heights.
+        corners: (n, 3) m in its own frame, of what has a hull.
     """
 
     kind: str
     numbers: Array
     pool: Array
+    corners: Array | None = None
 
     def at(self, p_SO: ArrayLike, R_SO: ArrayLike | None = None) -> Obstacle:
         """Take the body to another pose, for a tenth of what making it anew costs.
@@ -73,7 +75,7 @@ class Obstacle:
         numbers[13:16] = finite("p_SO", p_SO, (3,))
         if R_SO is not None:
             numbers[4:13] = _rotation(R_SO)
-        return Obstacle(self.kind, numbers, self.pool)
+        return Obstacle(self.kind, numbers, self.pool, self.corners)
 
 
 def obstacle(
@@ -123,7 +125,8 @@ def obstacle(
     numbers[1 : 1 + len(size)] = size
     numbers[4:13] = _rotation(R_SO)
     numbers[13:16] = finite("p_SO", p_SO, (3,))
-    pool = _pool(kind, size, data)
+    corners = _corners(kind, size, data)
+    pool = _pool(kind, corners, data)
     if kind == "disc" and size[2] > min(size[0], size[1]):
         raise InputError(
             "a rim's radius is at most the disc's radius and half height", field="sizes"
@@ -133,7 +136,7 @@ def obstacle(
         numbers[1:3] = np.shape(data)  # type: ignore[arg-type]
     numbers[18] = _least_width(kind, sides, data)
     numbers[19] = _reach(kind, sides, data)
-    return Obstacle(kind, numbers, pool.ravel())
+    return Obstacle(kind, numbers, pool.ravel(), corners)
 
 
 def listed(obstacles: Obstacle | Iterable[Obstacle], field: str) -> list[Obstacle]:
@@ -184,11 +187,18 @@ def _reach(kind: str, size: list[float], data: ArrayLike | None) -> float:
     return sum(size)
 
 
-def _pool(kind: str, size: Array, data: ArrayLike | None) -> Array:
+def _corners(kind: str, size: Array, data: ArrayLike | None) -> Array | None:
+    """Of a wedge or a mesh, (n, 3)."""
     if kind == "wedge":
         length, width, height = size
         ends = [[x, y, height] for x in (-length, length) for y in (-width, width)]
-        return _hull(np.array([[-length, 0.0, 0.0], [length, 0.0, 0.0], *ends]))
+        return np.array([[-length, 0.0, 0.0], [length, 0.0, 0.0], *ends])
+    return finite("data", data, (-1, 3)) if kind == "mesh" and data is not None else None
+
+
+def _pool(kind: str, corners: Array | None, data: ArrayLike | None) -> Array:
+    if corners is not None:
+        return _hull(corners)
     if kind not in ("mesh", "triangles", "heights"):
         if data is not None:
             raise InputError(f"a {kind} has none", field="data")
@@ -200,8 +210,6 @@ def _pool(kind: str, size: Array, data: ArrayLike | None) -> Array:
         if field.ndim != 2 or np.isnan(field).any() or (field == -np.inf).any():
             raise InputError("heights are (nx, ny), finite or +inf", field="data")
         return field.reshape(-1, 1)
-    if kind == "mesh":
-        return _hull(finite("data", data, (-1, 3)))
     corners = finite("data", data, (-1, 3, 3)).reshape(-1, 9)
     if not len(corners):
         raise InputError("has no triangle", field="data")

@@ -26,7 +26,7 @@ from mjtactile.film.derivatives import (
 from mjtactile.film.fineness import REFINED, doubt
 from mjtactile.film.inflating import inflate
 from mjtactile.film.law import law_numbers, tension_slope
-from mjtactile.film.state import FOUND, FilmBatch, FilmState, FilmStatus
+from mjtactile.film.state import FOUND, FilmBatch, FilmState, Pressing, judged
 from mjtactile.film.sticking import StuckPatch, patches_of
 from mjtactile.kernels import band_stride, bound, kernel
 
@@ -36,14 +36,6 @@ _LEAST_NODES, _MOST_NODES = 5, 400
 _MIXED_AREA = (
     1.05  # area ratio at which the tension's slope is taken; steps depend on it, results do not
 )
-_COMPLAINTS = {
-    FilmStatus.AT_THE_RIM: "an obstacle touches the frame's rim",
-    FilmStatus.ON_THE_GLASS: "an obstacle lies on the glass",
-    FilmStatus.INSIDE_OUT: "an obstacle pulls the sheet inside out",
-    FilmStatus.BROKEN_DOWN: "the numbers break down on this obstacle",
-    FilmStatus.GOES_THROUGH: "an obstacle goes through between the film's nodes; take a finer grid",
-    FilmStatus.OVERSTRETCHED: "an obstacle stretches the sheet beyond what its law is known for",
-}
 
 
 class Film:
@@ -179,7 +171,8 @@ class Film:
         trend = np.zeros((4, *self.grid)) if start.trend is None else start.trend.copy()
         settings = np.array([self._gas, self.sealed, TOLERANCE, _MOST_STEPS, 1.0, 0.0])
         self._run(settings, rows, pool, (x, force, trend, found))
-        return _judged(FilmState(x, force, found, trend, (self.spacing, listed)))
+        pressing = Pressing(listed, self.x, self.y, self.design.membrane.thickness / 2)
+        return judged(FilmState(x, force, found, trend, pressing))
 
     def solve_batch(
         self,
@@ -312,7 +305,7 @@ class Film:
                 bodies that are heights over nodes, which have no pose.
         """
         self._require_rest(state)
-        pressing = state.pressed_by[1]
+        pressing = state.pressed_by.bodies
         if not pressing and state.force.any():
             raise InputError("is of a batch, and does not know its bodies", field="state")
         if any(body.kind == "heights" for body in pressing):
@@ -389,13 +382,6 @@ class Film:
         kept = (self._kept.size, self._kept)
         law = (self._numbers, self._law, *self.grid)
         return (*law, *kept, self._rest, room.size, room)
-
-
-def _judged(state: FilmState) -> FilmState:
-    complaint = _COMPLAINTS.get(state.status)
-    if complaint is not None:
-        raise InputError(complaint, field="obstacle")
-    return state
 
 
 def _grid(grid: tuple[int, int]) -> tuple[int, int]:

@@ -24,7 +24,14 @@ _TIP, _AT_EDGES = 0.4, 0.07
 # Widths over spacing, from which on 9 of 10 forces are within a share.
 _SHARES = ((8.0, 0.03), (4.0, 0.06), (3.0, 0.07), (2.0, 0.14), (0.0, 0.25))
 # The same of contacts by the number of nodes that touch, on any grid.
-_FEW = ((8, 0.0), (5, 0.04), (3, 0.08), (0, 0.14))
+_FEW = ((8, 0.0), (5, 0.04), (3, 0.08), (2, 0.14), (0, 0.3))
+# Of an area, by the contact's width in nodes: of faces, and of what is round.
+_FACES = ((2.5, 0.1), (1.6, 0.2), (1.2, 0.3), (0.0, 0.8))
+_ROUND = ((2.6, 0.12), (2.1, 0.5))
+_FLAT = 1e-5  # m, of corners that are as low
+_UPRIGHT = 0.9998  # cosine; half a millimetre over 25
+_LEVEL = 1e-6  # of a cylinder's end
+_SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
 
 
 def doubt(obstacles: Sequence[Obstacle], spacing: float) -> float:
@@ -48,6 +55,92 @@ def doubt_of_rows(rows: Sequence[Array] | Array, spacing: float) -> float:
 def doubt_of_few(nodes: int) -> float:
     """The same share because so few nodes touch, however wide the body is."""
     return next(share for least, share in _FEW if nodes >= least)
+
+
+def doubt_of_gap(gap: float, force: float, tension: float) -> float:
+    """The same share because the lowest place of a body is behind the sheet: a tip between nodes,
+    which a sheet under tension `tension` would not let through.
+
+    Args:
+        gap: m, how far.
+        force: N, of the state.
+        tension: N/m.
+
+    Returns:
+        The share, 1 at most.
+    """
+    return min(max(gap, 0.0) * tension / force, 1.0)
+
+
+def doubt_of_area(obstacles: Sequence[Obstacle], width: float, spacing: float) -> float:
+    """Share of the contact area within which 9 of 10 are, by how wide the contact is.
+
+    Args:
+        obstacles: What presses.
+        width: Nodes that touch over those along the contact's longer side.
+        spacing: m, of the grid.
+
+    Returns:
+        The share; infinite where the contact is a point or a line for this grid: of edges and tips,
+        of what is round until it is two nodes wide, of a face that is thinner than half a spacing.
+    """
+    if all(_is_face(one) for one in obstacles):
+        thin = min((one.numbers[18] for one in obstacles), default=np.inf) < spacing / 2
+        shares = _FACES[:-1] if thin else _FACES
+    elif any(one.numbers[0] in _EDGED or one.numbers[0] == _CONE for one in obstacles):
+        shares = ()
+    else:
+        shares = _ROUND
+    return next((share for least, share in shares if width >= least), float("inf"))
+
+
+def _is_face(body: Obstacle) -> bool:
+    """Whether it lies on the sheet with a flat face."""
+    up = np.abs(body.numbers[10:13])
+    if body.kind in ("cylinder", "disc"):
+        return bool(up[2] > _UPRIGHT)
+    return body.kind == "plane" or (body.kind == "box" and bool(up.max() > _UPRIGHT))
+
+
+def lowest_place(body: Obstacle) -> Array | None:
+    """Where a body is lowest, (3,) m in S; None for what has no such place of its own (planes,
+    heights over nodes)."""
+    row = body.numbers
+    R, place, sizes = row[4:13].reshape(3, 3), row[13:16], row[1:4]
+    up = R[2]  # S's z, in the body's frame
+    if body.kind in ("plane", "heights"):
+        return None
+    if body.kind in ("cone", "quadric"):
+        return place  # a tip, or a pole, that points down
+    if body.corners is not None or body.kind in ("triangles", "box"):
+        return _lowest_of(_ends(body), R) + place
+    if body.kind == "ellipsoid":
+        return place - R @ (sizes**2 * up) / np.linalg.norm(sizes * up)
+    axial = np.array([0.0, 0.0, -np.sign(up[2])])
+    if body.kind == "sphere":
+        return place - np.array([0.0, 0.0, sizes[0]])
+    if body.kind == "capsule":
+        return place + R @ (sizes[1] * axial) - np.array([0.0, 0.0, sizes[0]])
+    rounded = sizes[2] if body.kind == "disc" else 0.0  # else a cylinder
+    across = np.array([up[0], up[1], 0.0])
+    lean = float(np.linalg.norm(across))
+    rim = (rounded - sizes[0]) * across / lean if lean > _LEVEL else np.zeros(3)
+    return place + R @ ((sizes[1] - rounded) * axial + rim) - np.array([0.0, 0.0, rounded])
+
+
+def _ends(body: Obstacle) -> Array:
+    if body.corners is not None:
+        return body.corners
+    if body.kind == "triangles":
+        return body.pool.reshape(-1, 3)
+    return body.numbers[1:4] * _SIGNS
+
+
+def _lowest_of(corners: Array, R: Array) -> Array:
+    """Of corners (n, 3) in a body's frame, in S about its place: the middle of those that are as
+    low as the lowest."""
+    at = corners @ R.T
+    return at[at[:, 2] < at[:, 2].min() + _FLAT].mean(axis=0)
 
 
 def _share(row: Array, spacing: float) -> float:

@@ -2,8 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mjtactile import Film
+from mjtactile.film.fineness import lowest_place
+from mjtactile.film.state import TENSION
 
 
 @pytest.fixture(scope="module")
@@ -50,3 +53,61 @@ def test_a_film_is_as_fine_as_what_presses_it_wants(film):
     wire = film.obstacle("capsule", (3e-4, 8e-3), (0, 0, 0), LYING)
     assert film.fine_enough(wire).grid == (81, 61)
     assert film.fine_enough(wire).doubt(wire) > 0.03
+
+
+def test_a_corner_that_no_node_meets_is_no_force_without_doubt(film):
+    c, s = np.cos(0.4), np.sin(0.4)
+    tilt = np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]])
+    blade = film.obstacle("box", (1.5e-4, 4e-3, 0.01), R_SO=tilt)
+    low = lowest_place(blade)
+    top = film.rest.heights.max() + film.design.membrane.thickness / 2
+    above = film.solve(blade.at((1e-3, -3e-3 - low[1], top + 1e-3 - low[2])))
+    assert above.doubt == above.area_doubt == 0
+    missed = film.solve(blade.at((1e-3, -3e-3 - low[1], top - 5e-4 - low[2])))
+    assert missed.force_normal == 0 and missed.doubt == 1 and np.isinf(missed.area_doubt)
+
+
+@pytest.mark.parametrize("at", [(0.0, 0.0), (1e-3, 1e-3), (7e-4, 3e-4)])
+def test_a_tip_s_force_is_off_by_no_more_than_is_said(film, at):
+    top = film.rest.heights.max() + film.design.membrane.thickness / 2
+    tip = film.obstacle("cone", (6e-3, 6e-3), (*at, top - 1e-3))
+    coarse, fine = film.solve(tip), film.fine_enough(tip, 0.0).solve(tip)
+    off = abs(coarse.force_normal / fine.force_normal - 1)
+    assert 0.6 < off <= coarse.doubt  # 0.2 of the force: much of the tip is behind the sheet
+    assert np.isinf(coarse.area_doubt)
+
+
+KINDS_WITH_A_LOWEST_PLACE = {
+    "sphere": (4e-3,),
+    "capsule": (2e-3, 3e-3),
+    "ellipsoid": (5e-3, 4e-3, 2e-3),
+    "disc": (4e-3, 2e-3, 1e-3),
+    "wedge": (5e-3, 2e-3, 3e-3),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS_WITH_A_LOWEST_PLACE)
+def test_a_body_s_lowest_place_is_where_its_heights_are_least(film, kind):
+    turn = Rotation.from_euler("xyz", [0.3, 0.2, 0.5]).as_matrix()
+    body = film.obstacle(kind, KINDS_WITH_A_LOWEST_PLACE[kind], (1e-3, -1e-3, 6e-3), turn)
+    low = lowest_place(body)
+    side = np.linspace(-0.3e-3, 0.3e-3, 61)
+    around = np.stack(np.meshgrid(side, side, indexing="ij"), -1).reshape(-1, 2)
+    heights = film.heights_of(body, low[:2] + around)
+    assert heights.min() >= film.heights_of(body, low[:2] + 1e-9)[0] - 1e-7  # the tip's own slope
+    if kind != "wedge":  # on whose edge half a sheet along z is more than that across
+        assert heights.min() == pytest.approx(low[2] - film.design.membrane.thickness / 2, abs=1e-6)
+
+
+def test_an_area_is_known_where_the_grid_tells_it(film):
+    top = film.rest.heights.max() + film.design.membrane.thickness / 2
+    lying = Rotation.from_euler("x", np.pi / 2).as_matrix()
+    ball = film.solve(film.obstacle("sphere", (12e-3,), (0, 0, top - 2.5e-3 + 12e-3)))
+    # round: the sheet bears p + 2 T / R of a ball, T from 1 % around it
+    bears = ball.pressure_gauge + 2 * ball.found[TENSION] / 12e-3
+    assert ball.area == pytest.approx(ball.force_normal / bears, rel=ball.area_doubt)
+    face = film.solve(film.obstacle("box", (5.3e-3, 4.1e-3, 5e-3), (7e-4, 3e-4, top + 3.5e-3)))
+    assert face.area == pytest.approx(4 * 5.3e-3 * 4.1e-3, rel=face.area_doubt)
+    assert face.area_doubt < 0.3
+    wire = film.solve(film.obstacle("capsule", (5e-4, 5e-3), (0, 0, top - 5e-4), lying))
+    assert np.isinf(wire.area_doubt)  # it was up to ten times too large, and did not say so
