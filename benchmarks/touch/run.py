@@ -4,12 +4,15 @@ indenters.
 One simulated membrane is seen by three cameras with their own markers (`SENSORS`), which
 share everything but the layout. Nothing is calibrated for an object. The truth is the simulator's
 on a mesh finer than the default's, since a coarse mesh is stiffer than rubber; its contact area is
-that of a film on the object, the centroid that of the forces. Seeds below FIRST_SEED were used in
+that of a film on the object, the centroid that of the forces. Edges, corners and two balls at once
+have rows of their own, without the shape and with it (`sharp.py`). About five minutes of a
+processor. Seeds below FIRST_SEED were used in
 tuning and are not among them.
 """
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -20,6 +23,8 @@ import numpy as np
 
 from benchmarks.paper.deformation import MembraneModel
 from benchmarks.paper.levels import MembraneForce, spring_grid_force
+from benchmarks.shape.bodies import Case
+from benchmarks.touch import sharp
 from benchmarks.touch.area import calibrate_area
 from benchmarks.touch.tables import draw, summary, table
 from mjtactile.calibrate.area import AreaCalibration
@@ -118,10 +123,15 @@ def run(out: Path, *, quick: bool = False, say: Say = lambda _: None) -> dict[st
                 for r in rows[-4:]
             )
         )
+    edges: list[dict[str, Any]] = []
+    for seed, case in sharp.bodies(quick=quick):
+        edges += _sharp_episode(seed, case, mesh)
+        say(f"{case.name} {seed}: " + ", ".join(f"{r['error_shape_N']:+.3f}" for r in edges[-3:]))
     quiet = _quiet(60 if quick else QUIET_FRAMES)
     result: dict[str, Any] = {
         "mesh": mesh,
         "looks": rows,
+        "sharp": edges,
         "quiet": quiet,
         "off_nominal": _off_nominal(),
     }
@@ -130,6 +140,7 @@ def run(out: Path, *, quick: bool = False, say: Say = lambda _: None) -> dict[st
         name: float(np.percentile(ms, 95)) for name, ms in milliseconds.items()
     }
     result["sensors"] = {name: summary(name, result) for name in SENSORS}
+    result["sharp_sensors"] = {name: sharp.summary(name, edges) for name in SENSORS}
     draw(rows, out / "touch.png")
     return result
 
@@ -198,6 +209,13 @@ def _episode(
     for name, view in views.items():
         milliseconds[name] += view.milliseconds
     return rows
+
+
+def _sharp_episode(seed: int, case: Case, mesh: tuple[int, int]) -> list[dict[str, Any]]:
+    with tempfile.TemporaryDirectory() as folder:
+        body = Indenter("model", path=case.write(Path(folder)))
+        world, views = _start(body, case.at, 0.0, mesh, seed)
+    return sharp.episode(seed, case, world, views)
 
 
 def _compare(world: PressWorld, touch: Touch) -> dict[str, Any]:

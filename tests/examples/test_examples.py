@@ -54,9 +54,7 @@ def test_touch_in_my_scene(capsys):
 @pytest.mark.slow
 def test_turn_an_edge(capsys):
     example = run("turn_an_edge")
-    assert example.before.kind == "edge"
-    # along the vertices' rows, this sheet shows an edge and a rod of 4 mm nearly alike
-    assert example.after.probabilities["edge"] > 0.3
+    assert example.before.kind == example.after.kind == "edge"
     # the sheet of 21 x 16 vertices knows an edge to about two degrees
     assert abs(example.angle) < np.radians(4)
     assert example.before.area_interval[0] < example.before.area < example.before.area_interval[1]

@@ -1,0 +1,145 @@
+"""Edges, corners and two balls at once for `bench touch`: what is felt of them without a shape and
+with it (`Perception.shape`). The bodies are those of `bench shape`, of seeds of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from benchmarks.shape.bodies import Case, draw
+from mjtactile.core.types import Array, Touch
+from mjtactile.experiments.station import View
+from mjtactile.sim import truth
+from mjtactile.sim.scenes.indentation import PressWorld
+
+BODIES = {"wedge": "an edge", "corner": "a corner", "two balls": "two balls at once"}
+FIRST_SEED = 1200
+_EACH, _EACH_QUICK = 3, 1
+_DEPTHS = (0.8e-3, 1.6e-3, 2.6e-3)
+_DRAG = 1e-3  # m at most, where it was pressed deepest
+_FORCE_MOST = 1.5  # N
+_FRAMES = 3  # looked at in each state; the last one counts
+
+
+def bodies(*, quick: bool = False) -> list[tuple[int, Case]]:
+    """Seeds and bodies.
+
+    Args:
+        quick: One of each kind instead of three.
+
+    Returns:
+        Of each kind as many.
+    """
+    each = _EACH_QUICK if quick else _EACH
+    drawn = [(seed, draw(seed)) for seed in range(FIRST_SEED, FIRST_SEED + 9 * each)]
+    return [(seed, case) for seed, case in drawn if case.name in BODIES]
+
+
+def episode(
+    seed: int, case: Case, world: PressWorld, views: Mapping[str, View]
+) -> list[dict[str, Any]]:
+    """Press deeper and deeper, and drag.
+
+    Args:
+        seed: Of the body.
+        case: The body.
+        world: With it over the sensor.
+        views: Of each sensor, with its references.
+
+    Returns:
+        A row for each state and sensor.
+    """
+    finders = {
+        name: view.perception.chain.shape_finder(view.perception.state)
+        for name, view in views.items()
+    }
+    drag = float(np.random.default_rng([seed, 79]).uniform(-_DRAG, _DRAG))
+    rows = []
+    reached = 0.0
+    for depth in _DEPTHS:
+        world.press(depth)
+        if -truth.contact_force(world, 0)[2] > _FORCE_MOST:
+            break
+        reached = depth
+        rows += _looked(world, views, finders)
+    world.press(reached, drag)
+    rows += _looked(world, views, finders)
+    return [{"seed": seed, "body": case.name, **row} for row in rows]
+
+
+def _looked(
+    world: PressWorld, views: Mapping[str, View], finders: Mapping[str, Any]
+) -> list[dict[str, Any]]:
+    true = truth.contact_wrench(world, 0)
+    rows = []
+    for name, view in views.items():
+        perception = view.perception
+        touch = felt = None
+        for _ in range(_FRAMES):
+            image = view.image()
+            before = perception.state
+            touch = perception.perceive(image, image.time)
+            felt, perception.state = perception.chain.follow_shape(
+                before, perception.state, touch, finders[name]
+            )
+        assert touch is not None and felt is not None and felt.shape is not None
+        told = {"sensor": name, "force_true_N": -float(true[2]), "kind": felt.shape.kind}
+        rows.append(told | _against(touch, true, "") | _against(felt, true, "_shape"))
+    return rows
+
+
+def _against(touch: Touch, true: Array, suffix: str) -> dict[str, float]:
+    """Error of the normal force, and chi-square of the wrench over its six numbers."""
+    traction = touch.traction
+    assert traction is not None
+    off = traction.wrench - true
+    chi2 = float(off @ np.linalg.solve(traction.wrench_cov, off)) / len(off)
+    return {f"error{suffix}_N": -float(off[2]), f"chi2{suffix}": chi2}
+
+
+def summary(name: str, rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, float]]:
+    """One sensor's numbers.
+
+    Args:
+        name: Of the sensor.
+        rows: Of all sensors and bodies.
+
+    Returns:
+        Of each kind of body: mean and worst error of the normal force, and mean chi-square, without
+        the shape and with it.
+    """
+    told = {}
+    for body in BODIES:
+        own = [row for row in rows if (row["sensor"], row["body"]) == (name, body)]
+        numbers: dict[str, float] = {}
+        for suffix in ("", "_shape"):
+            off = np.abs([row[f"error{suffix}_N"] for row in own])
+            numbers[f"mae{suffix}_N"] = float(off.mean())
+            numbers[f"worst{suffix}_N"] = float(off.max())
+            numbers[f"chi2{suffix}"] = float(np.mean([row[f"chi2{suffix}"] for row in own]))
+        told[body] = numbers
+    return told
+
+
+def lines(sensors: Mapping[str, Mapping[str, dict[str, float]]]) -> list[str]:
+    """Rows of the table.
+
+    Args:
+        sensors: What `summary` has of each.
+
+    Returns:
+        Markdown.
+    """
+    rows = []
+    for body, name in BODIES.items():
+        for suffix, label in (("", ""), ("_shape", ", shape asked for")):
+            shown = [
+                f"{s[body][f'mae{suffix}_N']:.4f} ({s[body][f'worst{suffix}_N']:.3f}), "
+                f"{s[body][f'chi2{suffix}']:.2f}"
+                for s in sensors.values()
+            ]
+            what = f"{name}{label}: normal force, error (worst), N; chi-square of the wrench"
+            rows.append(f"| {what} | chi .6-1.6 | .8-1.2 | " + " | ".join(shown) + " |")
+    return rows
