@@ -91,10 +91,11 @@ class Load:
     def after(self, touch: Sequence[Touch], period: float) -> Load:
         """Take in one image.
 
-        It grows with what two images show, and is gripped for what it is on its way to; it goes
-        slowly, but what was only on its way is not kept. One image alone may err by half of a load,
-        which would be gripped for a second and a half. Once it hangs, what the fingers do to each
-        other is no load, nor is what pushes it up; a slip lets go of what they did.
+        It grows with what two images show, and once it hangs is gripped for what it is on its way
+        to (before, it comes as the hand lets it, which waits for its grip); it goes slowly, but
+        what was only on its way is not kept. One image alone may err by half of a load, which would
+        be gripped for a second and a half. Once it hangs, what the fingers do to each other is no
+        load, nor is what pushes it up; a slip lets go of what they did.
 
         Args:
             touch: What is felt now.
@@ -114,7 +115,7 @@ class Load:
             now = float(np.linalg.norm(shear(touch), axis=1).mean())
         sure = now if self.last < 0 else min(now, self.last)
         past = sure if self.past < 0 else self.past + min(1.0, period / _LEAD) * (sure - self.past)
-        ahead = sure + max(sure - past, 0.0)
+        ahead = sure + (max(sure - past, 0.0) if len(self.down) else 0.0)
         most = max(sure, self.most * math.exp(-period / _KEPT))
         slips = all(one.slip is not None and one.slip.state == "slipping" for one in touch)
         inner = () if slips else self.inner

@@ -180,16 +180,10 @@ class SlipSettings:
     even: float = number(
         0.35, "spread over mean of shear over pressure in a contact that slides", _SLID
     )
-    nearly_even: float = number(
-        0.5, "of one in which the share of the friction limit may be believed", _SLID
-    )
     even_turning: float = number(
         0.45, "the same along circles, of a contact that turns on the spot and slides", _SLID
     )
     sticks: float = number(0.6, "of one whose middle seems to stick", _SLID)
-    limit: float = number(
-        0.95, "share of the friction limit, as far as it is known, that is slip", TRIED
-    )
     recent: float = number(
         0.12, "s, in which what is said to be a slip began", "four images at 30 Hz; " + _SLID
     )

@@ -19,8 +19,8 @@ drags along nothing on the whole: there shear is even along the circles about th
 
 The share of friction that is used up, and with it the sticking share (1 - Q / mu N)^(2/3) of the
 area (Cattaneo 1938, Mindlin 1949), needs the coefficient: the sensor file's, until a slip or a hold
-beyond it has shown another. That nearly all of it is reached is slip, too, where the shear is
-nearly even.
+beyond it has shown another. That nearly all of it is reached is no sign of slip: who does not know
+the object does not know the coefficient.
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ _PRESSED = (
 )
 _NODES = 6  # that press alike, or as good as that
 _TURNING_NODES = 3  # the same, of what turns: its shear is even along circles, which is rarer
-_TURNING_IMAGES = 3  # of which two must show it: one image's shear may look even by its noise
+_TURNING_SHARE = 1.5  # of the force, as much torque over the radius of gyration
+_IMAGES = 3  # of which two must show it: one image's shear may look even by its noise
 _TURNING_LIMIT = 0.85  # squared, over that of a force: of a torque over the radius of gyration
 _POINT = 1e-4  # m: a patch is not smaller; one of a single node has no extent of its own
 
@@ -92,19 +93,13 @@ def judge(
         return unknown(StatusCode.TOO_WEAK, f"a force of {normal:.3f} N is too small"), before
     around, used_around = turning(estimator, shape)
     around = around if used_around > s.least_load else np.inf
+    uneven, is_known = unevenness(estimator, shape, shear)
     now = _follow(time, estimator, shape, (shear / normal, around), before, s)
     load = float(np.linalg.norm(shear)) / normal
     velocity, way = _motion(now.samples, s)
-    limit = s.limit * now.friction
-    reaches_limit = (
-        load > limit > min(float(np.linalg.norm(sample.ratio)) for sample in now.samples)
-    )
-    uneven, is_known = unevenness(estimator, shape, shear)
     asked = s.evidence if uneven < s.sticks else s.evidence_uneven
     slips = load > s.least_load and (
-        (is_known and uneven < s.even)
-        or (reaches_limit and uneven < s.nearly_even)
-        or (way > s.least_way and evidence(now, normal, s) > asked)
+        (is_known and uneven < s.even) or (way > s.least_way and evidence(now, normal, s) > asked)
     )
     if not slips and _turns(now.samples, s):
         slips = True
@@ -176,14 +171,15 @@ def turning(estimator: InverseMembrane, shape: Shape) -> tuple[float, float]:
     along = (ratio * way).sum(axis=1) / np.maximum(speed, 1e-9)
     share = weight * speed / max(float(weight @ speed), 1e-12)
     mean = float(share @ along)
-    if abs(torque) < float(np.linalg.norm(force)) or float(weight @ weight) * _TURNING_NODES > 1:
+    goes_straight = abs(torque) < _TURNING_SHARE * float(np.linalg.norm(force))
+    if goes_straight or float(weight @ weight) * _TURNING_NODES > 1:
         return np.inf, mean
     return float(np.sqrt(share @ (along - mean) ** 2)) / max(abs(mean), 1e-9), mean
 
 
 def _turns(samples: Sequence[SlipSample], s: SlipSettings) -> bool:
     """Whether it slides as it turns: shown by the newest image, and by one of the two before."""
-    seen = [sample.turning < s.even_turning for sample in samples[-_TURNING_IMAGES:]]
+    seen = [sample.turning < s.even_turning for sample in samples[-_IMAGES:]]
     return seen[-1] and sum(seen) > 1
 
 
