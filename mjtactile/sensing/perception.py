@@ -98,7 +98,7 @@ class Perception:
         touch, self.state = self.chain.step(before, image, now, reading)
         if not self.shapes:
             return touch
-        lacking = told_nothing(touch, self.chain.design, self.chain.settings.body)
+        lacking = told_nothing(touch, self.chain.settings.body)
         if lacking is not None and before.press is None:
             return with_shape(touch, lacking)
         touch, self.state = self.chain.follow_shape(before, self.state, touch, self._finder_now())
@@ -118,7 +118,7 @@ class Perception:
             DeviceError: The rest reference is missing.
         """
         history = [touches] if isinstance(touches, Touch) else list(touches)
-        lacking = told_nothing(history[-1], self.chain.design, self.chain.settings.body)
+        lacking = told_nothing(history[-1], self.chain.settings.body)
         if lacking is not None:
             return lacking
         return self.chain.find_shape(self.state, history, self._finder_now())

@@ -23,9 +23,10 @@ _RIM_OUT = 1.4  # roundings by which a round rim's own lies outside of what it s
 class Hint:
     """Where a fit starts: `place` (2,) m in S of the touch, `height` m of the sheet's outer face
     there, `area` m^2 and `angle` rad of the patch as the nodal estimate has it, and half sides
-    `frame` (2,) m of where a body may be; places x, y (nx, ny) m of the film's `nodes`, and the
-    `rounding` m of what is sharp; the normal `force` N that it was felt with, and, where it is
-    touched at several places, the hint of each of the `parts`, the strongest first."""
+    `frame` (2,) m of where a body may be, of an ellipse where it is `round`; places x, y (nx, ny) m
+    of the film's `nodes`, and the `rounding` m of what is sharp; the normal `force` N that it was
+    felt with, and, where it is touched at several places, the hint of each of the `parts`, the
+    strongest first."""
 
     place: Array
     height: float
@@ -36,6 +37,7 @@ class Hint:
     rounding: float
     force: float
     parts: tuple[Hint, ...] = ()
+    round: bool = False
 
     def on(self, nodes: tuple[Array, Array], rounding: float) -> Hint:
         """The same over another film's nodes."""
@@ -101,7 +103,8 @@ def cylinder(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
     radius = 1 / max(theta[3], _FLAT)
     R = about(2, theta[4]) @ about(1, theta[5])
     place = place_of(theta, hint)
-    back, forth = _ways_to(hint.frame, place, R[:, 0])
+    ways = _ways_in_ellipse if hint.round else _ways_to
+    back, forth = ways(hint.frame, place, R[:, 0])
     middle = place + R[:, 0] * (forth - back) / 2 + R[:, 2] * radius
     turned = np.column_stack([R[:, 1], R[:, 2], R[:, 0]])
     return (obstacle("cylinder", (radius, (back + forth) / 2), middle, turned),)
@@ -165,6 +168,16 @@ def _ways_to(frame: Array, place: Array, along: Array) -> tuple[float, float]:
         ]
         ways.append(max(min(far), 1e-3))
     return ways[0], ways[1]
+
+
+def _ways_in_ellipse(half: Array, place: Array, along: Array) -> tuple[float, float]:
+    """The same before an ellipse of half axes `half` (2,)."""
+    at = place[:2] / half
+    way = along[:2] / half
+    a = float(way @ way)
+    b = float(at @ way)
+    root = math.sqrt(max(b**2 + a * (1 - float(at @ at)), 0.0))
+    return max((root + b) / a, 1e-3), max((root - b) / a, 1e-3)
 
 
 def lying_starts(curvatures: tuple[float, ...]) -> Callable[[Hint], tuple[Array, ...]]:

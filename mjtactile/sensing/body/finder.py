@@ -26,6 +26,7 @@ from mjtactile.sensing.settings import DEFAULTS, BodySettings, Settings
 
 _EDGE = 1.5e-3  # m from the frame, where bodies that go on are cut off
 _ROUNDING = 0.5  # spacings of the film
+_RIM = 360  # places on an outline
 _MOST_PARTS = 3  # bodies at once
 
 
@@ -58,6 +59,10 @@ class ShapeFinder:
     ):
         self.settings = settings
         self._frame = np.array([design.frame.length, design.frame.width]) / 2 - _EDGE
+        outline = design.frame.outline
+        if outline is not None:  # the largest ellipse in it
+            farthest = np.linalg.norm(outline.points(_RIM) / outline.half_sizes, axis=1)
+            self._frame = farthest.min() * self._frame
         s = settings.body
         fine = Forward(design, rest, s.spacing, gauge)
         self.films = Films(fine, Forward(design, rest, s.spacing_coarse, gauge), fine.by_gas())
@@ -92,7 +97,7 @@ class ShapeFinder:
             What is found.
         """
         s = self.settings.body
-        lacking = told_nothing(touch, self.films.fine.film.design, s)
+        lacking = told_nothing(touch, s)
         if lacking is not None:
             goes_on = touch.touching or touch.status != OK
             return Found(lacking, None, press if goes_on else None)
@@ -161,6 +166,7 @@ class ShapeFinder:
             film.nodes,
             _ROUNDING * film.spacing,
             force,
+            round=film.film.design.frame.outline is not None,
         )
 
 
@@ -176,20 +182,16 @@ def slips(touch: Touch) -> bool:
     return touch.slip is not None and touch.slip.state == "slipping"
 
 
-def told_nothing(touch: Touch, design: SensorDesign, s: BodySettings) -> FeltShape | None:
+def told_nothing(touch: Touch, s: BodySettings) -> FeltShape | None:
     """An unknown shape where an image tells nothing of one; None where it does.
 
     Args:
         touch: The image's.
-        design: The sensor.
         s: Settings.
 
     Returns:
         The shape, or None.
     """
-    if design.frame.outline is not None:  # the film that stands for the sheet has none
-        text = f"frame.shape {str(design.frame.shape)!r}: shapes are told on rectangles only"
-        return _unknown(Status(StatusCode.NO_SHAPE, text))
     if touch.status != OK or touch.contact is None or touch.markers is None:
         return _unknown(Status(StatusCode.TOO_LITTLE_SEEN, f"no touch: {touch.status}"))
     if not touch.touching or touch.force_normal < s.force_least:

@@ -10,6 +10,7 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
 from mjtactile.film import Film, FilmState, Obstacle
+from mjtactile.film.places import carried
 from mjtactile.film.state import AREA, FOUND, PRESSURE, STATUS, FilmBatch
 from mjtactile.sensing.force.rest import InverseRest
 
@@ -49,6 +50,9 @@ class Forward:
         x, y = np.meshgrid(self.film.x, self.film.y, indexing="ij")
         self.nodes: tuple[Array, Array] = (x, y)
         material = design.markers.p_SM
+        self._by_node: Array | None = None
+        if design.frame.outline is not None:
+            self._by_node = carried(self.film, material[:, :2])
         from scipy.interpolate import make_interp_spline  # a fifth of a command's imports
 
         self._across, self._along = (
@@ -74,6 +78,8 @@ class Forward:
 
     def heights(self, x: Array) -> Array:
         """Heights (n, N) m of the markers, of films with nodes displaced by `x` (n, 3, nx, ny)."""
+        if self._by_node is not None:
+            return x[:, 2].reshape(len(x), -1) @ self._by_node.T
         rows = self._across @ x[:, 2]
         return (rows * self._along).sum(axis=2)
 

@@ -1,0 +1,70 @@
+"""What touches a sensor whose frame is no rectangle: bodies pressed into a film on a grid that is no
+multiple of the finder's, with the camera's noise."""
+
+import numpy as np
+import pytest
+
+from mjtactile import Chain, Film, load_sensor
+from mjtactile.film.places import carried
+from mjtactile.types import Markers
+
+NOISE = np.array([3.4e-6, 3.4e-6, 19e-6])  # m: `dense`, one image
+
+
+class Round:
+    """The chain of a sensor, its finder, and a film of half a millimetre that is pressed."""
+
+    def __init__(self, name):
+        design = load_sensor(name)
+        self.flat = design.markers.p_SM
+        self.chain = Chain(design)
+        sides = (design.frame.length, design.frame.width)
+        self.film = Film(design, tuple(2 * round(side / 1e-3) + 1 for side in sides))
+        self.carried = carried(self.film, self.flat[:, :2])
+        rest = self.seen(self.film.rest.x)
+        self.state = self.chain.set_rest(self.chain.begin(), rest, self.film.pressure_gauge)
+        self.finder = self.chain.shape_finder(self.state)
+        self.top = float(self.film.rest.heights.max())
+
+    def seen(self, x, rng=None):
+        places = self.flat + self.carried @ x.reshape(3, -1).T
+        count = len(places)
+        noise = 0.0 if rng is None else NOISE * rng.standard_normal((count, 3))
+        up = np.tile([0.0, 0, 1], (count, 1))
+        return Markers(
+            np.arange(count), places + noise, up, np.tile(np.diag(NOISE**2), (count, 1, 1))
+        )
+
+    def shape(self, body, seed):
+        state = self.film.solve(body)
+        markers = self.seen(state.x, np.random.default_rng(seed))
+        touch = self.chain.feel(self.state, markers, self.chain.fitter.fit(markers), 0.0)[0]
+        return state, self.chain.find_shape(self.state, [touch], self.finder)
+
+
+@pytest.fixture(scope="module", params=["round30", "ellipse"])
+def sensor(request):
+    return Round(request.param)
+
+
+@pytest.mark.parametrize(("radius", "at"), [(9e-3, (-2e-3, 3e-3)), (14e-3, (4e-3, -2e-3))])
+def test_a_ball_is_a_ball_of_its_radius(sensor, radius, at):
+    ball = sensor.film.obstacle("sphere", (radius,), (*at, sensor.top - 2e-3 + radius))
+    state, shape = sensor.shape(ball, 7)
+    assert shape.kind == "smooth"
+    assert abs(shape.radius - radius) < 2.5 * shape.radius_sd
+    assert shape.radius == pytest.approx(radius, rel=0.15)  # one image, as on `dense`
+    # what slides bears 2.4 % less than what is told, which is fitted to sheets that stick
+    assert shape.force_normal == pytest.approx(state.force_normal, rel=0.1)
+
+
+def test_a_face_is_a_face_and_a_lying_rod_goes_on_to_the_rim(sensor):
+    face = sensor.film.obstacle("cylinder", (4e-3, 6e-3), (2e-3, -1e-3, sensor.top + 4.5e-3))
+    assert sensor.shape(face, 8)[1].kind == "face"
+    lying = [[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]  # along y
+    at = (1e-3, 0, sensor.top + 8.2e-3)
+    rod = sensor.film.obstacle("capsule", (10e-3, 12e-3), at, lying)
+    found = sensor.shape(rod, 9)[1]
+    assert found.kind == "smooth"
+    across = max(found.curvatures)
+    assert across == pytest.approx(100.0, rel=0.15)  # 1/m
