@@ -6,9 +6,10 @@ import pytest
 from mjtactile.core.scenario import Scenario
 from mjtactile.recording.observer import Observer
 from mjtactile.run.grasp import run_grasp
+from tests.emulated_host import controller_text
 
 TROUBLES = """[camera]
-from_s = 4.0
+from_s = 3.2
 knock_px = [2, 2]
 turn_deg = 0.3
 zoom_percent = 0.4
@@ -30,14 +31,17 @@ class Errors(Observer):
             self.statuses.add(str(touch.status))
 
 
-@pytest.mark.slow(15)
+@pytest.mark.slow(9)
 @pytest.mark.parametrize("sensor", ["dense", "dense_fiducials"])
 def test_a_grasp_goes_on_when_both_cameras_are_knocked(tmp_path, sensor):
-    """At 4 s the fingers have just touched. Truth within five of the bars that are said, always."""
+    """At 3.2 s the fingers have just touched. Truth within five of the bars that are said, always."""
     path = tmp_path / "knocked.toml"
     path.write_text(TROUBLES)
+    quick = tmp_path / "quick.py"
+    quick.write_text(controller_text(hold=0.5))
+    scenario = Scenario(object="egg", sensor=sensor, controller=str(quick), seed=6, vary=str(path))
     errors = Errors()
-    result = run_grasp(Scenario(object="egg", sensor=sensor, seed=6, vary=str(path)), [errors])
+    result = run_grasp(scenario, [errors])
     assert result.outcome == "held" and errors.statuses == {"ok"}
     assert max(abs(off) for off in errors.off) < 5
     # N; a clean grasp's is 0.008 off

@@ -156,7 +156,8 @@ def test_creep_is_given_to_the_simulated_sheet():
 def test_a_leak_is_named(tmp_path):
     dense = load_sensor("dense")
     gas = replace(dense.chamber, leak_conductance=0.03 * ML_S_KPA)
-    shadow, _ = shadow_of(staged(tmp_path, replace(dense, chamber=gas)))
+    causes = ("leak", "gauge", "stiffness", "creep")
+    shadow, _ = shadow_of(staged(tmp_path, replace(dense, chamber=gas)), causes=causes)
     assert named(shadow).cause.name == "leak" and not shadow.alike
     assert named(shadow).amounts[0] == pytest.approx(0.03 * ML_S_KPA, rel=0.15)
 
