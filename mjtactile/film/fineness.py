@@ -26,7 +26,7 @@ _SHARES = ((8.0, 0.03), (4.0, 0.06), (3.0, 0.07), (2.0, 0.14), (0.0, 0.25))
 # The same of contacts by the number of nodes that touch, on any grid.
 _FEW = ((8, 0.0), (5, 0.04), (3, 0.08), (2, 0.14), (0, 0.3))
 # Of an area, by the contact's width in nodes: of faces, and of what is round.
-_FACES = ((2.5, 0.1), (1.6, 0.2), (1.2, 0.3), (0.0, 0.8))
+_FACES = ((2.5, 0.15), (1.6, 0.2), (1.2, 0.3), (0.0, 0.8))
 _ROUND = ((2.6, 0.12), (2.1, 0.5))
 _FLAT = 1e-5  # m, of corners that are as low
 _UPRIGHT = 0.9998  # cosine; half a millimetre over 25
