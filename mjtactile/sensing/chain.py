@@ -287,7 +287,10 @@ class Chain:
         """
         rubber = rubber_between(before, after)
         found = finder.follow(touch, before.press, self._rest_markers(after), rubber)
-        return after_shape(touch, found, after, self.settings.slip)
+        sharpness = np.zeros(6)
+        if after.shape is not None and touch.traction is not None:
+            sharpness = self.inverse.sharpness(after.shape)
+        return after_shape(touch, found, after, sharpness, self.settings.slip)
 
     def _rest_markers(self, state: ChainState) -> Array:
         """Where they stand at rest, (N, 3) m in S."""

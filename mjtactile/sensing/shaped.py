@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from mjtactile.core.types import Contact, FeltShape, Touch
+import numpy as np
+
+from mjtactile.core.types import Array, Contact, FeltShape, Touch
 from mjtactile.sensing.body.finder import Found
 from mjtactile.sensing.body.fuse import Borne, with_load
 from mjtactile.sensing.body.motion import RubberMotion, rubber_step
@@ -33,13 +35,16 @@ def finder_gauge(reference: Reference) -> float:
     return first * _GAUGE_STEP ** round(math.log(max(now, 1.0) / first) / math.log(_GAUGE_STEP))
 
 
-def with_shape(touch: Touch, shape: FeltShape, load: Borne | None = None) -> Touch:
+def with_shape(
+    touch: Touch, shape: FeltShape, load: Borne | None = None, sharpness: Array | None = None
+) -> Touch:
     """A touch that knows what body it is of.
 
     Args:
         touch: As the nodal estimate has it.
         shape: What was found of it.
         load: What that body bears; None: the force stays the nodal estimate's.
+        sharpness: (6,) As `with_load` has it; None: nothing.
 
     Returns:
         The touch with `shape`; where one is known, area and outline are the body's and
@@ -48,14 +53,15 @@ def with_shape(touch: Touch, shape: FeltShape, load: Borne | None = None) -> Tou
     contact = touch.contact
     if contact is None or shape.kind == "unknown":
         return replace(touch, shape=shape)
-    felt = touch if load is None else with_load(touch, load)
+    sharp = np.zeros(6) if sharpness is None else sharpness
+    felt = touch if load is None else with_load(touch, load, sharp)
     by_body = replace(contact, area=shape.area, outline=shape.outline, area_from=shape.family)
     patches = (by_body,) if len(touch.patches) == 1 else _patches_of(touch.patches, shape.parts)
     return replace(felt, shape=shape, contact=by_body, patches=patches)
 
 
 def after_shape(
-    touch: Touch, found: Found, after: ChainState, settings: SlipSettings
+    touch: Touch, found: Found, after: ChainState, sharpness: Array, settings: SlipSettings
 ) -> tuple[Touch, ChainState]:
     """A touch with the body that was `found`, by whose motion its slip is judged.
 
@@ -63,12 +69,13 @@ def after_shape(
         touch: As the nodal estimate has it.
         found: The body, and what the press has told of it so far.
         after: The state after the image.
+        sharpness: (6,) As `with_load` has it.
         settings: Of slip.
 
     Returns:
         The touch, and the state that remembers the press.
     """
-    felt = with_shape(touch, found.shape, found.load)
+    felt = with_shape(touch, found.shape, found.load, sharpness)
     after = replace(after, press=found.press)
     if felt.slip is None:
         return felt, after

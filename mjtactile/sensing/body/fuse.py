@@ -27,11 +27,13 @@ _BELOW = 1e-4  # m: what is so much lower than the frame, counts
 class Borne:
     """What a body that was found takes to be so deep in the sheet: normal force, N, and torques
     about x and y of where it presses, N m, `load` (3,) with covariance `cov`; they are the numbers
-    `rows` (3, 6) of a wrench."""
+    `rows` (3, 6) of a wrench. It has `explained` so much of what is sharp in the markers, a share
+    of the variance."""
 
     load: Array
     cov: Array
     rows: Array
+    explained: float
 
 
 def borne(forward: Forward, press: Press, wrench: Array, noise: float, s: BodySettings) -> Borne:
@@ -68,7 +70,9 @@ def borne(forward: Forward, press: Press, wrench: Array, noise: float, s: BodySe
     by_numbers = more**2 * rows @ found.sums_cov_with(noise)[:6, :6] @ rows.T
     off = load - rows @ wrench
     doubt = 1 - float(press.probabilities[0])
-    return Borne(load, model + by_numbers + doubt * np.outer(off, off), rows)
+    left = (max(found.misfit, 1.0) / s.misfit_most) ** 2
+    cov = model + by_numbers + doubt * np.outer(off, off)
+    return Borne(load, cov, rows, max(1 - left, 0.0))
 
 
 def _pointed(found: Fit, noise: float, s: BodySettings) -> float:
@@ -123,12 +127,14 @@ def _model(
     return cov
 
 
-def with_load(touch: Touch, known: Borne) -> Touch:
+def with_load(touch: Touch, known: Borne, sharpness: Array) -> Touch:
     """A touch whose wrench takes up what a body bears.
 
     Args:
         touch: As the nodal estimate has it.
         known: Of the body.
+        sharpness: (6,) The part of its wrench's variance that is there since the nodal estimate
+            does not follow what is sharp: as far as the body explains that, it is none.
 
     Returns:
         The touch with one wrench and one covariance of both.
@@ -136,7 +142,7 @@ def with_load(touch: Touch, known: Borne) -> Touch:
     traction = touch.traction
     if traction is None:
         return touch
-    P = traction.wrench_cov
+    P = traction.wrench_cov - known.explained * np.diag(sharpness)
     H = known.rows
     gain = np.linalg.solve(H @ P @ H.T + known.cov, H @ P).T
     wrench = traction.wrench + gain @ (known.load - H @ traction.wrench)

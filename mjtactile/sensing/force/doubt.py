@@ -20,6 +20,7 @@ from mjtactile.sensing.settings import DEFAULTS, DoubtSettings
 
 # Fx, Fy are shear, then the normal force, the torques that tilt, the one that spins
 AXES = np.array([0, 0, 1, 2, 2, 3])
+_SHARP = slice(2, 4)  # of the shares: `sharp` and `caught`
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,13 +63,11 @@ class Doubt:
         """Of force, N^2, and torque, (N m)^2, about the origin of S, (6,)."""
         size = float(np.linalg.norm(felt.force.sum(axis=1)))
         sums = np.abs(felt.force)
-        excess = min(felt.excess, self._sharp_most)
         loads = np.array(
             [
                 [size * self._sparse],
                 [float(sums[:2].sum())],
-                [size * excess],
-                [float(sums[:2].sum()) * math.sqrt(max(excess - 1, 0.0))],
+                *self._sharp_loads(felt.force, felt.excess),
                 [float((sums @ self._outside).sum())],
                 [_burst(float(np.linalg.norm(felt.change[:3])), size)],
             ]
@@ -80,6 +79,25 @@ class Doubt:
         variance[2] += (self._change[2] * self._area * felt.air_moved) ** 2
         variance[:2] += (self._resistance * felt.velocity[:2]) ** 2
         return self._unit**2 * variance
+
+    def of_sharpness(self, force: Array, excess: float) -> Array:
+        """The part of `variance` that is there since the splines do not follow what is sharp.
+
+        Args:
+            force: (3, J) N of the nodes.
+            excess: As `ShapeEvidence` has it.
+
+        Returns:
+            Of force, N^2, and torque, (N m)^2, about the origin of S, (6,).
+        """
+        loads = np.array(self._sharp_loads(force, excess))
+        return self._unit**2 * np.square(self._shares[_SHARP] * loads).sum(axis=0)
+
+    def _sharp_loads(self, force: Array, excess: float) -> list[list[float]]:
+        excess = min(excess, self._sharp_most)
+        size = float(np.linalg.norm(force.sum(axis=1)))
+        caught = math.sqrt(max(excess - 1, 0.0))
+        return [[size * excess], [float(np.abs(force[:2]).sum()) * caught]]
 
 
 def _outside(layout: MarkerLayout, nodes: Array) -> Array:

@@ -334,6 +334,12 @@ class InverseMembrane(LoadedSheet):
         cov[np.diag_indices(6)] += self._doubt.variance(felt)
         return Traction(self.x, self.y, nodal, wrench, cov, shape.pressure_gauge, method="inverse")
 
+    def sharpness(self, shape: Shape) -> Array:
+        """The part of the wrench's variance, (6,), that is there since the sheet's splines do not
+        follow what is sharp."""
+        force = shape.traction * self.node_area
+        return self._doubt.of_sharpness(force, float(shape.excess[0].mean()))
+
     def _posterior(self, shape: Shape, positions: Array) -> Array:
         """Posterior covariance (6, 6) of the wrench of tractions on nodes at `positions` (J, 3) m:
         what the prior leaves open between markers, and their noise."""

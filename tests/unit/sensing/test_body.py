@@ -226,6 +226,26 @@ def test_the_force_takes_up_what_the_body_bears(sensor, cases):
     assert np.mean(chi2) < 2.5  # of four: beyond it once in twenty-five
 
 
+def test_what_is_sharp_is_no_doubt_where_a_body_explains_it(sensor, cases):
+    """Shear, of which the film says nothing: its variance is what is left of the nodal one's."""
+    touch = touch_of(sensor, layout_places(cases[2]))
+    found = follow(sensor, [touch])[0]
+    before = touch.traction.wrench_cov
+    sharpness = 0.5 * np.diag(before)
+
+    def felt(misfit):
+        left = (max(misfit, 1.0) / DEFAULTS.body.misfit_most) ** 2
+        load = replace(found.load, explained=1 - left)
+        return with_shape(touch, found.shape, load, sharpness).traction.wrench_cov
+
+    assert found.load.explained == pytest.approx(
+        1 - (max(found.shape.misfit, 1.0) / DEFAULTS.body.misfit_most) ** 2
+    )
+    # of which normal force and tilt tell the shear nothing, to a hundredth
+    assert felt(1.0)[0, 0] / before[0, 0] == pytest.approx(1 - 0.5 * (1 - 1 / 36), abs=0.01)
+    assert felt(6.0)[0, 0] / before[0, 0] == pytest.approx(1.0, abs=0.01)
+
+
 def test_what_presses_the_sheet_below_its_frame_beside_it_is_in_doubt(sensor):
     """Only there: not in the middle of the sensor, nor where a body stays above the frame."""
     films = sensor[2].films.fine
