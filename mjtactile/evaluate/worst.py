@@ -4,6 +4,7 @@ same grasp, and recorded."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -26,27 +27,35 @@ def worst(lines: Sequence[Line], count: int) -> list[Line]:
     the others."""
     chosen: list[Line] = []
     for rank in (2, 1, 0):
+        own = [line for line in lines if _RANKS[line["outcome"]] == rank]
+        own.sort(key=_badness, reverse=True)
         kinds: dict[tuple[str, ...], list[Line]] = {}
-        for line in sorted(
-            (line for line in lines if _RANKS[line["outcome"]] == rank), key=_badness, reverse=True
-        ):
-            kinds.setdefault((line["controller"], line["object"], line["outcome"]), []).append(line)
-        chosen += _in_turn(
-            list(kinds.values()) if rank else [[line for kind in kinds.values() for line in kind]]
-        )
-    return sorted(
-        chosen[:count], key=lambda line: (_RANKS[line["outcome"]], _badness(line)), reverse=True
-    )
+        for line in own:
+            kind = (line["controller"], line["object"], line["outcome"])
+            kinds.setdefault(kind, []).append(line)
+        if rank:
+            chosen += _in_turn(list(kinds.values()))
+        else:
+            chosen += chain.from_iterable(kinds.values())
+    return sorted(chosen[:count], key=_rank_and_badness, reverse=True)
+
+
+def _rank_and_badness(line: Line) -> tuple[int, float]:
+    return _RANKS[line["outcome"]], _badness(line)
 
 
 def _in_turn(kinds: Sequence[Sequence[Line]]) -> Iterator[Line]:
+    """The first of each kind, then the second of each, and so on."""
     for k in range(max(map(len, kinds), default=0)):
         yield from (kind[k] for kind in kinds if k < len(kind))
 
 
 def _badness(line: Line) -> float:
+    """How near it came to a failure: 1 is broken, or slipped far."""
     found = measures(line)
-    return max(found["peak_share_of_breaking"] or 0.0, (found["slip_mm"] or 0.0) / _SLIP)
+    squeezed = found["peak_share_of_breaking"] or 0.0
+    slipped = (found["slip_mm"] or 0.0) / _SLIP
+    return max(squeezed, slipped)
 
 
 def draw(episode: Episode, folder: Path) -> Path | None:

@@ -133,28 +133,27 @@ def _ring(file: _File, contour: Contour, z: float) -> list[int]:
     for start, end, centre in contour.edges():
         a = np.append(start, z)
         b = np.append(end, z)
-        edges.append(
-            file.line(a, b) if centre is None else file.arc(a, b, np.append(centre, z), _Z, _X)
-        )
+        if centre is None:
+            edges.append(file.line(a, b))
+        else:
+            edges.append(file.arc(a, b, np.append(centre, z), _Z, _X))
     return edges
 
 
 def _sides(file: _File, part: Part) -> Iterable[int]:
+    """Faces of the walls: a plane or a part of a cylinder for each edge of a contour."""
     for contour, outer, low, high in _spans(part):
         bottom = _ring(file, contour, low)
         top = _ring(file, contour, high)
-        for k, (start, end, centre) in enumerate(contour.edges()):
-            p = start
-            q = end
-            rise_p, rise_q = (file.line(np.append(e, low), np.append(e, high)) for e in (p, q))
+        for k, (p, q, centre) in enumerate(contour.edges()):
+            rise_p = file.line(np.append(p, low), np.append(p, high))
+            rise_q = file.line(np.append(q, low), np.append(q, high))
             loop = [(bottom[k], True), (rise_q, True), (top[k], False), (rise_p, False)]
-            loop = loop if outer else [(edge, not forward) for edge, forward in reversed(loop)]
+            if not outer:
+                loop = [(edge, not forward) for edge, forward in reversed(loop)]
             if centre is not None:
-                yield file.face(
-                    file.cylinder(np.append(centre, low), _Z, _X, contour.r),
-                    [loop],
-                    same_sense=outer,
-                )
+                round_wall = file.cylinder(np.append(centre, low), _Z, _X, contour.r)
+                yield file.face(round_wall, [loop], same_sense=outer)
                 continue
             along = np.append(q - p, 0) / np.linalg.norm(q - p)
             normal = np.cross(along, _Z) * (1 if outer else -1)
@@ -180,10 +179,10 @@ def _levels(file: _File, part: Part) -> Iterable[int]:
         z = over.low if over is not None else part.high
         for solid, free, up in ((under, over, True), (over, under, False)):
             for outer, holes in _differences(solid, free):
-                loops = [_level_loop(file, outer, z, forward=up)] + [
-                    _level_loop(file, hole, z, forward=not up) for hole in holes
-                ]
-                yield file.face(file.plane(np.array([0, 0, z]), _Z if up else -_Z, _X), loops)
+                loops = [_level_loop(file, outer, z, forward=up)]
+                loops += [_level_loop(file, hole, z, forward=not up) for hole in holes]
+                normal = _Z if up else -_Z
+                yield file.face(file.plane(np.array([0, 0, z]), normal, _X), loops)
 
 
 def _level_loop(file: _File, contour: Contour, z: float, *, forward: bool) -> Loop:
@@ -211,7 +210,8 @@ def _differences(solid: Layer | None, free: Layer | None) -> list[tuple[Contour,
     sides = {contour: (covered(contour, _NUDGE), covered(contour, -_NUDGE)) for contour in bounds}
     outers = [contour for contour, (inside, outside) in sides.items() if inside and not outside]
     faces: dict[Contour, list[Contour]] = {outer: [] for outer in outers}
-    for hole in (contour for contour, (inside, outside) in sides.items() if outside and not inside):
+    holes = [contour for contour, (inside, outside) in sides.items() if outside and not inside]
+    for hole in holes:
         around = [outer for outer in outers if outer.distance(*hole.east) < 0]
         faces[min(around, key=lambda outer: outer.area)].append(hole)
     return list(faces.items())
@@ -228,12 +228,18 @@ def _mouths(
     outer: bool,
 ) -> list[Loop]:
     """The bound that a bore makes in a face on the +x side of a contour, if it ends there."""
-    if bore is None or contour != (bore.outer if outer else bore.inner) or not low < bore.z < high:
+    if bore is None or not low < bore.z < high:
         return []
-    if normal[0] * (1 if outer else -1) < 0.5:
+    if contour != (bore.outer if outer else bore.inner):
         return []
-    first, second = _bore_ring(file, bore, bore.ends[1 if outer else 0])
-    return [[(second, False), (first, False)] if outer else [(first, True), (second, True)]]
+    towards_x = normal[0] if outer else -normal[0]
+    if towards_x < 0.5:
+        return []
+    start, end = bore.ends
+    first, second = _bore_ring(file, bore, end if outer else start)
+    if outer:
+        return [[(second, False), (first, False)]]
+    return [[(first, True), (second, True)]]
 
 
 def _bore_points(bore: Bore, x: float) -> tuple[Array, Array, Array]:
@@ -248,22 +254,19 @@ def _bore_ring(file: _File, bore: Bore, x: float) -> list[int]:
 
 
 def _bore_faces(file: _File, bore: Bore) -> list[int]:
+    """The bore's wall, in two halves that meet in its seams."""
     start, end = bore.ends
     near = _bore_ring(file, bore, start)
     far = _bore_ring(file, bore, end)
-    seams = [
-        file.line(a, b)
-        for a, b in zip(_bore_points(bore, start)[1:], _bore_points(bore, end)[1:], strict=True)
-    ]
+    _, *begins = _bore_points(bore, start)
+    _, *ends = _bore_points(bore, end)
+    seams = [file.line(a, b) for a, b in zip(begins, ends, strict=True)]
     surface = file.cylinder(np.array([start, bore.y, bore.z]), _X, _Y, bore.radius)
-    return [
-        file.face(
-            surface,
-            [[(far[k], True), (seams[1 - k], False), (near[k], False), (seams[k], True)]],
-            same_sense=False,
-        )
-        for k in (0, 1)
-    ]
+    faces = []
+    for k in (0, 1):  # each half
+        loop = [(far[k], True), (seams[1 - k], False), (near[k], False), (seams[k], True)]
+        faces.append(file.face(surface, [loop], same_sense=False))
+    return faces
 
 
 def _product(file: _File, name: str, solid: int) -> None:

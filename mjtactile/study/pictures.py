@@ -46,12 +46,12 @@ def draw_face(figure: Any, given: Mapping[str, Any]) -> None:
         values = np.array([one[key] for one in places], float).reshape(len(y), len(x))
         drawn = axes.pcolormesh(x, y, values, shading="nearest", cmap="viridis_r", vmin=0)
         dark = 0.55 * np.nanmax(values, initial=0.0)
-        for row, values_there in zip(y, values, strict=True):
-            for column, value in zip(x, values_there, strict=True):
-                colour = "w" if value > dark else "k"
-                axes.text(
-                    column, row, number(value), ha="center", va="center", fontsize=7, color=colour
-                )
+        for row, column in np.ndindex(values.shape):
+            value = float(values[row, column])
+            colour = "w" if value > dark else "k"
+            axes.text(
+                x[column], y[row], number(value), ha="center", va="center", fontsize=7, color=colour
+            )
         axes.set(title=f"{words}, {unit}", xlabel="x, mm", aspect="equal")
         figure.colorbar(drawn, ax=axes, shrink=0.6)
     figure.axes[0].set_ylabel("y, mm")
@@ -71,12 +71,8 @@ def page(given: Mapping[str, Any], picture: bytes | None) -> str:
     title = f"What the sensor {given['sensor']} reaches"
     body = [f"<h1>{title}</h1>", f"<p>Where {given['force_N']:g} N press, predicted.</p>"]
     own = given["reaches"]
-    body.append(
-        html.table(
-            ("", "reached"),
-            [(words, f"{number(own[key])} {unit}") for key, (words, unit) in WORDS.items()],
-        )
-    )
+    reached = [(words, f"{number(own[key])} {unit}") for key, (words, unit) in WORDS.items()]
+    body.append(html.table(("", "reached"), reached))
     if picture is not None:
         body.append(f'<img alt="maps of the face" src="{html.data_uri("image/png", picture)}">')
     body.append(f"<p>{picture_words(given['picture'])}</p>")
@@ -117,13 +113,12 @@ def change_rows(given: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 def picture_words(picture: Mapping[str, float]) -> str:
     """How the camera's picture is used, in a sentence."""
-    width, height = (100 * (1 - picture[key]) for key in ("width_used", "height_used"))
-    lens = picture["longest_lens"]
-    room = (
-        f"a lens {100 * (lens - 1):.0f} % longer would still see every marker, flat and inflated"
-        if lens > 1.01
-        else "a longer lens would lose markers"
-    )
+    width = 100 * (1 - picture["width_used"])
+    height = 100 * (1 - picture["height_used"])
+    longer = 100 * (picture["longest_lens"] - 1)
+    room = "a longer lens would lose markers"
+    if picture["longest_lens"] > 1.01:
+        room = f"a lens {longer:.0f} % longer would still see every marker, flat and inflated"
     return (
         f"{width:.0f} % of the picture's width and {height:.0f} % of its height lie beside the "
         f"membrane; {room}."
@@ -139,14 +134,9 @@ def draw_front(figure: Any, swept: Mapping[str, Any]) -> None:
     """
     axes = figure.subplots()
     tried = [one for one in swept["tried"] if np.isfinite(one["reaches"]["edge_sd_mm"])]
-    x, y, markers = (
-        np.array([value(one) for one in tried], float)
-        for value in (
-            lambda one: one["reaches"]["force_sd_mN"],
-            lambda one: one["reaches"]["edge_sd_mm"],
-            lambda one: one["rows"] * one["columns"],
-        )
-    )
+    x = np.array([one["reaches"]["force_sd_mN"] for one in tried], float)
+    y = np.array([one["reaches"]["edge_sd_mm"] for one in tried], float)
+    markers = np.array([one["rows"] * one["columns"] for one in tried], float)
     meets = np.array([one["meets"] for one in tried], bool)
     for those, marker, label in ((meets, "o", "meets all"), (~meets, "x", "misses a wish")):
         if those.any():
@@ -155,11 +145,8 @@ def draw_front(figure: Any, swept: Mapping[str, Any]) -> None:
                 vmin=0, vmax=markers.max(), cmap="viridis",
             )  # fmt: skip
     figure.colorbar(drawn, ax=axes, label="markers")  # pyright: ignore[reportPossiblyUnboundVariable]
-    front = sorted(
-        (one["reaches"]["force_sd_mN"], one["reaches"]["edge_sd_mm"])
-        for one in tried
-        if one["on_front"]
-    )
+    on_front = np.array([one["on_front"] for one in tried], bool)
+    front = sorted(zip(x[on_front], y[on_front], strict=True))
     axes.plot(*zip(*front, strict=True), "k-", lw=1, label="none is better in all")
     begun = swept["begun_from"]["reaches"]
     axes.plot(begun["force_sd_mN"], begun["edge_sd_mm"], "r*", ms=14, label=swept["sensor"])

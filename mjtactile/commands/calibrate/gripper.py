@@ -13,6 +13,10 @@ from mjtactile.commands import arguments as arg
 from mjtactile.commands.calibrate.terminal import ask, check_folder, confirm, finish, say
 from mjtactile.commands.output import stdout_to_stderr
 
+Instrument = Callable[[str], float | None]
+"""What is read off, asked with some words; None: nothing more."""
+_OPENING_PARTS = (0.6, 0.9)  # of the gripper's range
+_FORCE_PARTS = (0.3, 0.5, 0.7, 0.85, 1.0)  # of the largest force
 HELP = "jaw zero, scale, backlash and current to force, against a caliper and a load cell"
 DESCRIPTION = """\
 Openings: the jaws go to several openings, each from both sides; you measure the gap between the
@@ -86,22 +90,22 @@ def run(options: argparse.Namespace) -> int:
         openings, forces = _read(options) if recorded else _live(options)
     opening = calibrate_opening(*openings) if openings is not None else None
     force = calibrate_force(*forces) if forces is not None else None
-    reasons = [
-        f"{name}: {text}"
-        for name, fit in (("opening", opening), ("force", force))
-        if fit
-        for text in fit.reasons
-    ]
+    reasons = []
+    if opening is not None:
+        reasons += [f"opening: {text}" for text in opening.reasons]
+    if force is not None:
+        reasons += [f"force: {text}" for text in force.reasons]
     result: dict[str, Any] = stamp("gripper", reasons) | report(rig_file, opening, force)
-    return finish(
-        options, write(out, result), result, _lines(opening, force, result["servo"], bool(reasons))
-    )
+    lines = _lines(opening, force, result["servo"], bool(reasons))
+    return finish(options, write(out, result), result, lines)
 
 
 def _read(options: argparse.Namespace) -> tuple[Any, Any]:
+    """Openings and forces from the files that were given; None: no such file."""
     from mjtactile.calibrate.verdict import read_columns
 
-    openings = forces = None
+    openings = None
+    forces = None
     if options.openings is not None:
         table = read_columns(
             options.openings, ("reported_mm", "measured_mm"), ("direction",), fewest=4
@@ -114,6 +118,7 @@ def _read(options: argparse.Namespace) -> tuple[Any, Any]:
 
 
 def _live(options: argparse.Namespace) -> tuple[Any, Any]:
+    """Openings and forces measured on the rig, after what was asked for was checked."""
     from mjtactile import load_sensor
     from mjtactile.calibrate.connect import live_gripper, live_rig
     from mjtactile.calibrate.live import measure_forces, measure_openings
@@ -123,26 +128,10 @@ def _live(options: argparse.Namespace) -> tuple[Any, Any]:
             live_rig(options.rig, load_sensor("dense"), object_name=options.object)
         )
         config = rig_file.gripper
-        low, high = (
-            config.opening[0] + part * (config.opening[1] - config.opening[0])
-            for part in (0.6, 0.9)
-        )
-        if options.range:
-            low, high = (1e-3 * value for value in options.range)
-        if not config.opening[0] <= low < high - 5e-3 <= config.opening[1]:
-            raise InputError(
-                f"{1e3 * low:g} to {1e3 * high:g} mm must be 5 mm apart and within the "
-                "gripper's range",
-                field="--opening-mm",
-            )
-        most = 0.5 * config.force_max if options.force is None else options.force
-        if not 0 < most <= config.force_max:
-            raise InputError(
-                f"{most:g} N is outside 0 to {config.force_max:g} N, the rig file's force_max_N",
-                field="--force-N",
-            )
+        low, high = _range(options, config)
+        most = _force_most(options, config)
         gripper = stack.enter_context(live_gripper(rig_file))
-        caliper, load_cell = (ask, ask) if emulator is None else _instruments(emulator)
+        caliper, load_cell = _instruments(emulator)
         say(
             "the jaws move now; keep fingers out, and nothing between them. Ctrl-C stops and "
             "switches the torque off."
@@ -154,17 +143,46 @@ def _live(options: argparse.Namespace) -> tuple[Any, Any]:
             return openings, None
         if emulator is None:
             confirm("now put the load cell between the jaws")
-        return openings, measure_forces(
-            gripper, [most * part for part in (0.3, 0.5, 0.7, 0.85, 1.0)], load_cell, say
+        limits = [most * part for part in _FORCE_PARTS]
+        return openings, measure_forces(gripper, limits, load_cell, say)
+
+
+def _range(options: argparse.Namespace, config: Any) -> tuple[float, float]:
+    """Lowest and highest opening, m, to move to. Raises InputError where they are too near, or
+    beyond the gripper's."""
+    least, most = config.opening
+    low, high = (least + part * (most - least) for part in _OPENING_PARTS)
+    if options.range:
+        low, high = (1e-3 * value for value in options.range)
+    if not least <= low < high - 5e-3 <= most:
+        raise InputError(
+            f"{1e3 * low:g} to {1e3 * high:g} mm must be 5 mm apart and within the gripper's range",
+            field="--opening-mm",
         )
+    return low, high
 
 
-def _instruments(emulator) -> tuple[Callable[[str], float | None], Callable[[str], float | None]]:
-    """Caliper and load cell of the emulated world."""
+def _force_most(options: argparse.Namespace, config: Any) -> float:
+    """The largest force, N, to squeeze with. Raises InputError for one that the rig does not
+    allow."""
+    most = 0.5 * config.force_max if options.force is None else options.force
+    if not 0 < most <= config.force_max:
+        raise InputError(
+            f"{most:g} N is outside 0 to {config.force_max:g} N, the rig file's force_max_N",
+            field="--force-N",
+        )
+    return most
+
+
+def _instruments(emulator: Any) -> tuple[Instrument, Instrument]:
+    """Caliper, mm, and load cell, N: a person reads them, or they are the emulated world's."""
+    if emulator is None:
+        return ask, ask
     return lambda _: 1e3 * emulator.truth()["opening"], lambda _: emulator.truth()["grip_force"]
 
 
 def _lines(opening: Any, force: Any, servos: list[dict[str, Any]], refused: bool) -> list[str]:
+    """What was found, in words."""
     lines = []
     if opening is not None:
         lines.append(
@@ -179,8 +197,6 @@ def _lines(opening: Any, force: Any, servos: list[dict[str, Any]], refused: bool
     if not refused:
         lines.append("in place of what the rig file says:")
         for servo in servos:
-            lines += [
-                "  [[gripper.servo]]",
-                *(f"  {key} = {value}" for key, value in servo.items()),
-            ]
+            lines.append("  [[gripper.servo]]")
+            lines += [f"  {key} = {value}" for key, value in servo.items()]
     return lines

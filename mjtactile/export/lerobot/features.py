@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,7 @@ _ACTION = (
     ("command_force_limit", "force_limit_N"),
     ("command_lift_height", "lift_height_m"),
 )
+_WRENCH = ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
 
 
 @dataclass(frozen=True)
@@ -54,46 +56,56 @@ class Feature:
 
 def features_of(episode: RecordedEpisode, images: str) -> dict[str, Feature]:
     """The columns that `episode` gives."""
-    wrench = [
-        f"{finger}.{name}"
-        for finger in episode.fingers
-        for name in ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
-    ]
-
-    def state(seen: Perceived) -> Array:
-        return np.concatenate(
-            [
-                [float(seen.row[key]) for key, _ in _STATE],
-                np.ravel(np.array(list(seen.row["wrench"]), float)),
-            ]
-        )
-
+    wrench = [f"{finger}.{name}" for finger, name in product(episode.fingers, _WRENCH)]
     found = {
-        "observation.state": Feature("float32", [name for _, name in _STATE] + wrench, state),
-        "action": Feature(
-            "float32",
-            [name for _, name in _ACTION],
-            lambda seen: np.array([float(seen.row[key]) for key, _ in _ACTION]),
-        ),
+        "observation.state": Feature("float32", [name for _, name in _STATE] + wrench, _state),
+        "action": Feature("float32", [name for _, name in _ACTION], _action),
     }
+    found |= _image_columns(episode, images)
+    if episode.felt_again:
+        found |= _marker_columns(episode)
+    for key in episode.keys:
+        found |= _column(episode, key)
+    return found
+
+
+def _state(seen: Perceived) -> Array:
+    """What the gripper reports, and the wrench on each finger."""
+    reported = [float(seen.row[key]) for key, _ in _STATE]
+    wrenches = np.array(list(seen.row["wrench"]), float)
+    return np.concatenate([reported, np.ravel(wrenches)])
+
+
+def _action(seen: Perceived) -> Array:
+    """What was commanded."""
+    return np.array([float(seen.row[key]) for key, _ in _ACTION])
+
+
+def _image_columns(episode: RecordedEpisode, images: str) -> dict[str, Feature]:
+    """Each camera's images, as large as its first; none where they are left out."""
     kind, channels = IMAGES[images]
-    for k, (finger, image) in enumerate(
-        zip(episode.fingers, _first_images(episode) if kind else (), strict=False)
-    ):
+    if not kind:
+        return {}
+    found = {}
+    for k, (finger, first) in enumerate(zip(episode.fingers, _first_images(episode), strict=False)):
         found[f"observation.images.{finger}"] = Feature(
             kind,
             ["height", "width", "channels"],
             lambda seen, k=k: seen.files[k],
-            (*image.pixels.shape, channels),
+            (*first.pixels.shape, channels),
         )
-    for k, finger in enumerate(episode.fingers if episode.felt_again else ()):
-        count = episode.design.markers.count
-        names = [f"{number}.{axis}_m" for number in range(count) for axis in "xyz"]
+    return found
+
+
+def _marker_columns(episode: RecordedEpisode) -> dict[str, Feature]:
+    """Where each finger's markers are."""
+    count = episode.design.markers.count
+    names = [f"{number}.{axis}_m" for number, axis in product(range(count), "xyz")]
+    found = {}
+    for k, finger in enumerate(episode.fingers):
         found[f"observation.markers.{finger}"] = Feature(
-            "float32", names, lambda seen, k=k, n=count: _markers(seen, k, n)
+            "float32", names, lambda seen, k=k: _markers(seen, k, count)
         )
-    for key in episode.keys:
-        found |= _column(episode, key)
     return found
 
 
@@ -107,22 +119,20 @@ def _column(episode: RecordedEpisode, key: str) -> dict[str, Feature]:
     column = episode.recording.columns[key]
     if key not in LISTS and not np.prod(column.shape[1:]):
         return {}  # of valves, on a rig without
+
+    def numbers(seen: Perceived) -> Array:
+        return np.ravel(np.asarray(seen.row[key], float))
+
     if key not in LISTS and column.dtype != object:
-        return {
-            name: Feature(
-                "float64",
-                part_names(episode, key),
-                lambda seen: np.ravel(np.asarray(seen.row[key], float)),
-            )
-        }
-    if isinstance(column[0], (list, tuple, np.ndarray)):
-        return {
-            f"{name}.{finger}": Feature(
-                "string", [finger], lambda seen, k=k: _text(seen.row[key][k])
-            )
-            for k, finger in enumerate(episode.fingers)
-        }
-    return {name: Feature("string", [key], lambda seen: _text(seen.row[key]))}
+        return {name: Feature("float64", part_names(episode, key), numbers)}
+    if not isinstance(column[0], (list, tuple, np.ndarray)):
+        return {name: Feature("string", [key], lambda seen: _text(seen.row[key]))}
+    found = {}
+    for k, finger in enumerate(episode.fingers):
+        found[f"{name}.{finger}"] = Feature(
+            "string", [finger], lambda seen, k=k: _text(seen.row[key][k])
+        )
+    return found
 
 
 def _text(value: Any) -> str:

@@ -4,6 +4,7 @@ membranes at some moments."""
 from __future__ import annotations
 
 import base64
+import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -77,7 +78,8 @@ def page_data(
 ) -> dict[str, Any]:
     """Everything that the scripts need; `strip` are cycles with their scenes (None: none),
     `snapshot` the one to show first."""
-    moments = strip[:: -(-len(strip) * recording.width // _PICTURES) or 1]
+    every = math.ceil(len(strip) * recording.width / _PICTURES) or 1
+    moments = strip[::every]
     touches = [touch for cycle, _ in moments for touch in cycle.touch]
     low, high = _heights(touches)
     unit = height_unit(low, high)
@@ -86,17 +88,19 @@ def page_data(
     # nearly all of it is in C, which lets go of the interpreter
     with ThreadPoolExecutor(2) as beside:
         shots = list(beside.map(lambda moment: _shot(moment[0], moment[1], unit), moments))
+    phases = [
+        (*phase, PHASE_COLOURS.get(phase[0], "#eeeeee"))
+        for phase in recording.phases()
+        if phase[0] != "done"
+    ]
+    plots = [_plot(one, recording) for one in PLOTS]
     return {
         "fingers": recording.fingers,
         "time": _plain(times, 4),
         "phase": [str(name) for name in recording.columns["phase"]],
-        "phases": [
-            (*phase, PHASE_COLOURS.get(phase[0], "#eeeeee"))
-            for phase in recording.phases()
-            if phase[0] != "done"
-        ],
+        "phases": phases,
         "said": _said(recording),
-        "plots": [plot for one in PLOTS if (plot := _plot(one, recording))["series"]],
+        "plots": [plot for plot in plots if plot["series"]],
         "grids": _grids(moments, recording.width),
         "z_range": (1e3 * low, 1e3 * high),
         "height_unit": unit,
@@ -121,10 +125,9 @@ def height_unit(low: float, high: float) -> float:
 def _heights(touches: Sequence[Touch]) -> tuple[float, float]:
     """The lowest and the highest place of all membranes, m."""
     heights = [touch.surface.z for touch in touches if touch.surface is not None]
-    return (
-        min((float(z.min()) for z in heights), default=0.0),
-        max((float(z.max()) for z in heights), default=1e-3),
-    )
+    low = min((float(z.min()) for z in heights), default=0.0)
+    high = max((float(z.max()) for z in heights), default=1e-3)
+    return low, high
 
 
 def _plot(plot: Plot, recording: Recording) -> dict[str, Any]:
@@ -141,20 +144,16 @@ def _plot(plot: Plot, recording: Recording) -> dict[str, Any]:
             name = plot.label.split(",")[0]
         else:
             name = dict(enumerate(recording.fingers)).get(finger, "")
-        series += _series(
-            name if true is None else f"{name} felt",
-            colour,
-            felt[:, finger],
-            None if sd is None else sd[:, finger],
-        )
-        series += (
-            [] if true is None else _series(f"{name} true", colour, true[:, finger], dash=True)
-        )
+        own_sd = None if sd is None else sd[:, finger]
+        if true is None:
+            series += _series(name, colour, felt[:, finger], own_sd)
+        else:
+            series += _series(f"{name} felt", colour, felt[:, finger], own_sd)
+            series += _series(f"{name} true", colour, true[:, finger], dash=True)
     breaks = recording.notes.get("break_force_N")
+    lines = []
     if plot.sd and isinstance(breaks, (int, float)):
         lines = [(breaks, f"object breaks at {breaks:g} N")]
-    else:
-        lines = []
     return {"label": plot.label, "series": series, "lines": lines}
 
 
@@ -163,15 +162,8 @@ def _series(
 ) -> list[dict[str, Any]]:
     if not np.isfinite(y).any():
         return []
-    return [
-        {
-            "name": name,
-            "colour": colour,
-            "y": _plain(y, 5),
-            "sd": None if sd is None else _plain(sd, 5),
-            "dash": dash,
-        }
-    ]
+    band = None if sd is None else _plain(sd, 5)
+    return [{"name": name, "colour": colour, "y": _plain(y, 5), "sd": band, "dash": dash}]
 
 
 def _plain(values: Array, digits: int) -> list[float | None]:
@@ -180,11 +172,13 @@ def _plain(values: Array, digits: int) -> list[float | None]:
 
 def _said(recording: Recording) -> list[list[str]]:
     """What each finger said of the touch in each cycle: its slip, or why it cannot say."""
-    slips = recording.columns.get("slip_state", recording.columns["status"])
-    return [
-        [str(slip if status == "ok" else status) for slip, status in zip(*both, strict=True)]
-        for both in zip(slips, recording.columns["status"], strict=True)
-    ]
+    statuses = recording.columns["status"]
+    slips = recording.columns.get("slip_state", statuses)
+    said = []
+    for slip, status in zip(slips, statuses, strict=True):
+        pairs = zip(slip, status, strict=True)  # finger by finger
+        said.append([str(state if why == "ok" else why) for state, why in pairs])
+    return said
 
 
 def _grids(
@@ -204,14 +198,14 @@ def _grids(
 
 def _shot(cycle: Seen, view: Any, unit: float) -> dict[str, Any]:
     """What there is to see at one moment."""
-    if view is None:
-        scene = None
-    else:
-        scene = np.round(255 * picture_of(view, _SCENE, samples=1)[:, :, ::-1]).astype(np.uint8)
+    scene = None
+    if view is not None:
+        bgr = picture_of(view, _SCENE, samples=1)[:, :, ::-1]
+        scene = _jpeg(np.round(255 * bgr).astype(np.uint8))
     return {
         "time": round(cycle.time, 4),
         "pictures": [_camera(image) for image in cycle.images],
-        "scene": None if scene is None else _jpeg(scene),
+        "scene": scene,
         "felt": [_felt(touch, unit, view, k) for k, touch in enumerate(cycle.touch)],
     }
 

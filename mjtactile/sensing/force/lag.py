@@ -62,13 +62,9 @@ class BlendFinder:
     """
 
     def __init__(self, p_SM: Array):
-        degree = next(
-            d
-            for d in range(_DEGREE_MOST, -1, -1)
-            if _MARKERS_TO_A_TERM * (d + 1) * (d + 2) // 2 <= max(len(p_SM), _MARKERS_TO_A_TERM)
-        )
-        x, y = (p_SM[:, :2] / np.abs(p_SM[:, :2]).max()).T
+        degree = _degree(len(p_SM))
         powers = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
+        x, y = (p_SM[:, :2] / np.abs(p_SM[:, :2]).max()).T
         self._terms = np.column_stack([x**i * y**j for i, j in powers])
         self._smooth = np.linalg.qr(self._terms)[0]
 
@@ -101,7 +97,8 @@ class BlendFinder:
         where they are others, or really move."""
         if not np.array_equal(before.ids, markers.ids) or not len(markers.ids):
             return None
-        moved = (markers.p_SM - before.p) / np.sqrt(np.diagonal(markers.cov_p, axis1=1, axis2=2))
+        sd = np.sqrt(np.diagonal(markers.cov_p, axis1=1, axis2=2))
+        moved = (markers.p_SM - before.p) / sd
         basis = self._smooth
         if len(moved) < len(basis):
             basis = np.linalg.qr(self._terms[markers.ids])[0]
@@ -109,6 +106,14 @@ class BlendFinder:
         smooth = basis.T @ moved
         rest = moved - basis @ smooth
         noise = float(np.square(rest).sum()) / (3 * max(left, 1))
-        if left < 1 or not np.square(smooth).mean() < _STILL * noise:
-            return None
-        return rest
+        is_still = np.square(smooth).mean() < _STILL * noise  # not of NaN
+        return rest if left >= 1 and is_still else None
+
+
+def _degree(markers: int) -> int:
+    """Of the polynomial: as high as so many markers carry."""
+    for degree in range(_DEGREE_MOST, 0, -1):
+        terms = (degree + 1) * (degree + 2) // 2
+        if _MARKERS_TO_A_TERM * terms <= markers:
+            return degree
+    return 0

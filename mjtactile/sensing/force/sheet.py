@@ -124,9 +124,9 @@ class Sheet:
         if design.frame.outline is not None:
             self._turns = self._turned(product(ax.points, ay.points))
             self.weights = self.cells * self._turns[..., 4].reshape(self.cells.shape)
-        bx, by = ([a.at(a.points, k) for k in (0, 1)] for a in (ax, ay))
-        self._up_x = np.concatenate(bx)
-        self._up_y = np.concatenate(by).T.copy()
+        # values of the splines at the Gauss points, then slopes
+        self._up_x = np.concatenate([ax.at(ax.points, 0), ax.at(ax.points, 1)])
+        self._up_y = np.concatenate([ay.at(ay.points, 0), ay.at(ay.points, 1)]).T.copy()
         sheet = design.membrane
         self.law = law = SheetLaw(sheet)
         numbers = np.array([ax.length, ay.length, sheet.pre_stretch**2, *law.numbers])
@@ -137,21 +137,18 @@ class Sheet:
         self.width = 9 * ay.count + 11  # of the stiffness's band
 
     # -- places
-    # --------------------------------------------------------------------------------
 
     def basis(self, own: Array) -> Array:
         """Values (N, n) of the splines at the sheet's own coordinates (N, 2) m."""
-        a, b = (axis.at(x) for axis, x in zip(self.axes, own.T, strict=True))
-        return (a[:, :, None] * b[:, None, :]).reshape(len(own), -1)
+        ax, ay = self.axes
+        return _products(ax.at(own[:, 0]), ay.at(own[:, 1]))
 
     def slopes(self, own: Array) -> tuple[Array, Array]:
         """Derivatives (N, n) of the splines by X and by Y, 1/m, at the sheet's own coordinates."""
-        (ax, dx), (ay, dy) = (
-            [axis.at(x, k) for k in (0, 1)] for axis, x in zip(self.axes, own.T, strict=True)
-        )
-        by_x, by_y = (
-            (a[:, :, None] * b[:, None, :]).reshape(len(own), -1) for a, b in ((dx, ay), (ax, dy))
-        )
+        ax, ay = self.axes
+        x, y = own.T
+        by_x = _products(ax.at(x, 1), ay.at(y))
+        by_y = _products(ax.at(x), ay.at(y, 1))
         if self._turns is None:
             return by_x, by_y
         (xX, xY), (yX, yY) = self.turns(own).transpose(1, 2, 0)[..., None]
@@ -187,7 +184,6 @@ class Sheet:
         return np.column_stack([self.turns(own).reshape(-1, 4), self.density(own)])
 
     # -- one state
-    # --------------------------------------------------------------------------------
 
     def state(
         self, c: Array, scale: float = 1.0, faded: Array | None = None, stretch: float = 1.0
@@ -214,8 +210,11 @@ class Sheet:
         S22, S12."""
         g1, g2 = self._tangents(c)
         stretch2 = self.design.membrane.pre_stretch**2
-        C = (stretch2 * np.einsum("kxy,kxy->xy", a, b) for a, b in ((g1, g1), (g2, g2), (g1, g2)))
-        return self.law.stress(*C)
+        # the right Cauchy-Green tensor against the free sheet
+        C11 = stretch2 * np.einsum("kxy,kxy->xy", g1, g1)
+        C22 = stretch2 * np.einsum("kxy,kxy->xy", g2, g2)
+        C12 = stretch2 * np.einsum("kxy,kxy->xy", g1, g2)
+        return self.law.stress(C11, C22, C12)
 
     def forces_of(self, c: Array, stress: Array) -> Array:
         """Generalised forces (3, n) N of a stress (3, qx, qy) N/m in the sheet at `c` (Eq. F3)."""
@@ -277,16 +276,13 @@ class Sheet:
         return band
 
     # -- equilibrium
-    # --------------------------------------------------------------------------------
 
     def gas_pressure(self, state: State, gas: Gas) -> tuple[float, float]:
         """Gauge pressure, Pa, and stiffness -dp/dV, Pa/m^3, of the gas in this state."""
         chamber = self.design.chamber
         volume = self.design.chamber_volume_flat + state.volume
-        return (
-            gas.pressure_gauge(volume, chamber.ambient, chamber.heat_ratio),
-            gas.stiffness(volume, chamber.heat_ratio),
-        )
+        pressure = gas.pressure_gauge(volume, chamber.ambient, chamber.heat_ratio)
+        return pressure, gas.stiffness(volume, chamber.heat_ratio)
 
     def seal(self, state: State, pressure_gauge: float) -> Gas:
         """The gas that is in the chamber in this state, at this gauge pressure, kept from now
@@ -330,7 +326,9 @@ class Sheet:
         c: Array = np.zeros((3, self.count)) if start is None else start.copy()
         for _ in range(_NEWTON_STEPS):
             residual, stiffness = self.linearise(self.state(c, scale, faded, stretch), gas)
-            step = stiffness.solve(residual if load is None else residual - load.reshape(3, -1))
+            if load is not None:
+                residual = residual - load.reshape(3, -1)
+            step = stiffness.solve(residual)
             largest = float(np.abs(step).max())
             c -= min(1.0, _STEP_MAX / max(largest, 1e-30)) * step
             if largest < _CONVERGED:
@@ -338,6 +336,11 @@ class Sheet:
         raise MjtactileError(
             f"sensor {self.design.name}: the membrane finds no equilibrium at {gas.gauge:g} Pa"
         )
+
+
+def _products(along: Array, across: Array) -> Array:
+    """Tensor products (N, n) of splines along x (N, kx) and along y (N, ky), y fastest."""
+    return (along[:, :, None] * across[:, None, :]).reshape(len(along), -1)
 
 
 def product(x: Array, y: Array) -> Array:

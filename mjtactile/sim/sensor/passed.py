@@ -53,8 +53,9 @@ class CorePoints:
         R_WS = data.xmat[body].reshape(3, 3)
         R_WG = data.geom_xmat[geom].reshape(3, 3)
         points = (data.geom_xpos[geom] + core @ R_WG.T - data.xpos[body]) @ R_WS
-        low = (points[:, 2] < p_SV[:, 2].max() - self._slack) & (points[:, 2] > -depth)
-        points = points[low]
+        is_below_top = points[:, 2] < p_SV[:, 2].max() - self._slack
+        is_in_chamber = points[:, 2] > -depth
+        points = points[is_below_top & is_in_chamber]
         if not len(points):
             return False
         corners = p_SV[self._mesh.triangles]
@@ -70,11 +71,14 @@ def _heights(triangles: Array, places: Array) -> Array:
     a, b, c = triangles.transpose(1, 0, 2)
     u = b - a
     v = c - a
+    # the area, twice; along its sides u and v a place is `along_u` and `along_v` from a
     twice = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
     twice = np.where(np.abs(twice) > 1e-15, twice, np.inf)
-    x, y = (places[:, None, axis] - a[None, :, axis] for axis in range(2))
+    # (n, m): of each place from each triangle's first corner
+    x = places[:, None, 0] - a[None, :, 0]
+    y = places[:, None, 1] - a[None, :, 1]
     along_u = (x * v[:, 1] - y * v[:, 0]) / twice
     along_v = (y * u[:, 0] - x * u[:, 1]) / twice
-    inside = (along_u >= 0) & (along_v >= 0) & (along_u + along_v <= 1) & np.isfinite(twice)
+    is_inside = (along_u >= 0) & (along_v >= 0) & (along_u + along_v <= 1) & np.isfinite(twice)
     heights = a[:, 2] + along_u * u[:, 2] + along_v * v[:, 2]
-    return np.where(inside, heights, -np.inf).max(axis=1)
+    return np.where(is_inside, heights, -np.inf).max(axis=1)
