@@ -125,7 +125,9 @@ def step(observation):
 """
 
 
-@pytest.mark.parametrize("fingers", [("left",), ("left", "right")])
+@pytest.mark.parametrize(
+    "fingers", [("left",), pytest.param(("left", "right"), marks=pytest.mark.slow)]
+)
 def test_a_run_says_its_fingers_own_sensors_and_is_felt_again_with_them(
     tmp_path, monkeypatch, capsys, fingers
 ):
