@@ -149,7 +149,8 @@ def _begun_from(options: argparse.Namespace) -> SensorDesign:
     if not 0.01 <= options.force_N <= 100:
         raise InputError(f"{options.force_N:g} is outside 0.01 to 100", field="--force-N")
     design = load_sensor(options.sensor)
-    design.require_rectangle("the study")
+    if options.frame_mm is not None or any(getattr(options, name) is not None for name in _WISHES):
+        design.require_rectangle("the search for a design")
     if options.frame_mm is not None:
         design = files.with_frame(design, *(1e-3 * side for side in options.frame_mm))
     if options.camera_px is not None:

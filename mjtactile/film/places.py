@@ -31,18 +31,33 @@ def carried(film: Film, places: Array) -> Array:
         (n, nx * ny) of displacements there, by those of the nodes; the sheet does not move on the
         frame.
     """
-    across, along = (
-        interpolating(line, np.clip(at, line[0], line[-1]))[0]
-        for line, at in zip((film.x, film.y), np.asarray(places, dtype=float).T, strict=True)
-    )
-    by_node = (across[:, :, None] * along[:, None, :]).reshape(len(across), -1)
+    by_node = carried_with_slopes(film, places)[0]
     outline = film.design.frame.outline
     if outline is None:
         return by_node
-    outside, by_free = _continued(film)
-    return np.where(
-        outline.distance(places)[:, None] > 0, by_node + by_node[:, outside] @ by_free, 0
+    return np.where(outline.distance(places)[:, None] > 0, by_node, 0.0)
+
+
+def carried_with_slopes(film: Film, places: Array) -> Array:
+    """The same with slopes.
+
+    Args:
+        film: Of any outline.
+        places: (n, 2) m, of the flat sheet, within it.
+
+    Returns:
+        (3, n, nx * ny) of displacements there and of their derivatives by x and y, 1/m.
+    """
+    (across, across_by), (along, along_by) = (
+        interpolating(line, np.clip(at, line[0], line[-1]))
+        for line, at in zip((film.x, film.y), np.asarray(places, dtype=float).T, strict=True)
     )
+    pairs = ((across, along), (across_by, along), (across, along_by))
+    by_node = np.array([(a[:, :, None] * b[:, None, :]).reshape(len(a), -1) for a, b in pairs])
+    if film.design.frame.outline is None:
+        return by_node
+    outside, by_free = _continued(film)
+    return by_node + by_node[:, :, outside] @ by_free
 
 
 def _continued(film: Film) -> tuple[Array, Array]:

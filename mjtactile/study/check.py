@@ -16,6 +16,7 @@ from mjtactile.study.reach import BALL_RADIUS, Reacher
 from mjtactile.study.stand import Stand
 
 _SPACING = 1.7e-3  # m between the sheet's vertices: a coarser mesh is stiffer than rubber
+_SAME = 1e-9  # m
 _MARGIN = 6e-3  # m from the frame, in which no ball presses
 _DEPTHS = (0.8e-3, 3.2e-3)  # m, between which it does
 
@@ -77,6 +78,8 @@ def check(
     found = []
     for number in range(places):
         at = rng.uniform(-sides, sides)
+        while design.frame.inside(at[None])[0] < _MARGIN - _SAME:
+            at = rng.uniform(-sides, sides)
         into = np.sort(rng.uniform(*_DEPTHS, depths))
         plan = PressPlan(
             Indenter("sphere", BALL_RADIUS), into.tolist(), (float(at[0]), float(at[1]))

@@ -30,6 +30,7 @@ _MARGIN = 5e-3  # m from the frame to the outermost places of the map
 _SPACING = 5e-3  # m between them, about
 _LONGEST = 3.0  # times the focal length, that are tried
 _HALVINGS = 12
+_RIM = 72  # places on an outline
 _MORE = 1.25
 
 Say = Callable[[str], None]
@@ -101,7 +102,7 @@ def study(design: SensorDesign, force: float, *, say: Say = lambda _: None) -> G
 
 
 def face_places(design: SensorDesign) -> list[Array]:
-    """Places of the map, (2,) m each, row by row."""
+    """Places of the map, (2,) m each, row by row, of the rectangle about the opening."""
     lines = []
     for side in (design.frame.length, design.frame.width):
         half = max(side / 2 - _MARGIN, 0.0)
@@ -123,7 +124,9 @@ def picture_of(stand: Stand) -> Picture:
     sides = np.array([design.frame.length, design.frame.width]) / 2
     corners = sides * [[-1, -1], [-1, 1], [1, -1], [1, 1]]
     middles = sides * [[-1, 0], [1, 0], [0, -1], [0, 1]]
-    p_SP = np.pad(np.concatenate([corners, middles]), ((0, 0), (0, 1)))
+    outline = design.frame.outline
+    rim = np.concatenate([corners, middles]) if outline is None else outline.points(_RIM)
+    p_SP = np.pad(rim, ((0, 0), (0, 1)))
     uv = project(camera, p_SP - design.camera.p_SC)
     size = np.array([design.camera.width, design.camera.height])
     inside = np.clip(uv, -0.5, size - 0.5)

@@ -12,7 +12,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, Touch
 from mjtactile.film import obstacle
 from mjtactile.sensing.body import fit
-from mjtactile.sensing.body.bodies import Hint
+from mjtactile.sensing.body.bodies import Hint, room_in
 from mjtactile.sensing.body.families import FAMILIES, Family
 from mjtactile.sensing.body.fit import Data, Prior
 from mjtactile.sensing.body.forward import Forward
@@ -64,8 +64,8 @@ class Reacher:
         rest = stand.reference.first
         self._forward = Forward(stand.design, rest, self._settings.body.spacing)
         self._by_gas = self._forward.by_gas()
-        frame = stand.design.frame
-        self._sides = np.array([frame.length, frame.width]) / 2 - _FRAME
+        self._frame = stand.design.frame
+        self._sides = room_in(self._frame, _FRAME)
 
     def at(self, place: Array, force: float, *, edges: bool = True) -> Reach:
         """What is reached where a ball, or an edge, presses with a force.
@@ -79,11 +79,13 @@ class Reacher:
             What is reached; NaN of what the sensor does not carry or does not feel there.
         """
         x, y = (float(v) for v in place)
-        edge_sd = self.edge_sd(place, force) if edges else math.nan
+        unknown = math.nan
+        if self._frame.inside(place[None])[0] < _FRAME:  # of a map that is no rectangle
+            return Reach(x, y, force, *[unknown] * 6)
+        edge_sd = self.edge_sd(place, force) if edges else unknown
         pressed = self.stand.press(ball(place, BALL_RADIUS), force)
         felt = None if pressed is None else self.stand.feel(pressed.state)
         if pressed is None or felt is None or felt.touch.traction is None or not felt.ok:
-            unknown = math.nan
             return Reach(x, y, force, unknown, unknown, unknown, unknown, edge_sd, unknown)
         wrench = felt.touch.traction.wrench
         cov = felt.touch.traction.wrench_cov
@@ -162,7 +164,9 @@ class Reacher:
     def _hint(self, place: Array, force: float) -> Hint:
         """What a body's numbers count from, but for its height."""
         rounding = _ROUNDING * self._forward.spacing
-        return Hint(place, 0.0, 0.0, 0.0, self._sides, self._forward.nodes, rounding, force)
+        in_round = self._frame.outline is not None
+        nodes = self._forward.nodes
+        return Hint(place, 0.0, 0.0, 0.0, self._sides, nodes, rounding, force, round=in_round)
 
 
 def ball(at: Array, radius: float) -> Coming:

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 from scipy.linalg import block_diag, cho_solve
 
 from mjtactile.core.design import SensorDesign
@@ -15,6 +14,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.status import OK
 from mjtactile.core.types import Array, Markers, Sighting, Touch
 from mjtactile.film import Film, FilmState, Obstacle
+from mjtactile.film.places import carried_with_slopes
 from mjtactile.sensing.chain import Chain
 from mjtactile.sensing.force.gain import Shape
 from mjtactile.sensing.force.inverse import InverseMembrane
@@ -66,7 +66,7 @@ class Stand:
     """One sensor at rest, with exact references.
 
     Args:
-        design: The sensor; rectangles only.
+        design: The sensor.
 
     Raises:
         InputError: The sheet finds no rest, markers are out of the picture, or the chain refuses
@@ -80,11 +80,7 @@ class Stand:
         self.film = Film(design, (columns, rows))
         self.chain = Chain(design)
         material = design.markers.p_SM
-        splines = [make_interp_spline(at, np.eye(len(at))) for at in (self.film.x, self.film.y)]
-        self._at, self._slope = (
-            tuple(spline(material[:, axis], order) for axis, spline in enumerate(splines))
-            for order in (0, 1)
-        )
+        self._by_node = carried_with_slopes(self.film, material[:, :2])
         self._sighter = Sighter(design)
         flat = self._sighter.sight(*self.poses(np.zeros_like(self.film.rest.x)), errors=False)
         self._require_all(flat, "flat")
@@ -185,22 +181,14 @@ class Stand:
     def poses(self, x: Array) -> tuple[Array, Array]:
         """Where the markers are on a film displaced by `x` (3, nx, ny) m, and its normals there,
         each (N, 3) in S."""
-        a, b = self._at
-        da, db = self._slope
-
-        def at(rows: Array, columns: Array) -> Array:
-            return np.einsum("ni,cij,nj->nc", rows, x, columns)
-
-        along = at(da, b) + [1.0, 0.0, 0.0]
-        across = at(a, db) + [0.0, 1.0, 0.0]
-        normal = np.cross(along, across)
-        p_SM = self.design.markers.p_SM + at(a, b)
+        moved, by_x, by_y = self._by_node @ x.reshape(3, -1).T
+        normal = np.cross(by_x + [1.0, 0.0, 0.0], by_y + [0.0, 1.0, 0.0])
+        p_SM = self.design.markers.p_SM + moved
         return p_SM, normal / np.linalg.norm(normal, axis=1)[:, None]
 
     def heights(self, x: Array) -> Array:
         """How high (n, N) m the markers stand, of films displaced by `x` (n, 3, nx, ny)."""
-        a, b = self._at
-        return ((a @ x[:, 2]) * b).sum(axis=2)
+        return x[:, 2].reshape(len(x), -1) @ self._by_node[0].T
 
     def sight(self, film: FilmState, time: float = 0.0) -> Sighting:
         """The exact ellipses that the camera would see of a film."""

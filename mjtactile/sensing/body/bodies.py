@@ -11,11 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mjtactile.core.sensor_parts import Frame
 from mjtactile.core.types import Array
 from mjtactile.film import Obstacle, obstacle
 
 _FLAT = 0.2  # 1/m: what is less curved is as good as flat over a sensor
 _RIM_SLOPE = 2.0  # of the flank beyond a rim
+_RIM = 360  # places on an outline
 _RIM_OUT = 1.4  # roundings by which a round rim's own lies outside of what it stands for
 
 
@@ -43,6 +45,16 @@ class Hint:
         """The same over another film's nodes."""
         parts = tuple(part.on(nodes, rounding) for part in self.parts)
         return replace(self, nodes=nodes, rounding=rounding, parts=parts)
+
+
+def room_in(frame: Frame, edge: float) -> Array:
+    """Half sides (2,) m of where a body may be that goes on: `edge` m within a rectangle, or half
+    axes of the largest ellipse in another outline."""
+    half = np.array([frame.length, frame.width]) / 2 - edge
+    if frame.outline is None:
+        return half
+    farthest = np.linalg.norm(frame.outline.points(_RIM) / frame.outline.half_sizes, axis=1)
+    return farthest.min() * half
 
 
 def about(axis: int, angle: float) -> Array:

@@ -13,7 +13,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.status import OK, Status, StatusCode
 from mjtactile.core.types import SHAPES, Array, Contact, FeltShape, Touch
 from mjtactile.sensing.body.area import area_sd, areas, interval
-from mjtactile.sensing.body.bodies import Hint
+from mjtactile.sensing.body.bodies import Hint, room_in
 from mjtactile.sensing.body.fit import Data
 from mjtactile.sensing.body.forward import Forward
 from mjtactile.sensing.body.fuse import Borne, borne
@@ -26,7 +26,6 @@ from mjtactile.sensing.settings import DEFAULTS, BodySettings, Settings
 
 _EDGE = 1.5e-3  # m from the frame, where bodies that go on are cut off
 _ROUNDING = 0.5  # spacings of the film
-_RIM = 360  # places on an outline
 _MOST_PARTS = 3  # bodies at once
 
 
@@ -58,11 +57,7 @@ class ShapeFinder:
         settings: Settings = DEFAULTS,
     ):
         self.settings = settings
-        self._frame = np.array([design.frame.length, design.frame.width]) / 2 - _EDGE
-        outline = design.frame.outline
-        if outline is not None:  # the largest ellipse in it
-            farthest = np.linalg.norm(outline.points(_RIM) / outline.half_sizes, axis=1)
-            self._frame = farthest.min() * self._frame
+        self._frame = room_in(design.frame, _EDGE)
         s = settings.body
         fine = Forward(design, rest, s.spacing, gauge)
         self.films = Films(fine, Forward(design, rest, s.spacing_coarse, gauge), fine.by_gas())

@@ -169,3 +169,18 @@ def test_a_file_has_a_map_and_a_page(tmp_path, capsys, monkeypatch):
     middle = next(one for one in result["face"] if one["x_mm"] == one["y_mm"] == 0)
     rim = max(result["face"], key=lambda one: abs(one["x_mm"]) + abs(one["y_mm"]))
     assert middle["force_sd_mN"] < rim["force_sd_mN"]
+
+
+def test_a_round_sensor_reaches_as_much_where_it_is_turned(capsys):
+    reacher = Reacher(Stand(load_sensor("round30")))
+    place = np.array([5e-3, 2e-3])
+    here, opposite = (reacher.at(at, 0.5) for at in (place, -place))
+    # the layout is the same turned by half; the film's tolerance of 0.5 um is 1 mN
+    assert here.felt == pytest.approx(opposite.felt, abs=2e-3)
+    assert here.force_sd == pytest.approx(opposite.force_sd, rel=0.02)
+    assert here.edge_sd < 0.5e-3
+    assert here.felt == pytest.approx(0.5, rel=0.02)  # 1 mN is what it is off
+    outside = reacher.at(np.array([12e-3, 12e-3]), 0.5)  # within the rectangle about it
+    assert np.isnan([outside.felt, outside.force_sd, outside.edge_sd]).all()
+    assert main(["design", "--sensor", "round30", "--feel-mN", "20"]) != 0
+    assert "handles rectangles only" in capsys.readouterr().err
