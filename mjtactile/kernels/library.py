@@ -9,6 +9,7 @@ type, with gaps, or of another size never reaches C, and a return code never get
 from __future__ import annotations
 
 import ctypes
+import math
 import re
 import struct
 from collections.abc import Callable, Mapping, Sequence
@@ -236,7 +237,7 @@ class _Kernel:
     def _fixed(self, place: int, value: Any, size: float) -> Any:
         """A number as it is, the address of an array that stays."""
         argument = self.declaration.arguments[place]
-        if np.isnan(size):
+        if math.isnan(size):
             raise TypeError(
                 f"{self.declaration.name}: the size of {argument.name} is not known yet"
             )
