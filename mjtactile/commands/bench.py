@@ -44,6 +44,7 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   fiducials   the same with circles that do not move: knocks, zoom, focus, levels; their price
   attacks     everything bad that the tests do, counted by what must come of it
   settings    what half and twice of each number of the sensing chain do to what is felt
+  gauge       the same of the filter that follows a pressure gauge
   relaxation  holds of ten minutes on rubber that relaxes: felt less true, and the price
   first_day   setup, calibrate, fit, grasp and shadow of an emulated rig with every trouble
   tasks       what touch buys: tasks that ask for it, with and without, over the same episodes
@@ -91,6 +92,7 @@ BENCHMARKS = {
     "fiducials": "trust.fiducials",
     "attacks": "attacks",
     "settings": "sensitivity",
+    "gauge": "gauge",
     "relaxation": "relaxation",
     "first_day": "first_day.run",
     "tasks": "tasks.run",

@@ -18,6 +18,10 @@ from mjtactile.core.types import Array, PressureReading
 from mjtactile.sensing.force.sheet import Gas
 from mjtactile.sensing.settings import DEFAULTS, GaugeSettings
 
+# sd of the pressure when a valve has just moved, of the ambient one: so wide that the first reading
+# decides; half and twice of it change nothing (`bench gauge`)
+_MOVED = 1e-3
+
 
 @dataclass(frozen=True, eq=False)
 class GasState:
@@ -117,7 +121,7 @@ class GaugeFilter:
         if reading.is_open:
             amount = state.amount * math.exp(state.value)
             value = amount / volume**self._gamma / self._ambient - 1
-            cov = np.diag([s.moving, s.moving_rate]) ** 2
+            cov = np.diag([_MOVED, s.moving_rate]) ** 2
             return replace(state, is_open=True, value=value, rate=0.0, cov=cov, surprise=0.0)
         amount = (1 + state.value) * self._ambient * volume**self._gamma
         cov = np.diag([math.hypot(s.drift, math.sqrt(state.cov[0, 0])), s.rate]) ** 2

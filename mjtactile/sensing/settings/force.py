@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mjtactile.sensing.settings.number import TRIED, number
+from mjtactile.sensing.settings.number import GAUGED, TRIED, number
 
 _BARS = "bench bars: fitted to scenes of seeds below 1000, which its table leaves out"
 
@@ -301,25 +301,24 @@ class GaugeSettings:
     """The gas that a pressure gauge tells of (sensing/force/gauge.py). Pressures and amounts are
     shares of the absolute ambient pressure: 1e-5 is a pascal."""
 
-    floor: float = number(1.5, "Pa, sd of a gauge's mean, however many readings", "trial")
+    floor: float = number(1.5, "Pa, sd of a gauge's mean, however many readings", GAUGED)
     scale: float = number(
         0.005, "sd of its scale, of what the pressure differs from that at rest", "data sheets: 1 %"
     )
     rate: float = number(5e-5, "1/s, sd of a sealed chamber's loss before any is seen", "5 Pa/s")
-    rate_time: float = number(3.0, "s, over which a rate is forgotten that is not seen", "trial")
+    rate_time: float = number(3.0, "s, over which a rate is forgotten that is not seen", GAUGED)
     walk: float = number(0.7e-5, "1/sqrt(s), of a sealed amount", "bench trust: shipped grasps")
     rate_walk: float = number(1e-5, "1/s/sqrt(s), of its rate", "bench trust: shipped grasps")
-    rate_share: float = number(1.0, "1/sqrt(s), of the rate that is there", "a hole: trial")
-    open_walk: float = number(1e-4, "1/sqrt(s), of a pressure that a valve keeps", "trial")
+    rate_share: float = number(1.0, "1/sqrt(s), of the rate that is there", GAUGED)
+    open_walk: float = number(1e-4, "1/sqrt(s), of a pressure that a valve keeps", GAUGED)
     open_rate: float = number(3e-3, "1/s/sqrt(s), of its rate", "1.4 kPa in a second")
-    moving: float = number(1e-3, "sd of the pressure when a valve has just moved", "trial")
     moving_rate: float = number(0.2, "1/s, sd of its rate then", "1 kPa in 50 ms")
-    drift: float = number(5e-5, "sd of what is sealed, beside the pressure's own", "trial")
-    deviation_most: float = number(4.5, "sd by which one reading may surprise", "trial")
+    drift: float = number(5e-5, "sd of what is sealed, beside the pressure's own", GAUGED)
+    deviation_most: float = number(4.5, "sd by which one reading may surprise", GAUGED)
     surprise_most: float = number(1.7, "sd by which the mean of several may", "4 sd of that mean")
-    telling: float = number(4.0, "of a reading's variance: what is known worse is told", "trial")
-    blend: float = number(0.3, "of the newest reading in that mean", "trial", high=1.0)
-    shortest: float = number(0.02, "s, in which a surprise has come about", "trial")
+    telling: float = number(4.0, "of a reading's variance: what is known worse is told", GAUGED)
+    blend: float = number(0.3, "of the newest reading in that mean", GAUGED, high=1.0)
+    shortest: float = number(0.02, "s, in which a surprise has come about", GAUGED)
     moved_most: float = number(
         60.0, "Pa in an image, from which on the force is unknown", "bench trust: valves, holes"
     )

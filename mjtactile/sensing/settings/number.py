@@ -13,6 +13,7 @@ from mjtactile.core.fields import entries, entry
 from mjtactile.core.toml import Section
 
 TRIED = "tried: docs/settings.md has what half and twice of it do"
+GAUGED = "tried: bench gauge (docs/settings.md has what half and twice of it do)"
 _FACTOR = 100.0
 _PLACES = ("first", "second", "third", "fourth")
 

@@ -1,0 +1,147 @@
+"""`mjtactile bench gauge`: what the tried numbers of the gas's filter are worth: the same readings
+of a pressure gauge followed with each of them at half and at twice.
+
+The chamber is a closed form: a dent while nothing else happens, a leak, a hole, warmth, and a valve
+that opens onto another pressure. The gauge has white noise; volumes are as images would show them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjtactile.core.design import load_sensor
+from mjtactile.core.types import Array, PressureReading
+from mjtactile.sensing.force.gauge import GaugeFilter
+from mjtactile.sensing.force.sheet import Gas
+from mjtactile.sensing.settings import DEFAULTS, GaugeSettings
+from mjtactile.sensing.settings.number import GAUGED
+
+FACTORS = (0.5, 2.0)
+CASES = ("dent", "leak", "hole", "warmth", "valve")
+SEEDS = 6
+REST = 1000.0  # Pa
+NOISE = 3.0  # Pa, sd of a reading
+RATE = 100.0  # Hz, of readings
+SECONDS = 6.0
+DENT = 0.005  # of the volume, within half a second from 1 s on
+DENT_SHARE = 0.02  # of a dent, that images have wrong
+IMAGES = 3  # readings to an image
+_ALIKE = 0.005
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """At `time` (n,) s: true `pressure` (n,) Pa above ambient, what a gauge `read`, `volume` (n,)
+    m^3, and whether the valve `is_open`."""
+
+    time: Array
+    pressure: Array
+    read: Array
+    volume: Array
+    is_open: Array
+
+
+def readings(case: str, seed: int) -> Readings:
+    """Of one chamber of `dense`, by the gas law."""
+    design = load_sensor("dense")
+    chamber = design.chamber
+    rng = np.random.default_rng(seed)
+    time = np.arange(1, round(SECONDS * RATE) + 1) / RATE
+    volume = design.chamber_volume_flat * (1 - DENT * np.clip((time - 1) / 0.5, 0, 1))
+    log_amount = {
+        "leak": -8e-5 * time,
+        "hole": -3e-3 * (1 - np.exp(-np.maximum(time - 2, 0) / 0.5)),
+        "warmth": 2e-3 * (1 - np.exp(-time / 2)),
+    }.get(case, np.zeros_like(time))
+    squeezed = (design.chamber_volume_flat / volume) ** chamber.heat_ratio
+    pressure = (chamber.ambient + REST) * squeezed * np.exp(log_amount) - chamber.ambient
+    is_open = np.zeros(len(time), bool)
+    if case == "valve":
+        is_open = (time > 2) & (time < 3)
+        moved = pressure[-1] + 400 * np.clip((time - 2) / 0.3, 0, 1)
+        pressure = np.where(time > 2, moved, pressure)
+    read = pressure + rng.normal(0, NOISE, len(time))
+    return Readings(time, pressure, read, volume, is_open)
+
+
+def follow(given: Readings, settings: GaugeSettings) -> tuple[Array, Array, int]:
+    """Error and standard deviation, Pa, of the pressure at each image, and how many readings were
+    told to the images' fit."""
+    design = load_sensor("dense")
+    chamber = design.chamber
+    gauge = GaugeFilter(chamber, settings)
+    volume = design.chamber_volume_flat
+    sealed = Gas(REST, (chamber.ambient + REST) * volume**chamber.heat_ratio)
+    state = gauge.begin(sealed, 0.0, volume)
+    errors = []
+    sds = []
+    told = 0
+    for k, time in enumerate(given.time.tolist()):
+        reading = PressureReading(float(given.read[k]), NOISE, time, bool(given.is_open[k]))
+        state, is_told = gauge.read(gauge.switched(state, reading), reading)
+        told += is_told
+        if k % IMAGES == IMAGES - 1:
+            state = gauge.saw(state, time, float(given.volume[k]), DENT_SHARE)
+            gas, sd = gauge.gas_at(state, time)
+            errors.append(gas.gauge - given.pressure[k])
+            sds.append(sd)
+    return np.array(errors), np.array(sds), told
+
+
+def measure(settings: GaugeSettings, seeds: int) -> dict[str, float]:
+    """Over all cases: rms error, Pa, median standard deviation, Pa, and readings told."""
+    errors, sds, told = zip(
+        *(follow(readings(case, seed), settings) for case in CASES for seed in range(seeds)),
+        strict=True,
+    )
+    rms = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
+    return {"rms_Pa": rms, "sd_Pa": float(np.median(np.concatenate(sds))), "told": sum(told)}
+
+
+def run(out: Path, quick: bool = False) -> dict[str, Any]:
+    """Every number whose source says that it was tried here."""
+    seeds = 1 if quick else SEEDS
+    default = DEFAULTS.gauge
+    found = []
+    for field in fields(default):
+        if field.metadata["source"] != GAUGED:
+            continue
+        value = getattr(default, field.name)
+        row: dict[str, Any] = {"name": f"gauge.{field.name}", "default": value}
+        for factor in FACTORS:
+            row[str(factor)] = measure(replace(default, **{field.name: factor * value}), seeds)
+        found.append(row)
+    return {"default": measure(default, seeds), "cases": CASES, "numbers": found}
+
+
+def table(result: Mapping[str, Any]) -> str:
+    """Half and twice of each number, as Markdown."""
+    usual = result["default"]
+    lines = [
+        f"As they are: {usual['rms_Pa']:.2f} Pa rms error of the pressure, "
+        f"{usual['sd_Pa']:.2f} Pa its standard deviation (median), {usual['told']} readings told.",
+        "",
+        "| number | default | error, x | its bar, x | readings told |",
+        "|---|---|---|---|---|",
+    ]
+    for row in result["numbers"]:
+        half, twice = (row[str(factor)] for factor in FACTORS)
+        cells = [_factors(half[key], twice[key], usual[key]) for key in ("rms_Pa", "sd_Pa")]
+        told = ""
+        if (half["told"], twice["told"]) != (usual["told"], usual["told"]):
+            told = f"{half['told']} / {twice['told']}"
+        lines.append(f"| `{row['name']}` | {row['default']:g} | {' | '.join([*cells, told])} |")
+    return "\n".join(lines) + "\n"
+
+
+def _factors(half: float, twice: float, usual: float) -> str:
+    """At half / at twice; nothing where neither changes."""
+    shares = (half / usual, twice / usual)
+    if all(abs(share - 1) < _ALIKE for share in shares):
+        return ""
+    return f"{shares[0]:.2f} / {shares[1]:.2f}"
