@@ -31,7 +31,7 @@ class Sequence:
 
 @cache
 def sequence(sensor: str = "paper16") -> Sequence:
-    """Of a shipped sensor: four images of each reference, and one for each of `LOADS`."""
+    """Of a sensor, shipped or a file: four images of each reference, and one for each of `LOADS`."""
     design = load_sensor(sensor)
     sheet = InverseMembrane(design).sheet
     view = Renderer(design, seed=1)
@@ -52,16 +52,16 @@ def _load(sheet, shear, normal):
     angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     ring = np.column_stack([np.cos(angle), np.sin(angle)])
     places = np.concatenate([PLACE + share * RADIUS * ring for share in (0.3, 0.6, 0.9)])
-    share = sheet.basis(places).mean(axis=0)
+    share = sheet.basis(sheet.own(places)).mean(axis=0)
     return np.outer([shear, 0.0, -normal], share)
 
 
 def _image(design, sheet, view, c, time):
     X = design.markers.p_SM
-    p = X + sheet.basis(X[:, :2]) @ c.T
+    p = X + sheet.basis(sheet.own(X[:, :2])) @ c.T
     step = 1e-5  # m
     along, across = (
-        step * unit + (sheet.basis(X[:, :2] + step * unit[:2]) @ c.T) - (p - X)
+        step * unit + (sheet.basis(sheet.own(X[:, :2] + step * unit[:2])) @ c.T) - (p - X)
         for unit in np.eye(3)[:2]
     )
     normal = np.cross(along, across)

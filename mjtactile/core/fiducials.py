@@ -95,9 +95,16 @@ class Fiducials:
         goes past the opening's edge; 0 on the pane."""
         if self.surface != "rim":
             return 0.0
-        half = np.array([design.frame.length, design.frame.width]) / 2
-        outside = np.abs(self.places) + self.radius + self.ground
-        past = np.where(outside > half, half / outside, 1.0).min()
+        frame = design.frame
+        reach = self.radius + self.ground
+        if frame.outline is None:
+            half = np.array([frame.length, frame.width]) / 2
+            outside = np.abs(self.places) + reach
+            past = np.where(outside > half, half / outside, 1.0).min()
+        else:
+            xy = np.array(self.places)
+            far = np.linalg.norm(xy, axis=1)
+            past = np.minimum((far + frame.inside(xy)) / (far + reach), 1.0).min()
         behind = (1 - float(past)) * (design.camera.distance - self.lip)
         return min(behind, design.chamber.depth - self.lip)
 
@@ -108,7 +115,10 @@ class Fiducials:
         frame = design.frame
         outside = (frame.length + 2 * self.step) * (frame.width + 2 * self.step)
         corners = (4 - math.pi) * self.step**2  # as far from the opening's as the walls are
-        return (outside - corners - frame.area) * self.groove(design)
+        around = outside - corners - frame.area
+        if frame.outline is not None:  # Steiner's formula for what is convex
+            around = frame.outline.length * self.step + math.pi * self.step**2
+        return around * self.groove(design)
 
     def check(self, design: SensorDesign, section: Section) -> None:
         """See that they are on their surface, apart, and seen.
@@ -120,8 +130,6 @@ class Fiducials:
         Raises:
             InputError: Names the field and what is wrong with it.
         """
-        if design.frame.shape != "rectangle":
-            raise section.fail("fiducials", "need a frame.shape of 'rectangle'")
         if not FEWEST <= self.count <= _MOST:
             message = f"{self.count} circles; from {FEWEST} to {_MOST}"
             raise section.fail("fiducials.places_mm", message)
@@ -148,9 +156,15 @@ class Fiducials:
         # at the opening, as the camera sees it past them
         depth = design.camera.distance - design.pane_thickness_apparent
         here = depth + self.p_SF(design)[:, 2]
-        seen = xy if self.surface == "rim" else (xy - reach) * (depth / here)[:, None] + reach
-        hides = (seen - reach < half).all(axis=1)
-        beyond = (xy + reach > half + self.step).any(axis=1) & (self.surface == "rim")
+        grows = np.ones(len(xy)) if self.surface == "rim" else depth / here
+        if design.frame.outline is None:
+            seen = (xy - reach) * grows[:, None]
+            hides = (seen < half).all(axis=1)
+            beyond = (xy + reach > half + self.step).any(axis=1)
+        else:
+            hides = design.frame.inside(grows[:, None] * self.places) > -reach * grows
+            beyond = design.frame.inside(np.array(self.places)) < reach - self.step
+        beyond = beyond & (self.surface == "rim")
         out = self._out_of_picture(design, xy, here)
         words = {"rim": "is not on the lip, ground and all", "pane": "hides a part of the membrane"}
         found = np.where(out, "is out of the picture", "")

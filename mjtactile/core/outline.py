@@ -151,6 +151,17 @@ class Outline:
         terms = zip(self.powers, self.conjugates, strict=True)
         return np.pi * sum(n * (abs(a) ** 2 - abs(b) ** 2) for n, (a, b) in enumerate(terms))
 
+    @cached_property
+    def length(self) -> float:
+        """m, once around it."""
+        corners = self.points(_SAMPLES)
+        return float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).sum())
+
+    def around(self, by: float) -> Array:
+        """Places (n, 2) m that are `by` m outside of it, counter-clockwise."""
+        middles, normals = self._edges
+        return middles + by * normals
+
     def points(self, count: int) -> Array:
         """Points (count, 2) m on it, counter-clockwise from where it crosses x, evenly spaced."""
         w = np.exp(2j * np.pi * np.arange(count) / count)

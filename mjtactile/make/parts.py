@@ -153,7 +153,7 @@ def _frame_layer(layout: Layout, low: float, high: float) -> Layer:
 
 def groove_outline(layout: Layout, step: float) -> Contour:
     """The walls of a groove that stand back by `step` mm from the opening, corners too."""
-    return Contour(layout.open_x + step, layout.open_y + step, step)
+    return _outline(layout, step)
 
 
 def _gasket(layout: Layout) -> Part:

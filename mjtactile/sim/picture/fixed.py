@@ -17,7 +17,7 @@ _INWARD = np.array([0.0, 0.0, -1.0])
 @dataclass(frozen=True)
 class FixedCircles:
     """The fiducials of a sensor: discs `p_SF`, `n_S` (F, 3) of `radius` m, and what is white around
-    them: `ground` m of each disc, or what lies between the outlines `white` (outer, inner), (4, 3)
+    them: `ground` m of each disc, or what lies between the outlines `white` (outer, inner), (n, 3)
     m each; `blur_px` of their picture where the camera's is less."""
 
     p_SF: Array
@@ -43,6 +43,12 @@ class FixedCircles:
 
 def _lip(design: SensorDesign, fiducials: Fiducials) -> tuple[Array, Array]:
     """Outlines of the lip's inner face: the walls behind it, and the opening."""
+    outline = design.frame.outline
+    if outline is not None:
+        at = (fiducials.step, 0.0)
+        lip = [np.pad(outline.around(by), ((0, 0), (0, 1))) for by in at]
+        outside, opening = (one - [0.0, 0.0, fiducials.lip] for one in lip)
+        return outside, opening
     half = np.array([design.frame.length, design.frame.width]) / 2
     corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     height = np.full((4, 1), -fiducials.lip)

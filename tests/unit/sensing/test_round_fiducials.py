@@ -1,0 +1,75 @@
+"""Fiducials on the rim of a round sensor: where they may be, the gas behind the lip, and a camera
+that is knocked."""
+
+import numpy as np
+import pytest
+
+from mjtactile.core import resources
+from mjtactile.core.design import load_sensor
+from mjtactile.core.errors import InputError
+from mjtactile.core.fields import from_table
+from mjtactile.rig.troubles import CameraTroubles
+from mjtactile.sensing.perception import Perception
+from mjtactile.sim.picture.troubles import TroubledPicture
+from tests import sheet_images
+
+ANGLES = np.radians([0, 25, 50, 130, 155, 180, 205, 230, 310, 335])  # in the picture, with room
+
+
+def write(folder, radius_mm, ground_mm=0.45):
+    """The shipped round sensor, its rim wider, with fiducials on a circle."""
+    text = resources.find("round30", "models/sensors", ".toml").read_text("utf-8")
+    around = np.column_stack([np.cos(ANGLES), np.sin(ANGLES)])
+    places = (radius_mm * around).round(3).tolist()
+    text = text.replace("rim_mm = 3.0 ", "rim_mm = 4.5 ")
+    path = folder / "round.toml"
+    path.write_text(
+        f"{text}\n[fiducials]\nsurface = 'rim'\nradius_mm = 0.8\nplaces_mm = {places}\n"
+        f"ground_mm = {ground_mm}\nlip_mm = 1.0\nstep_mm = 3.2\n"
+    )
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    return write(tmp_path_factory.mktemp("round"), 16.3)
+
+
+def test_the_groove_is_a_ring_of_gas(path):
+    design = load_sensor(path)
+    ring = np.pi * (18.2**2 - 15.0**2) * 1e-6
+    flat = np.pi * 15e-3**2 * design.chamber.depth
+    groove = design.fiducials.groove(design)
+    # as far back as the sight of a circle's outer edge, 17.55 mm out, goes past the opening's
+    assert groove == pytest.approx(
+        (1 - 15 / 17.55) * (design.camera.distance - 1e-3), rel=1e-3
+    )  # chords
+    assert design.chamber_volume_flat - flat == pytest.approx(ring * groove, rel=1e-5)
+
+
+@pytest.mark.parametrize(("radius_mm", "ground_mm"), [(16.2, 0.45), (17.2, 0.45)])
+def test_circles_beside_the_lip_are_refused(tmp_path, radius_mm, ground_mm):
+    with pytest.raises(InputError, match=r"not on the lip|out of the picture"):
+        load_sensor(write(tmp_path, radius_mm, ground_mm))
+
+
+def touches(path, change=lambda image: image):
+    images = sheet_images.sequence(path)
+    sensor = Perception.of(load_sensor(path))
+    sensor.take_flat(images.flat)
+    sensor.take_rest(images.rest, sheet_images.GAUGE)
+    shown = (images.rest[0], images.pressed[1])
+    return [[sensor.perceive(change(one), one.time) for _ in range(2)][-1] for one in shown]
+
+
+@pytest.mark.slow
+def test_a_knocked_camera_is_known(path):
+    table = {"knock_px": [4.0, 3.0], "turn_deg": 0.3, "zoom_percent": 0.2}
+    knocked = TroubledPicture(from_table(CameraTroubles, table, "test"))
+    for now, then in zip(touches(path, knocked), touches(path), strict=True):
+        assert now.status == "ok"
+        assert now.camera.seen == len(ANGLES)
+        # by circles 16 mm from the middle, in place of 22 on `dense_fiducials`, where it is 0.03
+        assert now.camera.shift == pytest.approx((4.0, 3.0), abs=0.1)
+        # three of a clean image's sds, as on `dense_fiducials`
+        assert abs(now.force_normal - then.force_normal) < 0.03
