@@ -41,7 +41,7 @@ def score(found: Explored, true: TrueSurface, p_HO: Array, R_HO: Array) -> dict[
     outside = true.off(vertices, normals)
     missed = _missed(Mesh(vertices, mesh.triangles, normals, mesh.sd), true.points)
     square = (np.average(outside**2, weights=weights) + float(np.mean(missed**2))) / 2
-    sizes = np.ptp(vertices, axis=0) / np.ptp(true.points, axis=0)
+    sizes = np.ptp(vertices, axis=0) / true.extents(np.eye(3))
     both = np.concatenate([np.abs(outside), np.abs(missed)])
     return {
         "surface_error_mm_true": 1e3 * float(np.sqrt(square)),
@@ -50,15 +50,15 @@ def score(found: Explored, true: TrueSurface, p_HO: Array, R_HO: Array) -> dict[
         "within_2_sd_true": float(
             np.average(np.abs(outside) < 2 * np.maximum(mesh.sd, 3e-5), weights=weights)
         ),
-        "sizes_within_true": _sizes_within(found, true.points @ R_HO.T),
+        "sizes_within_true": _sizes_within(found, true, R_HO),
     }
 
 
-def _sizes_within(found: Explored, points: Array) -> float:
+def _sizes_within(found: Explored, surface: TrueSurface, R_HO: Array) -> float:
     """Share of the sizes along the believed axes that are within their intervals; one that is known
     to less than the triangles' own 0.05 mm is given these."""
     _, axes = principal_sizes(found.mesh)
-    true = np.ptp(points @ axes, axis=0)
+    true = surface.extents(R_HO.T @ axes)
     low, high = found.sizes.interval.T
     return float(np.mean((true >= low - _FACETS) & (true <= high + _FACETS)))
 

@@ -59,7 +59,35 @@ class TrueSurface:
         wild = (off > 0.1) | (np.abs(off) > 3 * nearest + 2e-3)
         return np.where(wild, nearest, off)
 
+    def extents(self, axes: Array) -> Array:
+        """How long it is along each of `axes` (3, k), columns, (k,) m.
 
+        The farthest of some hundred points is up to 0.2 mm short of an egg's end: from there on, it
+        is climbed by lines along the axis, nearer and nearer ones.
+        """
+        return np.array([self._end(axis) + self._end(-axis) for axis in axes.T])
+
+    def _end(self, way: Array) -> float:
+        """m, the farthest along a unit vector."""
+        best = self.points[int((self.points @ way).argmax())]
+        across = np.linalg.svd(way[None])[2][1:]
+        turns = np.arange(8) * (np.pi / 4)
+        rays = np.column_stack([np.cos(turns), np.sin(turns)]) @ across
+        reach = _CLIMB
+        while reach > _CLIMBED:
+            starts = best - (best @ way) * way + reach * rays
+            lengths = [_ray(self.model, self.data, at + _FAR * way, -way) for at in starts]
+            heights = np.where(np.array(lengths) < 0, -np.inf, _FAR - np.array(lengths))
+            top = int(heights.argmax())
+            if heights[top] > best @ way:
+                best = starts[top] + heights[top] * way
+            else:
+                reach /= 2
+        return float(best @ way)
+
+
+_CLIMB = 2e-3  # m: the first step, about as far as points are apart
+_CLIMBED = 2e-5  # m: the last: an end that is as bent as a ball of 5 mm is then within 0.04 um
 _GROUPS = np.array([1, 1, 1, 1, 1, 0], np.uint8)
 
 
