@@ -17,8 +17,6 @@ from mjtactile.core.types import Array, Command, Contact, GripperState, Image, T
 _NAN2 = [np.nan] * 2
 _NAN3 = [np.nan] * 3
 _NAN6 = [np.nan] * 6
-
-
 _BORDER = 24  # points of an outline, at most
 
 

@@ -59,8 +59,8 @@ def complete_scenario(scenario: Scenario) -> Scenario:
     """Fill in the sensor that each of the rig's fingers really has.
 
     A rig file's fingers may name their own, and so do those of a recording that is replayed. Where
-    all fingers have the same, that is the scenario's `sensor`. A recording that has shapes is
-    replayed with them.
+    all fingers have the same, that is the scenario's `sensor`. A recording is replayed with the
+    sensor that it names where nobody asks for another, and with shapes if it has them.
 
     Args:
         scenario: As it was asked for.
@@ -76,6 +76,7 @@ def complete_scenario(scenario: Scenario) -> Scenario:
         recording = load_recording(folder)
         return replace(
             scenario,
+            sensor=_recorded_sensor(recording, scenario.sensor),
             sensors=_recorded_sensors(recording) | dict(scenario.sensors),
             shapes=scenario.shapes or recording.has_shapes,
         )
@@ -128,6 +129,17 @@ def with_sensors(file: RigFile | SimRigFile, sensors: Mapping[str, str]) -> RigF
 
 def _is_file(rig: str) -> bool:
     return rig.endswith(".toml") or "/" in rig or rig in resources.names("models/rigs", ".toml")
+
+
+def _recorded_sensor(recording: Recording, asked: str | SensorDesign) -> str | SensorDesign:
+    """What a replay takes its fingers' sensor for: what was `asked`; else the recording's, where
+    that is still to be had."""
+    scenario = recording.header.get("scenario")
+    known = scenario.get("sensor") if isinstance(scenario, Mapping) else None
+    if asked != Scenario().sensor or not isinstance(known, str):
+        return asked
+    is_there = known in resources.names("models/sensors", ".toml") or Path(known).exists()
+    return known if is_there else asked
 
 
 def _recorded_sensors(recording: Recording) -> dict[str, str]:

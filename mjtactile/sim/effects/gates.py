@@ -14,17 +14,9 @@ from mjtactile.sim.effects import steepness
 from mjtactile.sim.scenes.objects import ObjectModel
 
 GRAVITY = 9.81
-
-
 _CONTACT_SPEED = 0.01  # m/s of the membrane while an object is touched gently
-
-
 _EXPOSURE = 0.008  # s
-
-
 _HELD = 0.6  # N: a usual grasp
-
-
 # of the force, over the slope's tangent squared: what shading moves in the middle, measured
 # (docs/effects.md)
 _SHADED = 0.06
@@ -57,6 +49,7 @@ class Scene:
 
 
 Gate = Callable[[Scene], tuple[bool, str]]
+"""From a scene to whether it needs an effect, and the sentence that says why."""
 
 
 def gas(s: Scene) -> tuple[bool, str]:

@@ -215,12 +215,15 @@ class FlatGeometry:
 
 
 def make_geometry(mesh: MembraneMesh, volume_flat: float, on: frozenset[str]) -> Any:
+    """What tells the gas's volume, m^3, and how the vertices change it: `volume_flat` m^3 behind
+    the flat sheet."""
     if Effect.FOLLOWER_PRESSURE in on:
         return ChamberGeometry(mesh, volume_flat)
     return FlatGeometry(mesh, volume_flat)
 
 
 def make_gas(chamber: Chamber, on: frozenset[str]) -> ChamberGas:
+    """What fills the chamber."""
     return ChamberGas(chamber) if Effect.GAS in on else FixedGas(chamber)
 
 

@@ -11,7 +11,9 @@ from mjtactile.core import resources
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.recording.files import write_json
+from mjtactile.recording.writer import Recorder
 from mjtactile.rig.scenario import complete_scenario, load_scenario
+from tests.fake_run import fake_cycle
 
 OTHER = Scenario(
     object="random:7",
@@ -113,6 +115,18 @@ def test_a_scenario_has_the_sensors_that_the_rigs_fingers_really_have(tmp_path):
     assert [finger.design.name for finger in rig.fingers] == ["dense", "paper16"]
     with pytest.raises(InputError, match=r"no finger 'thumb' on .*left, right"):
         complete_scenario(replace(one, sensors={"thumb": "dense"}))
+
+
+def test_a_recording_is_replayed_with_the_sensor_that_it_names(tmp_path):
+    """Unless another is asked for, or its file is gone."""
+    for name, known in (("shipped", "paper16"), ("gone", "gone.toml")):
+        scenario = Scenario().to_dict() | {"sensor": known}
+        with Recorder(tmp_path / name, {"scenario": scenario}) as recorder:
+            recorder.add(fake_cycle(0, 1))
+    replayed = complete_scenario(Scenario(rig=f"replay:{tmp_path / 'shipped'}"))
+    assert replayed.sensor == "paper16"
+    assert complete_scenario(replace(replayed, sensor="round30")).sensor == "round30"
+    assert complete_scenario(Scenario(rig=f"replay:{tmp_path / 'gone'}")).sensor == "dense"
 
 
 QUICK = """
