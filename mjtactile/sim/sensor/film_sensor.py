@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
-from mjtactile.film import Film, FilmStatus
+from mjtactile.film import FilmStatus
 from mjtactile.film.live import HEAT_RATIO, LiveFilm
-from mjtactile.film.places import carried
 from mjtactile.kernels import bound, words
 from mjtactile.sim.sensor import limits
 from mjtactile.sim.sensor.films import FEELER, bulge_stiffness, film_of, sticking_of
 from mjtactile.sim.sensor.geoms import FeltGeoms
-from mjtactile.sim.sensor.mesh import MembraneMesh
+from mjtactile.sim.sensor.mesh import MembraneMesh, onto_mesh
 from mjtactile.sim.sensor.pushes import HOLD, pushes_of
 from mjtactile.sim.sensor.sheet_sensor import SheetSensor
 from mjtactile.sim.sensor.switches import Effect
@@ -64,7 +63,7 @@ class FilmSensor(SheetSensor):
         self.vertex_geom_ids = np.array([model.geom(prefix + FEELER).id])
         self.contact_ids = np.array([*self.vertex_geom_ids.repeat(2), self.flex_id])
         self._film = film = film_of(design, (mesh.nx, mesh.ny))
-        self._onto_mesh = _onto_mesh(film, mesh)
+        self._onto_mesh = onto_mesh(film, mesh)
         top = float(film.rest.x[2].max())
         half = math.hypot(design.frame.length, design.frame.width) / 2
         reach = math.hypot(half, top) + 1e-3
@@ -401,14 +400,3 @@ _REASONS = {
     ),
     FilmStatus.OVERSTRETCHED: "the sheet is stretched beyond what its rubber's law is known for",
 }
-
-
-def _onto_mesh(film: Film, mesh: MembraneMesh) -> Array | None:
-    """Displacements of a mesh's vertices by those of a film's nodes, (n, nodes); None: both are the
-    same, as a rectangle's are."""
-    if film.design.frame.outline is None:
-        return None
-    by_node = carried(film, mesh.p_SV[:, :2])
-    frame = np.setdiff1d(np.arange(len(mesh.p_SV)), mesh.interior)
-    by_node[frame] = 0.0
-    return by_node

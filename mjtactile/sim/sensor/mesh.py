@@ -14,6 +14,8 @@ from mjtactile.core.bspline import interpolating
 from mjtactile.core.errors import InputError
 from mjtactile.core.outline import Outline
 from mjtactile.core.types import Array
+from mjtactile.film import Film
+from mjtactile.film.places import carried
 
 GRADING = 0.0
 """How much closer the vertices stand in the middle than on average; 0 is a uniform mesh. 0.25
@@ -167,3 +169,14 @@ class MarkerInterpolator:
         p_SM, along_x, along_y = (self._operator @ p_SV).reshape(3, -1, 3)
         normal = geometry.cross(along_x, along_y)
         return p_SM, normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+
+def onto_mesh(film: Film, mesh: MembraneMesh) -> Array | None:
+    """Displacements of a mesh's vertices by those of a film's nodes, (n, nodes); None: both are the
+    same, as a rectangle's are."""
+    if film.design.frame.outline is None:
+        return None
+    by_node = carried(film, mesh.p_SV[:, :2])
+    frame = np.setdiff1d(np.arange(len(mesh.p_SV)), mesh.interior)
+    by_node[frame] = 0.0
+    return by_node
