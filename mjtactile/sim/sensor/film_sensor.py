@@ -55,8 +55,7 @@ class FilmSensor(SheetSensor):
         prefix: str,
         effects: frozenset[str],
     ):
-        """`mesh` is as fine as the film's grid, and the same of a rectangle. Raises InputError for
-        a scene that a film cannot feel."""
+        """`mesh` is as fine as the film. InputError: a scene that a film cannot feel."""
         super().__init__(model, data, design, mesh, prefix, effects)
         self._model = model
         self.flex_id = _NO_FLEX
@@ -303,8 +302,7 @@ class FilmSensor(SheetSensor):
 
     @property
     def p_SV(self) -> Array:
-        """Positions (n, 3) m in S of the mesh's vertices on the film now, the frame's among them:
-        of a rectangle, the film's nodes."""
+        """Positions (n, 3) m in S of the mesh's vertices now, which ride on the film."""
         self._look()
         moved = self._live.x.reshape(3, -1).T.copy()
         strain = self._memory[_STRAIN]
