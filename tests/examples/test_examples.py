@@ -209,6 +209,7 @@ def test_my_camera_class_is_found_by_its_entry_point_and_drives_a_rig(tmp_path):
         resources.find("emulated", "models/rigs", ".toml")
         .read_text()
         .replace('backend = "ffmpeg"', 'backend = "newest"')
+        .replace("reply_timeout_ms = 20", "reply_timeout_ms = 100")  # it is about the camera
     )
     (work / "rig.toml").write_text(rig)
     environment = os.environ | {
