@@ -181,7 +181,10 @@ class SlipSettings:
         0.35, "spread over mean of shear over pressure in a contact that slides", _SLID
     )
     even_turning: float = number(
-        0.45, "the same along circles, of a contact that turns on the spot and slides", _SLID
+        0.42, "the same along circles, of a contact that turns on the spot and slides", _SLID
+    )
+    rolls: float = number(
+        1.2, "of one whose middle sticks for sure: what goes anywhere there rolls", _SLID
     )
     sticks: float = number(0.6, "of one whose middle seems to stick", _SLID)
     recent: float = number(

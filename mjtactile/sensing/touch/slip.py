@@ -98,9 +98,10 @@ def judge(
     load = float(np.linalg.norm(shear)) / normal
     velocity, way = _motion(now.samples, s)
     asked = s.evidence if uneven < s.sticks else s.evidence_uneven
-    slips = load > s.least_load and (
-        (is_known and uneven < s.even) or (way > s.least_way and evidence(now, normal, s) > asked)
-    )
+    is_even = is_known and uneven < s.even
+    rolls = is_known and uneven > s.rolls  # its middle sticks, wherever the whole goes
+    goes = not rolls and way > s.least_way and evidence(now, normal, s) > asked
+    slips = load > s.least_load and (is_even or goes)
     if not slips and _turns(now.samples, s):
         slips = True
         load = used_around

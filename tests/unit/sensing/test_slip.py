@@ -228,6 +228,13 @@ def test_rolling_and_turning_do_not_slip(sensor):
     assert "slipping" not in states(said)
 
 
+def test_what_goes_along_while_its_middle_plainly_sticks_rolls(sensor):
+    """A lying cylinder rolls along its load as far as a slip would go: its shear tells them apart.
+    All of the shear evenly over a pressure that falls, and as much again against it."""
+    place = 4e-3 * ramp(12, 24) - 2e-3
+    assert "slipping" not in states(verdicts(sensor, np.full(36, 0.4 * NORMAL), place, sticks=6.0))
+
+
 def test_noise_alone_never_slips(sensor):
     """1000 images whose centre scatters as `SlipSettings.noise` says: 6 sd in 4000 looks is once in
     100 000 such runs."""
