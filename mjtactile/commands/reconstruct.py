@@ -20,7 +20,7 @@ from mjtactile.recording.files import write_json
 from mjtactile.report.pictures import NamedImage, marker_overlay, read_frames, to_image
 from mjtactile.report.summary_figure import draw_surface
 from mjtactile.run.progress import Progress
-from mjtactile.types import Markers, Surface, Touch
+from mjtactile.types import Contact, Markers, Surface, Touch, Traction
 
 SIMULATES = False
 DESCRIPTION = """\
@@ -150,20 +150,35 @@ def _stem(name: str) -> str:
 
 
 def _row(name: str, status: str, touch: Touch | None) -> dict[str, Any]:
-    contact = touch.contact if touch is not None else None
-    traction = touch.traction if touch is not None else None
-
+    """A frame of the JSON; null is what is not known."""
+    surface = None if touch is None else touch.surface
+    markers = None if touch is None else touch.markers
+    contact = None if touch is None else touch.contact
+    traction = None if touch is None else touch.traction
     return {
         "source": name,
         "status": status,
-        **_shape(touch.surface if touch is not None else None),
-        "markers": [] if touch is None or touch.markers is None else _markers(touch.markers),
-        "contact_area_mm2": None if contact is None else 1e6 * contact.area,
-        "contact_centroid_mm": None if contact is None else 1e3 * contact.centroid,
-        "depth_mm": None if contact is None else 1e3 * contact.depth,
-        "force_N": None if traction is None else traction.wrench[:3],
-        "force_sd_N": None if traction is None else np.sqrt(np.diag(traction.wrench_cov)[:3]),
+        **_shape(surface),
+        "markers": [] if markers is None else _markers(markers),
+        **_contact(contact),
+        **_force(traction),
     }
+
+
+def _contact(contact: Contact | None) -> dict[str, Any]:
+    if contact is None:
+        return dict.fromkeys(("contact_area_mm2", "contact_centroid_mm", "depth_mm"))
+    return {
+        "contact_area_mm2": 1e6 * contact.area,
+        "contact_centroid_mm": 1e3 * contact.centroid,
+        "depth_mm": 1e3 * contact.depth,
+    }
+
+
+def _force(traction: Traction | None) -> dict[str, Any]:
+    if traction is None:
+        return dict.fromkeys(("force_N", "force_sd_N"))
+    return {"force_N": traction.wrench[:3], "force_sd_N": np.sqrt(np.diag(traction.wrench_cov)[:3])}
 
 
 def _shape(surface: Surface | None) -> dict[str, Any]:

@@ -48,16 +48,16 @@ def _between(x: ArrayLike, y: ArrayLike, at: float) -> Array:
     before = 2 * h[1:] + h[:-1]
     after = h[1:] + 2 * h[:-1]
     rises = m[1:] * m[:-1] > 0  # else it is level there
-    d[1:-1][rises] = (
-        (before + after) / (before / np.where(rises, m[:-1], 1) + after / np.where(rises, m[1:], 1))
-    )[rises]
+    compliance = before / np.where(rises, m[:-1], 1) + after / np.where(rises, m[1:], 1)
+    d[1:-1][rises] = ((before + after) / compliance)[rises]
     for end, step in ((0, 1), (-1, -1)):
         h0 = h[end]
         h1 = h[end + step]
         m0 = m[end]
         m1 = m[end + step]
         slope = ((2 * h0 + h1) * m0 - h0 * m1) / (h0 + h1)
-        slope = np.where((m0 * m1 < 0) & (np.abs(slope) > 3 * np.abs(m0)), 3 * m0, slope)
+        overshoots = (m0 * m1 < 0) & (np.abs(slope) > 3 * np.abs(m0))
+        slope = np.where(overshoots, 3 * m0, slope)
         d[end] = np.where(slope * m0 > 0, slope, 0.0)
     k = int(np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 2))
     t = (at - x[k]) / h[k]
@@ -72,7 +72,10 @@ def _root(function: Callable[[float], float], low: float, high: float) -> float:
     """Where a `function` that falls from `low` to `high` vanishes, by halving to the last bit:
     scipy's takes a quarter of a second to import."""
     while low < (middle := (low + high) / 2) < high:
-        low, high = (middle, high) if function(middle) > 0 else (low, middle)
+        if function(middle) > 0:
+            low = middle
+        else:
+            high = middle
     return middle
 
 
@@ -102,11 +105,10 @@ def bulge_height(design: SensorDesign, pressure_gauge: float) -> float:
 
     def missing(height: float) -> float:
         stretch = sheet.pre_stretch * (1 + MEAN_STRETCH * (height / half_width) ** 2)
-        rubber, plain = (
-            equibiaxial_stress(stretch, sheet.young, sheet.poisson, law)
-            for law in (Law.NEO_HOOKEAN, Law.STVK)
-        )
-        return _hookean_height(design, sheet.young * rubber / plain, abs(pressure_gauge)) - height
+        rubber = equibiaxial_stress(stretch, sheet.young, sheet.poisson, Law.NEO_HOOKEAN)
+        plain = equibiaxial_stress(stretch, sheet.young, sheet.poisson, Law.STVK)
+        secant = sheet.young * rubber / plain
+        return _hookean_height(design, secant, abs(pressure_gauge)) - height
 
     least = 1e-3 * half_width
     most = 1.5 * half_width
@@ -135,20 +137,14 @@ def _hookean_height(design: SensorDesign, young: float, pressure_gauge: float) -
         return np.nan
     else:
         c1, c2 = rectangle_coefficients(long / short, sheet.poisson)
-    linear = (
-        c1
-        * sheet.thickness
-        * equibiaxial_stress(sheet.pre_stretch, young, sheet.poisson, Law.STVK)
-        / a**2
-    )
+    stress = equibiaxial_stress(sheet.pre_stretch, young, sheet.poisson, Law.STVK)
+    linear = c1 * sheet.thickness * stress / a**2
     cubic = c2 * young * sheet.thickness * sheet.pre_stretch**2 / a**4
     if not np.isfinite(linear + cubic) or linear < 0:
         return np.nan
     bound = (abs(pressure_gauge) / cubic) ** (1 / 3)  # the height without pre-tension
-    return float(
-        np.sign(pressure_gauge)
-        * _root(lambda w: abs(pressure_gauge) - linear * w - cubic * w**3, 0.0, 1.01 * bound)
-    )
+    height = _root(lambda w: abs(pressure_gauge) - linear * w - cubic * w**3, 0.0, 1.01 * bound)
+    return float(np.sign(pressure_gauge) * height)
 
 
 # C2 of ellipses 1 to 4 times as long as wide (rows), for Poisson's ratios: of a spline sheet
@@ -228,10 +224,12 @@ def stvk_height_error(design: SensorDesign, pressure_gauge: float) -> float:
     """By how much, as a share, a neo-Hookean sheet bulges higher at a gauge pressure, Pa, than a
     St. Venant-Kirchhoff one of the same modulus, Poisson's ratio and pre-stretch (Eq. M7); NaN
     where one of the two is unknown."""
-    rubber, plain = (
-        bulge_height(
-            replace(design, membrane=replace(design.membrane, law=law)), abs(pressure_gauge)
-        )
-        for law in (Law.NEO_HOOKEAN, Law.STVK)
-    )
+    rubber = _height_by(Law.NEO_HOOKEAN, design, abs(pressure_gauge))
+    plain = _height_by(Law.STVK, design, abs(pressure_gauge))
     return rubber / plain - 1 if plain else 0.0
+
+
+def _height_by(law: Law, design: SensorDesign, pressure_gauge: float) -> float:
+    """`bulge_height` of the same sheet with rubber of this law."""
+    sheet = replace(design.membrane, law=law)
+    return bulge_height(replace(design, membrane=sheet), pressure_gauge)

@@ -24,11 +24,13 @@ from mjtactile.report.html import document, table
 
 _EDGE = 1.6e-3  # m, of triangles that a browser turns smoothly
 _UNSURE = 1e-3  # m of sd: the darkest
-_ELEVATION, _AZIMUTH = 12, -55  # deg
+_ELEVATION = 12  # deg
+_AZIMUTH = -55  # deg
+_LEVEL = math.cos(math.radians(_ELEVATION))
 _VIEW = np.array(
     [
-        math.cos(math.radians(_ELEVATION)) * math.cos(math.radians(_AZIMUTH)),
-        math.cos(math.radians(_ELEVATION)) * math.sin(math.radians(_AZIMUTH)),
+        _LEVEL * math.cos(math.radians(_AZIMUTH)),
+        _LEVEL * math.sin(math.radians(_AZIMUTH)),
         math.sin(math.radians(_ELEVATION)),
     ]
 )
@@ -82,7 +84,8 @@ def write_page(path: Path, found: Explored, summary: Mapping[str, Any]) -> None:
 
 def _doubt(mesh: Mesh) -> Array:
     """(V, 3) colours of how well each vertex is known."""
-    low, high = math.log(3e-5), math.log(_UNSURE)
+    low = math.log(3e-5)
+    high = math.log(_UNSURE)
     share = np.clip((np.log(np.maximum(mesh.sd, 1e-9)) - low) / (high - low), 0, 1)[:, None]
     mixed = (1 - share) * np.array([245, 245, 240]) + share * np.array([217, 108, 30])
     return mixed.round().astype(int)
@@ -157,8 +160,10 @@ def _paint(axes: Any, mesh: Mesh, colour: Array, found: Explored) -> None:
             place = 1e3 * (patch.middle + 1e-3 * patch.normal) @ up
             axes.scatter(*place, s=14, c="k", depthshade=False, zorder=3)
             axes.text(*place, f" {touch + 1}", fontsize=8, zorder=4)
-    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    middle, half = (low + high) / 2, float((high - low).max()) / 2
+    low = corners.min(axis=(0, 1))
+    high = corners.max(axis=(0, 1))
+    middle = (low + high) / 2
+    half = float((high - low).max()) / 2
     for set_limits, at in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), middle, strict=True):
         set_limits(at - half, at + half)
     axes.set_box_aspect((1, 1, 1), zoom=0.88)  # the unit of the upright axis stands beside it

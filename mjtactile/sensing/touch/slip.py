@@ -36,9 +36,8 @@ from mjtactile.sensing.force.gain import Shape
 from mjtactile.sensing.force.inverse import InverseMembrane
 from mjtactile.sensing.settings import DEFAULTS, SlipSettings
 
-_PRESSED = (
-    0.1  # of the peak: less is the contact's edge, where little pressure divides little shear
-)
+# of the peak: less is the contact's edge, where little pressure divides little shear
+_PRESSED = 0.1
 _NODES = 6  # that press alike, or as good as that
 _TURNING_NODES = 3  # the same, of what turns: its shear is even along circles, which is rarer
 _TURNING_SHARE = 1.5  # of the force, as much torque over the radius of gyration
@@ -192,10 +191,8 @@ def evidence(history: SlipHistory, normal: float, s: SlipSettings = DEFAULTS.sli
     time = np.array([sample.time for sample in samples])
     along = samples[-1].ratio / max(float(np.linalg.norm(samples[-1].ratio)), 1e-12)
     way = np.array([sample.p for sample in samples]) @ along[:2]
-    dragged, ratio = (
-        np.array([getattr(sample, name) for sample in samples]) @ along
-        for name in ("dragged", "ratio")
-    )
+    dragged = np.array([sample.dragged for sample in samples]) @ along
+    ratio = np.array([sample.ratio for sample in samples]) @ along
     size, length = _extent(history, along)
     size = max(size, _POINT)
     sd = s.noise * (size / s.noise_size) ** s.noise_size_power * normal**s.noise_force_power
@@ -205,14 +202,15 @@ def evidence(history: SlipHistory, normal: float, s: SlipSettings = DEFAULTS.sli
         if time[-1] - time[b] > s.recent:
             continue
         a = int(np.searchsorted(time, time[b] - s.baseline))
-        excess = [values[b:] - values[a:b].mean() for values in (way, dragged, ratio)]
-        left = excess[0] - s.follows * np.abs(excess[1]) - lean * np.abs(excess[2])
+        # since then, beyond the mean of a while before
+        went = way[b:] - way[a:b].mean()
+        was_dragged = dragged[b:] - dragged[a:b].mean()
+        leant = ratio[b:] - ratio[a:b].mean()
+        left = went - s.follows * np.abs(was_dragged) - lean * np.abs(leant)
         if left[-1] > s.least_way:
             ramp = time[b:] - time[b - 1]
-            most = max(
-                most,
-                float(ramp @ left) / (sd * float(np.sqrt(ramp @ ramp + ramp.sum() ** 2 / (b - a)))),
-            )
+            ramp_sd = sd * float(np.sqrt(ramp @ ramp + ramp.sum() ** 2 / (b - a)))
+            most = max(most, float(ramp @ left) / ramp_sd)
     return most
 
 
@@ -231,9 +229,8 @@ def _follow(
     p = weight @ estimator.nodes
     if before is None or not 0 < time - before.samples[-1].time < s.gap:
         friction = estimator.design.membrane.friction if before is None else before.friction
-        return SlipHistory(
-            (SlipSample(time, p, np.zeros(3), *shear),), weight, position, 0.0, friction
-        )
+        first = SlipSample(time, p, np.zeros(3), *shear)
+        return SlipHistory((first,), weight, position, 0.0, friction)
     step = 0.5 * (weight + before.weight) @ (position - before.position)
     sample = SlipSample(time, p, before.samples[-1].dragged + step, *shear)
     kept = tuple(old for old in before.samples if time - old.time < s.recent + s.baseline)
@@ -260,11 +257,9 @@ def _newest_way(samples: Sequence[SlipSample]) -> float:
 def _extent(history: SlipHistory, along: Array) -> tuple[float, float]:
     """Radius of gyration of the pressure, m, and its sd along the direction (3,)."""
     off = history.position - history.weight @ history.position
-    flat = off[:, :2]
-    return (
-        float(np.sqrt(history.weight @ (off**2).sum(axis=1))),
-        float(np.sqrt(history.weight @ (flat @ along[:2]) ** 2)),
-    )
+    radius = float(np.sqrt(history.weight @ (off**2).sum(axis=1)))
+    length = float(np.sqrt(history.weight @ (off[:, :2] @ along[:2]) ** 2))
+    return radius, length
 
 
 def split(force: Array, normal: Array) -> tuple[float, Array]:
