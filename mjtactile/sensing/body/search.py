@@ -20,7 +20,7 @@ _APPROACH = (1.2, 0.7, 0.3, 0.0)  # mm above the start: the film is pressed in s
 _FORCE_STEPS = 3
 _FORCE_NEAR = 0.1  # of the force that is felt
 _STIFFNESS = (0.05, 0.12, 2.0)  # N/mm of a touch: least, first, most
-_HOPELESS = 40.0  # of the sum of squares over the noise: a family so far behind is not looked for
+_HOPELESS = 120.0  # of the sum of squares over the noise: a family so far behind is not looked for
 _COARSE_ROUNDS = 4
 
 
