@@ -42,7 +42,7 @@ Bound = int | str  # a number, or the register that holds it ("-PWM Limit": its 
 
 
 @dataclass(frozen=True)
-class Register:
+class TableEntry:
     """One register. `low` to `high` may be written, or one of `choices`; neither: it is
     read-only."""
 
@@ -116,60 +116,60 @@ ROBOTIS's staff reproduced it "with all models of 330 sized DYNAMIXEL servos"
 (https://forum.robotis.com/t/watchdog-of-xc330-t288-t-does-not-stop-motor/4814)."""
 
 _FIELDS = (
-    Register(0, 2, "Model Number"),
-    Register(2, 4, "Model Information"),
-    Register(6, 1, "Firmware Version"),
-    Register(7, 1, "ID", 1, 0, 252),
-    Register(8, 1, "Baud Rate", 1, 0, 7),
-    Register(9, 1, "Return Delay Time", 250, 0, 254),
-    Register(10, 1, "Drive Mode"),
-    Register(11, 1, "Operating Mode", 3, choices=frozenset(MODES)),
-    Register(12, 1, "Secondary(Shadow) ID", 255, 0, 255),
-    Register(13, 1, "Protocol Type", 2),
-    Register(20, 4, "Homing Offset", 0, -1_044_479, 1_044_479),
-    Register(24, 4, "Moving Threshold", 10, 0, 1023),
-    Register(31, 1, "Temperature Limit", 0, 0, 100),
-    Register(32, 2, "Max Voltage Limit"),
-    Register(34, 2, "Min Voltage Limit"),
-    Register(36, 2, "PWM Limit", 885, 0, 885),
-    Register(38, 2, "Current Limit"),
-    Register(44, 4, "Velocity Limit"),
-    Register(48, 4, "Max Position Limit", 4095, 0, 4095),
-    Register(52, 4, "Min Position Limit", 0, 0, 4095),
-    Register(60, 1, "Startup Configuration", 0, 0, 3),
-    Register(63, 1, "Shutdown"),
-    Register(64, 1, "Torque Enable", 0, 0, 1),
-    Register(65, 1, "LED", 0, 0, 1),
-    Register(68, 1, "Status Return Level", 2, 0, 2),
-    Register(69, 1, "Registered Instruction"),
-    Register(70, 1, "Hardware Error Status"),
-    Register(76, 2, "Velocity I Gain", 0, 0, 16383),
-    Register(78, 2, "Velocity P Gain", 0, 0, 16383),
-    Register(80, 2, "Position D Gain", 0, 0, 16383),
-    Register(82, 2, "Position I Gain", 0, 0, 16383),
-    Register(84, 2, "Position P Gain", 0, 0, 16383),
-    Register(88, 2, "Feedforward 2nd Gain", 0, 0, 16383),
-    Register(90, 2, "Feedforward 1st Gain", 0, 0, 16383),
-    Register(98, 1, "Bus Watchdog", 0, 0, 127),
-    Register(100, 2, "Goal PWM", 0, "-PWM Limit", "PWM Limit"),
-    Register(102, 2, "Goal Current", 0, "-Current Limit", "Current Limit"),
-    Register(104, 4, "Goal Velocity", 0, "-Velocity Limit", "Velocity Limit"),
-    Register(108, 4, "Profile Acceleration", 0, 0, 32767),
-    Register(112, 4, "Profile Velocity", 0, 0, 32767),
+    TableEntry(0, 2, "Model Number"),
+    TableEntry(2, 4, "Model Information"),
+    TableEntry(6, 1, "Firmware Version"),
+    TableEntry(7, 1, "ID", 1, 0, 252),
+    TableEntry(8, 1, "Baud Rate", 1, 0, 7),
+    TableEntry(9, 1, "Return Delay Time", 250, 0, 254),
+    TableEntry(10, 1, "Drive Mode"),
+    TableEntry(11, 1, "Operating Mode", 3, choices=frozenset(MODES)),
+    TableEntry(12, 1, "Secondary(Shadow) ID", 255, 0, 255),
+    TableEntry(13, 1, "Protocol Type", 2),
+    TableEntry(20, 4, "Homing Offset", 0, -1_044_479, 1_044_479),
+    TableEntry(24, 4, "Moving Threshold", 10, 0, 1023),
+    TableEntry(31, 1, "Temperature Limit", 0, 0, 100),
+    TableEntry(32, 2, "Max Voltage Limit"),
+    TableEntry(34, 2, "Min Voltage Limit"),
+    TableEntry(36, 2, "PWM Limit", 885, 0, 885),
+    TableEntry(38, 2, "Current Limit"),
+    TableEntry(44, 4, "Velocity Limit"),
+    TableEntry(48, 4, "Max Position Limit", 4095, 0, 4095),
+    TableEntry(52, 4, "Min Position Limit", 0, 0, 4095),
+    TableEntry(60, 1, "Startup Configuration", 0, 0, 3),
+    TableEntry(63, 1, "Shutdown"),
+    TableEntry(64, 1, "Torque Enable", 0, 0, 1),
+    TableEntry(65, 1, "LED", 0, 0, 1),
+    TableEntry(68, 1, "Status Return Level", 2, 0, 2),
+    TableEntry(69, 1, "Registered Instruction"),
+    TableEntry(70, 1, "Hardware Error Status"),
+    TableEntry(76, 2, "Velocity I Gain", 0, 0, 16383),
+    TableEntry(78, 2, "Velocity P Gain", 0, 0, 16383),
+    TableEntry(80, 2, "Position D Gain", 0, 0, 16383),
+    TableEntry(82, 2, "Position I Gain", 0, 0, 16383),
+    TableEntry(84, 2, "Position P Gain", 0, 0, 16383),
+    TableEntry(88, 2, "Feedforward 2nd Gain", 0, 0, 16383),
+    TableEntry(90, 2, "Feedforward 1st Gain", 0, 0, 16383),
+    TableEntry(98, 1, "Bus Watchdog", 0, 0, 127),
+    TableEntry(100, 2, "Goal PWM", 0, "-PWM Limit", "PWM Limit"),
+    TableEntry(102, 2, "Goal Current", 0, "-Current Limit", "Current Limit"),
+    TableEntry(104, 4, "Goal Velocity", 0, "-Velocity Limit", "Velocity Limit"),
+    TableEntry(108, 4, "Profile Acceleration", 0, 0, 32767),
+    TableEntry(112, 4, "Profile Velocity", 0, 0, 32767),
     # in modes 4 and 5: TURNS_MAX
-    Register(116, 4, "Goal Position", 0, "Min Position Limit", "Max Position Limit"),
-    Register(120, 2, "Realtime Tick"),
-    Register(122, 1, "Moving"),
-    Register(123, 1, "Moving Status"),
-    Register(124, 2, "Present PWM"),
-    Register(126, 2, "Present Current"),
-    Register(128, 4, "Present Velocity"),
-    Register(132, 4, "Present Position"),
-    Register(136, 4, "Velocity Trajectory"),
-    Register(140, 4, "Position Trajectory"),
-    Register(144, 2, "Present Input Voltage"),
-    Register(146, 1, "Present Temperature"),
-    Register(147, 1, "Backup Ready"),
+    TableEntry(116, 4, "Goal Position", 0, "Min Position Limit", "Max Position Limit"),
+    TableEntry(120, 2, "Realtime Tick"),
+    TableEntry(122, 1, "Moving"),
+    TableEntry(123, 1, "Moving Status"),
+    TableEntry(124, 2, "Present PWM"),
+    TableEntry(126, 2, "Present Current"),
+    TableEntry(128, 4, "Present Velocity"),
+    TableEntry(132, 4, "Present Position"),
+    TableEntry(136, 4, "Velocity Trajectory"),
+    TableEntry(140, 4, "Position Trajectory"),
+    TableEntry(144, 2, "Present Input Voltage"),
+    TableEntry(146, 1, "Present Temperature"),
+    TableEntry(147, 1, "Backup Ready"),
 )
 
 
@@ -190,11 +190,12 @@ class ControlTable:
             replace(field, **own[field.name]) if field.name in own else field for field in _FIELDS
         ]
         if row.slope is not None:
-            fields.append(Register(62, 1, "PWM Slope", row.slope, 1, 255))
+            fields.append(TableEntry(62, 1, "PWM Slope", row.slope, 1, 255))
         if row.size == 540:
-            fields += [Register(55 + i, 1, f"External Port Mode {i}", 3, 0, 3) for i in (1, 2, 3)]
+            fields += [TableEntry(55 + i, 1, f"External Port Mode {i}", 3, 0, 3) for i in (1, 2, 3)]
             fields += [
-                Register(150 + 2 * i, 2, f"External Port Data {i}", 0, 0, 65535) for i in (1, 2, 3)
+                TableEntry(150 + 2 * i, 2, f"External Port Data {i}", 0, 0, 65535)
+                for i in (1, 2, 3)
             ]
         self.indirect: dict[int, int] = {}
         last = max(data + count for _, data, count in _INDIRECT[row.size]) - 1
@@ -202,11 +203,11 @@ class ControlTable:
             for i in range(count):
                 number = i + 1 + 28 * block
                 fields.append(
-                    Register(
+                    TableEntry(
                         address + 2 * i, 2, f"Indirect Address {number}", data + i, EEPROM_END, last
                     )
                 )
-                fields.append(Register(data + i, 1, f"Indirect Data {number}", 0, 0, 255))
+                fields.append(TableEntry(data + i, 1, f"Indirect Data {number}", 0, 0, 255))
                 self.indirect[data + i] = address + 2 * i
         self.fields = {field.name: field for field in fields}
         self.at = {field.address: field for field in fields}

@@ -83,7 +83,7 @@ class Registers:
     def _apply(self, name: str, value: int) -> None:
         self.set(name, value)
 
-    def _checked(self, address: int, data: bytes) -> tuple[list[tuple[ct.Register, int]], int]:
+    def _checked(self, address: int, data: bytes) -> tuple[list[tuple[ct.TableEntry, int]], int]:
         """The registers that a write would change, with their values, and the error that it would
         get."""
         fields, error = self._parse(address, data)
@@ -99,7 +99,7 @@ class Registers:
             return address
         return int.from_bytes(self._memory[place : place + 2], "little")
 
-    def _parse(self, address: int, data: bytes) -> tuple[list[tuple[ct.Register, int]], int]:
+    def _parse(self, address: int, data: bytes) -> tuple[list[tuple[ct.TableEntry, int]], int]:
         """The registers that `data` covers, with their new values; or an error."""
         places = [self._where(a) for a in range(address, address + len(data))]
         fields = []
@@ -115,7 +115,7 @@ class Registers:
             start = end
         return fields, 0 if fields else LENGTH_ERROR
 
-    def _check(self, field: ct.Register, value: int) -> int:
+    def _check(self, field: ct.TableEntry, value: int) -> int:
         if not field.writable:
             return ACCESS_ERROR
         if field.address < ct.EEPROM_END and self.get("Torque Enable"):
@@ -137,7 +137,7 @@ class Registers:
         number = value - (1 << bits) if field.signed and value >> (bits - 1) else value
         return 0 if low <= number <= high else RANGE_ERROR
 
-    def _range(self, field: ct.Register) -> tuple[int, int]:
+    def _range(self, field: ct.TableEntry) -> tuple[int, int]:
         if field.name == "Goal Position" and self.get("Operating Mode") != 3:
             return -ct.TURNS_MAX, ct.TURNS_MAX
         return self._bound(field.low), self._bound(field.high)

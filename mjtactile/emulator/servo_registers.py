@@ -137,7 +137,7 @@ class ServoRegisters(Registers):
     def _angle(self, ticks: int) -> float:
         return self._direction * ((ticks - self._homing) / _TICKS_PER_RAD + self._lost_turns)
 
-    def _is_backed_up(self, field: ct.Register) -> bool:
+    def _is_backed_up(self, field: ct.TableEntry) -> bool:
         return (
             field.writable
             and field.address < ct.EEPROM_END

@@ -61,10 +61,8 @@ class Chain:
         settings: Settings = DEFAULTS,
     ):
         design.require_markers_that_fit()
-        if calibration is None:
-            self._measured = Calibration("", design.name)
-        else:
-            self._measured = calibration.used(design)
+        nothing = Calibration("", design.name)
+        self._measured = nothing if calibration is None else calibration.used(design)
         self.design = design = self._measured.design(design)
         self.settings = settings
         self.camera = Camera.from_design(design.camera, design.glass)
