@@ -39,7 +39,7 @@ from mjtactile.sensing.settings import DEFAULTS, SlipSettings
 # of the peak: less is the contact's edge, where little pressure divides little shear
 _PRESSED = 0.1
 _NODES = 6  # that press alike, or as good as that
-_TURNING_NODES = 3  # the same, of what turns: its shear is even along circles, which is rarer
+_TURNING_NODES = 4  # the same, of what turns: its shear is even along circles, which is rarer
 _TURNING_SHARE = 1.5  # of the force, as much torque over the radius of gyration
 _IMAGES = 3  # of which two must show it: one image's shear may look even by its noise
 _TURNING_LIMIT = 0.85  # squared, over that of a force: of a torque over the radius of gyration
