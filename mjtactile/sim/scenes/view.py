@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import mujoco
@@ -58,8 +58,9 @@ class SceneView:
     R_WS: Array
     hidden: tuple[NDArray[np.int64], ...]
     state: Array
-    films: tuple[tuple[Array, NDArray[np.int64]], ...] = ()
-    """Points (n, 3) m in W and triangles of the sheets that are no part of the model."""
+    films: tuple[tuple[Callable[[], Array], Array, Array, NDArray[np.int64]], ...] = ()
+    """Of the sheets that are no part of the model: what gives their points (n, 3) m in S, the pose
+    R_WS (3, 3) and p_WS (3,) m, triangles."""
 
     @classmethod
     def of(cls, world: World) -> SceneView:
@@ -81,8 +82,9 @@ class SceneView:
             state,
             tuple(
                 (
-                    sensor.p_SV @ data.xmat[sensor.body_id].reshape(3, 3).T
-                    + data.xpos[sensor.body_id],
+                    sensor.positions_now(),
+                    data.xmat[sensor.body_id].reshape(3, 3).copy(),
+                    data.xpos[sensor.body_id].copy(),
                     sensor.mesh.triangles,
                 )
                 for sensor in world.sensors
@@ -132,8 +134,8 @@ class SceneView:
         """Membranes, and the skins of soft bodies."""
         for flex in range(self.model.nflex):
             yield from self._flex(flex)
-        for points, faces in self.films:
-            yield points, faces, _SHEET
+        for points_S, R_WS, p_WS, faces in self.films:
+            yield points_S() @ R_WS.T + p_WS, faces, _SHEET
 
     def _flex(self, flex: int) -> Iterator[tuple[Array, Array, Array]]:
         """A membrane, or the skin of a soft body; nothing for a rope."""

@@ -9,6 +9,7 @@ it is always at rest. Gas and valve are the full sensor's.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import mujoco
 import numpy as np
@@ -304,13 +305,30 @@ class FilmSensor(SheetSensor):
     def p_SV(self) -> Array:
         """Positions (n, 3) m in S of the mesh's vertices now, which ride on the film."""
         self._look()
-        moved = self._live.x.reshape(3, -1).T.copy()
-        strain = self._memory[_STRAIN]
+        return self._positions()()
+
+    def positions_now(self) -> Callable[[], Array]:
+        """`p_SV` of this moment, to be worked out later, if at all: what sticks takes longer than a
+        step."""
+        self._look()
+        return self._positions()
+
+    def _positions(self) -> Callable[[], Array]:
+        """What gives `p_SV` of the last look."""
+        x = self._live.x.copy()
+        strain = self._memory[_STRAIN].copy()
+        held = None
         if self.is_touched and strain.any():
             held = np.where(self._touched[0], self._live.force + 1e-9, 0.0)
-            spread = self._sticking.grip(self._live.x, held).spread
-            moved[self.mesh.interior, :2] += (spread @ strain).T
-        return self.mesh.p_SV + (moved if self._onto_mesh is None else self._onto_mesh @ moved)
+
+        def positions() -> Array:
+            moved = x.reshape(3, -1).T.copy()
+            if held is not None:
+                spread = self._sticking.grip(x, held).spread
+                moved[self.mesh.interior, :2] += (spread @ strain).T
+            return self.mesh.p_SV + (moved if self._onto_mesh is None else self._onto_mesh @ moved)
+
+        return positions
 
     @property
     def heights(self) -> Array:
