@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 from mjtactile import (
     InputError,
     Interrupted,
-    LiveView,
     MjtactileError,
     Observer,
     Recorder,
@@ -148,6 +147,8 @@ def _live_views(target: str | None, progress: Progress) -> Iterator[list[Observe
     if target is None:
         yield []
         return
+    from mjtactile import LiveView  # takes a while to import
+
     with LiveView(target, progress.message) as live:
         yield [live]
     if live.left_out:

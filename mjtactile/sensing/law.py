@@ -9,7 +9,6 @@ is the derivative of det C.
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import lambertw
 
 from mjtactile.core.rubber import Law
 from mjtactile.core.sensor_parts import Membrane
@@ -24,6 +23,8 @@ class SheetLaw:
     """Stress and moduli, N/m, of one sensor's sheet: what its thickness carries."""
 
     def __init__(self, sheet: Membrane):
+        from scipy.special import lambertw  # takes a while to import
+
         self._law = sheet.law
         self._nu = sheet.poisson
         self._plane = sheet.young * sheet.thickness / (1 - sheet.poisson**2)

@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import ndtr
 
 from mjtactile.core.types import Array
 from mjtactile.film.state import TENSION
@@ -142,6 +141,8 @@ def interval(bodies: Sequence[tuple[float, float, float]]) -> tuple[float, float
     Returns:
         Its ends.
     """
+    from scipy.special import ndtr  # takes a while to import
+
     likely = [body for body in bodies if body[0] > _LIKELY]
     p, area, sd = np.array(likely).T
     sd = np.maximum(sd, 1e-9)

@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
 
 from mjtactile.core.types import Array
 from mjtactile.film import Obstacle
@@ -97,6 +96,8 @@ class Family:
 
 def kinds_of(family: Family, theta: Array, cov: Array) -> dict[str, float]:
     """What a user calls a body with numbers `theta` and covariance `cov`, with probabilities."""
+    from scipy.special import ndtr  # takes a while to import
+
     if family.parts:
         return {"several": 1.0}
     if family.name in ("disc", "block"):

@@ -7,7 +7,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtr
 
 from mjtactile.core.types import SHAPES, Array, Touch
 from mjtactile.film import FilmState
@@ -77,6 +76,8 @@ def borne(forward: Forward, press: Press, wrench: Array, noise: float, s: BodySe
 
 def _pointed(found: Fit, noise: float, s: BodySettings) -> float:
     """How probably the sheet meets a point: more curved than a limit both ways."""
+    from scipy.special import ndtr  # takes a while to import
+
     cov = found.cov_with(noise)
     if found.family.name == "ball":
         least = float(found.theta[3])

@@ -17,7 +17,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtr
 
 from mjtactile.core import optics
 from mjtactile.core.design import SensorDesign
@@ -249,6 +248,8 @@ def _brush(blur_px: float) -> tuple[int, int, Floats, Floats]:
     """What a node does to the pixels around it, for each of `_BINS` places in a pixel: their
     number, that of the pixels, h across and H's rise from row to row, (bins, pixels) and (bins,
     pixels + 1), of which the first is pixels/2 - 1 before the node's."""
+    from scipy.special import ndtr  # takes a while to import
+
     sd = max(blur_px, BLUR_MIN_PX)
     taps = 8 * int(np.ceil((_TAIL * sd + 0.5) / 4))  # whole vectors
     d = np.arange(taps + 1) - (taps // 2 - 1) - np.arange(_BINS)[:, None] / _BINS

@@ -7,8 +7,6 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from scipy import ndimage
-from scipy.special import ndtr
 
 from mjtactile.rig.troubles import CameraTroubles
 from mjtactile.sim.picture.troubles.shot import Floats, Shot, Step
@@ -27,6 +25,8 @@ _BANDS = 2.0  # of mains light from the first row to the last, whatever the rate
 def placed(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
     """Zoom, shift and turn about the picture's middle, by cubic splines: places that are rounded to
     a 32nd of a pixel, as fast resampling does, make circles larger and smaller by their place."""
+    from scipy.ndimage import affine_transform  # takes a while to import
+
     height, width = pixels.shape
     middle = np.array([(height - 1) / 2, (width - 1) / 2])
     cos = math.cos(t.turn) / (1 + t.zoom)
@@ -34,7 +34,7 @@ def placed(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
     back = np.array([[cos, sin], [-sin, cos]])  # rows, columns
     start = middle - back @ (middle + np.array(t.knock)[::-1])
     change = np.column_stack([back, start])
-    return _floats(ndimage.affine_transform(pixels, change, order=3, mode="mirror"))
+    return _floats(affine_transform(pixels, change, order=3, mode="mirror"))
 
 
 def defocused(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
@@ -97,6 +97,8 @@ STEPS = (
 @lru_cache(maxsize=8)
 def _specks(shape: tuple[int, int], count: int, radius: float, seed: int) -> Floats:
     """How much (H, W), 0 to 1, specks cover."""
+    from scipy.special import ndtr  # takes a while to import
+
     rng = np.random.default_rng(seed)
     v, u = np.mgrid[: shape[0], : shape[1]]
     cover = np.zeros(shape)
