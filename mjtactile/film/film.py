@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
-from mjtactile.film import bodies
+from mjtactile.film import asked, bodies
 from mjtactile.film.batch import at_once, new_batch
 from mjtactile.film.bodies import Obstacle
 from mjtactile.film.cutting import cut_by
@@ -68,13 +68,9 @@ class Film:
         self.design = design = load_sensor(design)
         self.grid = _grid(grid)
         frame, chamber, sheet = design.frame, design.chamber, design.membrane
-        self.pressure_gauge = float(
+        self.pressure_gauge = asked.pressure(
             chamber.supply_gauge if pressure_gauge is None else pressure_gauge
         )
-        if not 0 < self.pressure_gauge < 1e6:
-            raise InputError(
-                f"{self.pressure_gauge:g} Pa must be above ambient", field="pressure_gauge"
-            )
         self.sealed = sealed
         self.x, self.y = (
             np.linspace(-side / 2, side / 2, count)
@@ -162,11 +158,9 @@ class Film:
         """
         listed = bodies.listed(obstacles, "obstacles")
         rows, pool = bodies.pooled(listed, self.grid)
+        if state is not None:
+            asked.require_state(state, self.rest.x.shape)
         start = self.rest if state is None or not state.converged else state
-        if start.x.shape != self.rest.x.shape:
-            raise InputError(
-                f"is of a film of {start.x.shape[1:]} nodes, not {self.grid}", field="state"
-            )
         x, force, found = start.x.copy(), start.force.copy(), np.empty(FOUND)
         trend = np.zeros((4, *self.grid)) if start.trend is None else start.trend.copy()
         settings = np.array([self._gas, self.sealed, TOLERANCE, _MOST_STEPS, 1.0, 0.0])
@@ -199,22 +193,20 @@ class Film:
 
         Raises:
             InputError: no environment, or another number of bodies in one, or of environments in
-                `batch` or `into`.
+                `batch` or `into`, or an argument of another type.
         """
-        listed = [(one,) if isinstance(one, Obstacle) else one for one in obstacles]
-        if len({len(one) for one in listed}) != 1:
-            raise InputError("every environment wants as many bodies", field="obstacles")
+        listed = asked.environments(obstacles)
         count = len(listed)
         every = bodies.listed([body for one in listed for body in one], "obstacles")
         rows, pool = bodies.pooled(every, self.grid)
         for field, given in (("batch", batch), ("into", into)):
-            if given is not None and given.x.shape != (count, 3, *self.grid):
-                raise InputError(
-                    f"is of {given.x.shape}, not {(count, 3, *self.grid)}", field=field
-                )
+            if given is not None:
+                asked.require_batch(field, given, (count, 3, *self.grid))
         made = new_batch(count, self.grid) if into is None or into.trend is None else into
-        settings = np.tile([self._gas, self.sealed, TOLERANCE, _MOST_STEPS, again, 0.0], (count, 1))
-        threads = max(1, min(threads, count))
+        settings = np.tile(
+            [self._gas, self.sealed, TOLERANCE, _MOST_STEPS, bool(again), 0.0], (count, 1)
+        )
+        threads = asked.threads_among(threads, count)
         self._rooms += [np.empty_like(self._room) for _ in range(len(self._rooms), threads)]
 
         start = (None,) * 4 if batch is None else (batch.x, batch.force, batch.trend, batch.found)

@@ -37,7 +37,7 @@ _COMPLAINTS = {
     FilmStatus.OVERSTRETCHED: "an obstacle stretches the sheet beyond what its law is known for",
 }
 
-# Places in `found`, as kernels/film.c has them.
+# Places in `found`, as kernels/film_work.h has them.
 WRENCH = slice(0, 6)
 PRESSURE, VOLUME, AREA, STATUS, STEPS, STRETCHED, TENSION, LAST_STEP = range(6, 14)
 FOUND = 14

@@ -5,181 +5,19 @@
 #include <math.h>
 #include <string.h>
 
-#include "film_stencil.h"
-#include "film_work.h"
+#include "film_tangent.h"
 #include "kernels.h"
-#include "panels.h"
-#include "small.h"
 
 #define AT_ONCE (LANES - 1)  /* changes that are solved together; the last lane is the gas's */
 #define SWEEPS 2
 #define SWEEPS_AT_EDGES 3
 #define FINE_HALVES 36       /* edges are wanted to less than a difference of 1e-6 m shows */
-#define SLIDE 1e-6           /* m, by which slopes are asked for their own */
 #define ELSEWHERE 1e-4       /* m off a body, where a film does not rest on it */
 #define BEHIND_MOST 10       /* times that may be behind what is thin, which is moved under nodes */
 
-typedef struct {
-    Seen seen;
-    SheetFields fields;                 /* (3, count) twice: forces, and the volume's slopes */
-    Stencil stiffness;
-    float *band;                        /* of panels, 3 inner */
-    double *slope, *spring, *obstacle;  /* where the film is: (2, count), (4, count), (count) */
-    double *at, *pressed;               /* the film: (3, count), (count) */
-    double *x, *force;                  /* moved: (3, count), (count) */
-    double *base, *pressed_on;          /* what bodies do where the film is, and where it is moved: (4, count) */
-    Eight *rhs;                         /* 3 inner, with room behind */
-    Eight *residual;                    /* (4, count) by bodies: forces on nodes, and how far what touches is off its body */
-    Eight *borne, *given;               /* (3, count): what the sheet bears of all that was found, and of what is found next */
-    Eight *found;                       /* (4, count): displacements and forces */
-    Lanes swells;                       /* m^3 of what was found */
-    double gas_stiffness, pressure, tension;
-    double sums[FOUND];                 /* what is added up where the film is */
-} Tangent;
-
-static long panels_of(const Film *f) { return (3 * f->inner + PANEL - 1) / PANEL; }
-
-static long band_of(const Film *f) { return panels_of(f) * PANEL * panels_height(FILM_WIDTH(f)); }
-
-static long rows_of(const Film *f) { return panels_of(f) * PANEL + panels_height(FILM_WIDTH(f)); }
-
-static long room_of(const Film *f) {
-    const long singles = film_stencil_size(f) + band_of(f) + PANEL * (rows_of(f) + 14 * f->count);
-    return film_seen_size(f) + singles / 2 + (3 + 3 + 4 + 7 + 4 + 8) * f->count + 32;
-}
-
 int64_t film_derive_room(const double *numbers) {
     const Film f = film_of(numbers, 0);
-    return room_of(&f);
-}
-
-static Tangent tangent_in(const Film *f, double *room) {
-    const long n = f->count;
-    Tangent t = {.seen = film_seen_in(f, &room)};
-    t.fields.elastic = film_take(&room, 3 * n), t.fields.gradient = film_take(&room, 3 * n);
-    t.fields.along_x = t.seen.along_x, t.fields.along_y = t.seen.along_y;
-    float *floats = (float *)film_take(&room, film_stencil_size(f) / 2);
-    t.stiffness = film_stencil_in(f, &floats);
-    t.at = film_take(&room, 3 * n + 8), t.pressed = film_take(&room, n);
-    t.band = (float *)film_take(&room, band_of(f) / 2), t.rhs = (Eight *)film_take(&room, PANEL / 2 * rows_of(f));
-    t.slope = film_take(&room, 2 * n), t.spring = film_take(&room, 4 * n), t.obstacle = film_take(&room, n);
-    t.x = film_take(&room, 3 * n + 8), t.force = film_take(&room, n), t.base = film_take(&room, 4 * n), t.pressed_on = film_take(&room, 4 * n);
-    t.residual = (Eight *)film_take(&room, PANEL / 2 * 4 * n), t.borne = (Eight *)film_take(&room, PANEL / 2 * 3 * n);
-    t.given = (Eight *)film_take(&room, PANEL / 2 * 3 * n), t.found = (Eight *)film_take(&room, PANEL / 2 * 4 * n);
-    memset(t.base, 0, 8 * n * sizeof *t.base), memset(t.residual, 0, 4 * n * sizeof *t.residual);
-    memset(t.at, 0, (3 * n + 8) * sizeof *t.at), memset(t.slope, 0, 2 * n * sizeof *t.slope);
-    return t;
-}
-
-/* -- the tangent ------------------------------------------------------------------------------------------------------- */
-
-/* Lines on and beside which bodies are seen. */
-static long first_line(const Film *f, const Seen *s) { return s->box[0] < s->box[1] ? (long)most(s->box[0] - 1, 0) : f->columns; }
-
-static long behind_lines(const Film *f, const Seen *s) { return (long)least(s->box[1] + 1, f->columns); }
-
-static void add_entry(const Film *f, float *band, long m, int k, long n, int l, double value) {
-    const long row = 3 * m + k, column = 3 * n + l;
-    if (m >= 0 && n >= 0 && row >= column) band[column * panels_height(FILM_WIDTH(f)) + row - column / PANEL * PANEL] += (float)value;
-}
-
-/* Heights of what touches go with the slopes: their rows and columns are added to those in the plane. */
-static void eliminate(const Film *f, const Tangent *t, int pair, long node, float K[3][3]) {
-    const long other = node + film_pair(f, pair);
-    for (int k = 0; k < 3; k++)
-        for (int l = 0; l < 3; l++) K[k][l] = film_block(&t->stiffness, pair, k, l, node);
-    if (t->seen.touching[node])
-        for (int l = 0; l < 3; l++) {
-            for (int k = 0; k < 2; k++) K[k][l] += (float)t->slope[k * f->count + node] * K[2][l];
-            K[2][l] = 0;
-        }
-    if (t->seen.touching[other])
-        for (int k = 0; k < 3; k++) {
-            for (int l = 0; l < 2; l++) K[k][l] += (float)t->slope[l * f->count + other] * K[k][2];
-            K[k][2] = 0;
-        }
-}
-
-static void add_pairs(const Film *f, const Tangent *t) {
-    const long height = panels_height(FILM_WIDTH(f));
-    for (long i = 1; i < f->columns - 1; i++)
-        for (long node = i * f->line + 1; node < i * f->line + f->rows - 1; node++)
-            for (int pair = 0; pair < PAIRS; pair++) {
-                const long first = 3 * film_inner(f, node), other = 3 * film_inner(f, node + film_pair(f, pair));
-                float K[3][3];
-                if (first < 0 || other < 0) continue;
-                eliminate(f, t, pair, node, K);
-                for (int k = 0; k < 3; k++) {
-                    float *column = t->band + (first + k) * height - (first + k) / PANEL * PANEL + other;
-                    const int below = pair != PAIR_OWN; /* written out: as a loop it becomes masked vectors, at three times the time */
-                    if (below || k == 0) column[0] += K[k][0];
-                    if (below || k <= 1) column[1] += K[k][1];
-                    column[2] += K[k][2];
-                }
-            }
-}
-
-/* What bends the force of a contact as the node that bears it slides: force times the body's curvature, by differences. */
-static void add_bends(const Film *f, const Bodies *bodies, const double *x, const double *force, Tangent *t) {
-    double *bend = t->pressed_on; /* slopes' derivatives: by x (2, count), then by y */
-    const long count = f->count, from = first_line(f, &t->seen) * f->line, to = behind_lines(f, &t->seen) * f->line;
-    for (int axis = 0; axis < 2; axis++) {
-        double *moved = t->x + axis * count;
-        for (long k = from; k < to; k++) moved[k] = x[axis * count + k] + SLIDE;
-        see_bodies(f, bodies, t->x, &t->seen);
-        for (int c = 0; c < 2; c++)
-            for (long k = c * count + from; k < c * count + to; k++) bend[2 * axis * count + k] = (t->seen.slope[k] - t->slope[k]) / SLIDE;
-        for (long k = from; k < to; k++)
-            if (isinf(t->seen.obstacle[k])) bend[2 * axis * count + k] = bend[(2 * axis + 1) * count + k] = 0; /* it slid off */
-        memcpy(moved + from, x + axis * count + from, most(to - from, 0) * sizeof *x);
-    }
-    for (long k = from; k < to; k++) {
-        if (!t->seen.touching[k]) continue;
-        const double across = (bend[count + k] + bend[2 * count + k]) / 2, by[2][2] = {{bend[k], across}, {across, bend[3 * count + k]}};
-        const long m = film_inner(f, k);
-        for (int p = 0; p < 2; p++)
-            for (int q = 0; q <= p; q++) add_entry(f, t->band, m, p, m, q, -force[k] * by[p][q]);
-        add_entry(f, t->band, m, 2, m, 2, 1);
-    }
-    memset(bend, 0, 4 * count * sizeof *bend);
-}
-
-static void add_springs(const Film *f, const Tangent *t) {
-    for (int side = 0; side < 4; side++)
-        for (long k = 0; k < f->count; k++) {
-            const double spring = t->spring[side * f->count + k];
-            if (spring == 0) continue;
-            const long m = film_inner(f, k), other = film_inner(f, k + film_next(f, side));
-            for (int p = 0; p < 2; p++) {
-                const double slope = t->slope[p * f->count + k];
-                for (int q = 0; q <= p; q++) add_entry(f, t->band, m, p, m, q, spring * slope * t->slope[q * f->count + k]);
-                add_entry(f, t->band, m, p, other, 2, -spring * slope), add_entry(f, t->band, other, 2, m, p, -spring * slope);
-            }
-            add_entry(f, t->band, other, 2, other, 2, spring);
-        }
-}
-
-static int make_tangent(const Film *f, const Bodies *bodies, const double *x, const double *force, Tangent *t) {
-    const long height = panels_height(FILM_WIDTH(f));
-    memset(t->band, 0, band_of(f) * sizeof *t->band);
-    for (long k = 3 * f->inner; k < panels_of(f) * PANEL; k++) t->band[k * height + k % PANEL] = 1; /* behind the last */
-    film_stencil(f, x, t->pressure, &t->stiffness);
-    add_pairs(f, t), add_springs(f, t), add_bends(f, bodies, x, force, t);
-    for (long k = 0; k < 3 * f->inner && f->inside; k++) /* what an outline holds has a row of its own */
-        if (t->band[k * height + k % PANEL] == 0) t->band[k * height + k % PANEL] = 1;
-    return panels_factor(panels_of(f), 0, height, t->band);
-}
-
-/* What edges' springs bear of `what`, as film_stencil_times of the sheet; of the heights alone. */
-static void times_springs(const Film *f, const Tangent *t, const Eight *what, Eight *to) {
-    for (int side = 0; side < 4; side++)
-        for (long k = t->seen.box[0] * f->line; k < t->seen.box[1] * f->line; k++) {
-            const float spring = (float)t->spring[side * f->count + k];
-            if (spring == 0) continue;
-            const long one = 2 * f->count + k, other = one + film_next(f, side);
-            const Eight pull = spring * (what[other] - what[one]);
-            to[one] -= pull, to[other] += pull;
-        }
+    return film_tangent_room(&f);
 }
 
 /* -- bodies ------------------------------------------------------------------------------------------------------------ */
@@ -283,7 +121,7 @@ static void sweep(const Film *f, Tangent *t, int last) {
         t->given[2 * count + k] = off, t->found[2 * count + k] += off;
         t->swells += v[2 * count + k] * __builtin_convertvector(off, Lanes);
     }
-    film_stencil_times(f, &t->stiffness, first, behind, t->given, t->borne), times_springs(f, t, t->given, t->residual);
+    film_stencil_times(f, &t->stiffness, first, behind, t->given, t->borne), film_tangent_springs(f, t, t->given, t->residual);
     const Eight gas = __builtin_convertvector(t->gas_stiffness * t->swells, Eight);
     for (long k = 0; k < count; k++) {
         const long m = film_inner(f, k);
@@ -300,7 +138,7 @@ static void sweep(const Film *f, Tangent *t, int last) {
     memset(t->given, 0, 3 * count * sizeof *t->given);
     solve(f, t);
     const long from = last ? (long)most(first - 1, 0) : 0, to = last ? (long)least(behind + 1, f->columns) : f->columns;
-    film_stencil_times(f, &t->stiffness, from, to, t->given, t->borne), times_springs(f, t, t->given, t->residual);
+    film_stencil_times(f, &t->stiffness, from, to, t->given, t->borne), film_tangent_springs(f, t, t->given, t->residual);
     const Eight last_gas = __builtin_convertvector(t->gas_stiffness * t->swells, Eight);
     for (long k = first * f->line; k < behind * f->line; k++) {
         const long z = 2 * count + k;
@@ -380,16 +218,16 @@ int64_t film_derive(const double *numbers, const double *law, int64_t columns, i
                     const double *pool, const double *steps, const double *at, const double *pressed, double *by_x,
                     double *by_force, double *by_found) {
     const Film f = film_of(numbers, law);
-    if (columns != f.columns || rows != f.rows || roomy < room_of(&f)) return REFUSED;
+    if (columns != f.columns || rows != f.rows || roomy < film_tangent_room(&f)) return REFUSED;
     (void)pooled;
-    Tangent t = tangent_in(&f, room);
+    Tangent t = film_tangent_in(&f, room);
     const Bodies base = {bodies, body, pool};
     const long count = f.count, nodes = columns * rows;
     film_pad(&f, 3, at, t.at), film_pad(&f, 1, pressed, t.pressed);
     const double *x = t.at, *force = t.pressed;
     const int sweeps = begin(&f, (const Settings *)settings, &base, x, force, &t);
     if (!sweeps) return 1;
-    if (make_tangent(&f, &base, x, force, &t)) return NOT_DEFINITE;
+    if (film_tangent_make(&f, &base, x, force, &t)) return NOT_DEFINITE;
     for (long first = 0; first < changes; first += AT_ONCE) {
         const long many = changes - first < AT_ONCE ? changes - first : AT_ONCE;
         Change change[AT_ONCE];

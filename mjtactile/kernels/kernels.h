@@ -232,9 +232,9 @@ int64_t film_kept(const double *numbers /* 19 */); /* floats of `kept`: what all
 int64_t film_keep(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows,
                   const double *x /* 3, columns, rows */, int64_t roomy, double *room /* roomy */, int64_t keeping,
                   float *kept /* keeping */);
-/* Of environments `begin` to `end` - 1, each with `settings` (see film.c) and `bodies`: displacements `x` and the contact's
+/* Of environments `begin` to `end` - 1, each with `settings` (see film_work.h) and `bodies`: displacements `x` and the contact's
    forces `force` along -z, from where they are to where the film rests; `trend`, the change of both that led to where they are,
-   becomes this one. Out: `found`, see film.c. */
+   becomes this one. Out: `found`, see film_work.h. */
 int64_t film_solve(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows,
                    int64_t keeping, const float *kept /* keeping */, const double *rest /* 3, columns, rows */, int64_t roomy, double *room /* roomy */, int64_t environments,
                    int64_t begin, int64_t end, const double *settings /* environments, 6 */, int64_t bodies,

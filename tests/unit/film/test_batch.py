@@ -5,6 +5,8 @@ from functools import partial
 
 import pytest
 
+from mjtactile.core.errors import InputError
+from mjtactile.film import Film
 from mjtactile.film.batch import at_once
 
 
@@ -24,3 +26,23 @@ def test_what_fails_in_a_thread_is_raised_and_the_thread_goes_on():
     assert first[0] is second[0] is threading.current_thread()
     assert len(alive[0]) >= 2 and alive[0] == alive[1]  # they stayed, and no other came
     assert set(second.values()) <= alive[1] | {second[0]}
+
+
+def test_what_is_no_batch_is_refused_in_one_line_that_names_it():
+    film = Film("dense", (9, 7))
+    ball = film.obstacle("sphere", (8e-3,), (0.0, 0.0, 0.03))
+    one = film.solve(ball)
+    for says, call in (
+        ("obstacles: must be a list", lambda: film.solve_batch(None)),
+        ("obstacles: must be a list", lambda: film.solve_batch([3])),
+        ("obstacles: every environment", lambda: film.solve_batch([])),
+        ("threads: '2' is not a whole", lambda: film.solve_batch([ball], threads="2")),
+        ("batch: FilmState is no FilmBatch", lambda: film.solve_batch([ball], one)),
+        ("into: int is no FilmBatch", lambda: film.solve_batch([ball], into=3)),
+        ("state: str is no FilmState", lambda: film.solve(ball, "x")),
+        (r"pressure_gauge: \[1000\] is not", lambda: Film("dense", (9, 7), [1000])),
+    ):
+        with pytest.raises(InputError, match=says) as caught:
+            call()
+        assert "\n" not in str(caught.value)
+    assert film.solve_batch([ball], threads=2).converged.all()

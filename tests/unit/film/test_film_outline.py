@@ -154,3 +154,13 @@ def test_a_film_that_was_put_away_knows_its_outline():
     again = pickle.loads(pickle.dumps(film))
     ball = film.obstacle("sphere", (5e-3,), p_SO=(0, 0, 6e-3))
     assert np.array_equal(again.solve(ball).heights, film.solve(ball).heights)
+
+
+@pytest.mark.parametrize("name", ["circle", "hexagon"])
+def test_derivatives_do_not_hang_on_what_memory_held_before(name):
+    film = Film(OUTLINES[name], (21, 17), PRESSURE)
+    top = float(film.rest.heights.max())
+    state = film.solve(film.obstacle("sphere", (8e-3,), (3.3e-3, -2.7e-3, top + 7e-3)))
+    before = film.derivatives_by_pose(state).displacements
+    film._derive_room[:] = np.nan
+    np.testing.assert_array_equal(film.derivatives_by_pose(state).displacements, before)

@@ -1,0 +1,62 @@
+"""What a caller hands to a film, checked: each refusal is one line that names the argument."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from typing import Any
+
+import numpy as np
+
+from mjtactile.core.errors import InputError
+from mjtactile.film.bodies import Obstacle
+from mjtactile.film.state import FilmBatch, FilmState
+
+_MOST_GAUGE = 1e6  # Pa
+
+
+def environments(obstacles: Any) -> list[Collection[Obstacle]]:
+    """The bodies of each environment, as many in each. Raises InputError."""
+    is_list = isinstance(obstacles, Iterable) and not isinstance(obstacles, str)
+    every: list[Any] = list(obstacles) if is_list else [obstacles]
+    listed: list[Any] = [(one,) if isinstance(one, Obstacle) else one for one in every]
+    if not is_list or not all(isinstance(one, Collection) for one in listed):
+        raise InputError("must be a list of bodies for each environment", field="obstacles")
+    if len({len(one) for one in listed}) != 1:
+        raise InputError("every environment wants as many bodies", field="obstacles")
+    return listed
+
+
+def require_batch(field: str, batch: Any, shape: tuple[int, ...]) -> None:
+    """Raise InputError where something is no batch of displacements of this shape."""
+    if not isinstance(batch, FilmBatch):
+        raise InputError(f"{type(batch).__name__} is no FilmBatch", field=field)
+    if batch.x.shape != shape:
+        raise InputError(f"is of {batch.x.shape}, not {shape}", field=field)
+
+
+def require_state(state: Any, shape: tuple[int, ...]) -> None:
+    """Raise InputError where something is no state of displacements of this shape."""
+    if not isinstance(state, FilmState):
+        raise InputError(f"{type(state).__name__} is no FilmState", field="state")
+    if state.x.shape != shape:
+        raise InputError(
+            f"is of a film of {state.x.shape[1:]} nodes, not {shape[1:]}", field="state"
+        )
+
+
+def threads_among(threads: Any, count: int) -> int:
+    """How many threads `count` environments are shared out among. Raises InputError."""
+    if not isinstance(threads, (int, np.integer)):
+        raise InputError(f"{threads!r} is not a whole number", field="threads")
+    return max(1, min(int(threads), count))
+
+
+def pressure(gauge: Any) -> float:
+    """A gas's pressure at rest, Pa above ambient. Raises InputError."""
+    try:
+        found = float(gauge)
+    except (TypeError, ValueError):
+        raise InputError(f"{gauge!r} is not a number of Pa", field="pressure_gauge") from None
+    if not 0 < found < _MOST_GAUGE:
+        raise InputError(f"{found:g} Pa must be above ambient", field="pressure_gauge")
+    return found
