@@ -14,6 +14,7 @@ import shutil
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -156,8 +157,7 @@ def run_episode(
     # a world is megabytes in a few hundred objects that know each other: Python would keep dozens
     # of them; what is left now, modules above all, stays, and takes longer to look at than a world
     gc.collect()
-    if not gc.get_freeze_count():
-        gc.freeze()
+    _set_aside()
     line: dict[str, Any] = {
         "episode": episode.index,
         "controller": episode.controller,
@@ -174,6 +174,12 @@ def run_episode(
         "varied": _drawn_values(scenario),
         "again": scenario.command(),
     }
+
+
+@cache
+def _set_aside() -> None:
+    """Once a process; to ask whether it was done takes as long as a collection."""
+    gc.freeze()
 
 
 def _drawn_values(scenario: Scenario) -> dict[str, Any]:
