@@ -4,8 +4,8 @@
 #include "kernels.h"
 #include "small.h"
 
-enum { SLOW, SLOW_TIME, OUTLIER_SIZE, FACTOR, ELAPSED, UNIFORM };
-enum { MEAN, SD = 6, SAID = 12, OUTLIERS = 18, COLUMNS = 23 };
+enum { SLOW_TIME, FACTOR, SHEAR_GAIN, ELAPSED, UNIFORM };
+enum { MEAN, SD = 6, FRESH = 12, SAID = 18, OUTLIERS = 24, COLUMNS = 29 };
 
 static void at_load(int64_t loads, const double *load, const double *table, double here, double *row) {
     int64_t right = 1;
@@ -22,21 +22,26 @@ static void spread_out(const double *spread, const double *normals, double *out)
     }
 }
 
+static double lasting(const double *row, int part) { /* variance */
+    return most(square(row[SD + part]) - square(row[FRESH + part]), 0);
+}
+
 int64_t draw_errors(int64_t loads, const double *load, const double *table, const double *gain, const double *spread,
-                    const double *said_correlation, const double *settings, const double *normals, const double *wrench, double *slow,
+                    const double *said_correlation, const double *settings, const double *outlier_size, const double *normals, const double *wrench, double *slow,
                     double *row, double *felt, double *cov) {
     if (loads < 2) return REFUSED;
     at_load(loads, load, table, most(-wrench[2], 0), row);
     double fresh[6], fast[6];
     spread_out(spread, normals, fresh), spread_out(spread, normals + 6, fast);
     const double kept = exp(-settings[ELAPSED] / settings[SLOW_TIME]), new = sqrt(most(1 - kept * kept, 0));
-    const double lasting = sqrt(settings[SLOW]), passing = sqrt(1 - settings[SLOW]);
-    const double size = settings[UNIFORM] < row[OUTLIERS] ? settings[OUTLIER_SIZE] : 1;
+    const int out = settings[UNIFORM] < row[OUTLIERS];
     for (int i = 0; i < 6; i++) {
         slow[i] = kept * slow[i] + new *fresh[i];
-        const double all = square(row[SD + i]), untouched = least(all, square(table[SD + i]));
-        const double sd = sqrt(untouched + square(settings[FACTOR]) * (all - untouched));
-        felt[i] = wrench[i] + row[MEAN + i] + size * sd * (lasting * slow[i] + passing * fast[i]);
+        const double lasts = lasting(row, i), untouched = least(lasts, lasting(table, i));
+        const double sd = sqrt(untouched + square(settings[FACTOR]) * (lasts - untouched));
+        const double new_sd = row[FRESH + i] * (out ? outlier_size[i] : 1);
+        felt[i] = wrench[i] + row[MEAN + i] + sd * slow[i] + new_sd * fast[i];
+        if (i < 2) felt[i] += settings[SHEAR_GAIN] * wrench[i];
         for (int k = 0; k < 6; k++) {
             felt[i] += gain[6 * i + k] * wrench[k];
             cov[6 * i + k] = row[SAID + i] * row[SAID + k] * said_correlation[6 * i + k];

@@ -3,9 +3,12 @@
 
 A felt wrench is w + G w + b(n) + e, with w the true one (6,), n the force that presses, G the mean
 error as a share of each part, b the mean of what is left at that load. Of e, whose standard
-deviations go with n and whose correlations do not, a share is slow: it fades with the time
-constant `slow_time`; the rest is new in each image. Things differ more than images do: what of e
-comes with a load is larger or smaller throughout a grasp, by a factor whose logarithm is normal.
+deviations go with n and whose correlations do not, a part is new in each image: the markers' noise,
+which is small and hardly goes with n. The rest lasts, and fades with the time constant `slow_time`:
+what an edge does to a chain, it does to the next image, too. Things differ more than images do:
+what lasts and comes with a load is larger or smaller throughout a grasp, by a factor whose
+logarithm is normal; and all shear of a grasp is felt too large or too small by one share, since a
+finger's stiffness is not its file's.
 """
 
 from __future__ import annotations
@@ -37,14 +40,15 @@ class ChainErrors:
         gain: (6, 6) mean error of the wrench by the true one.
         mean: (k, 6) N and N m, mean of what is left.
         sd: (k, 6) standard deviations of what is left then.
+        fresh: (k, 6) of what of that is new in each image.
         correlation: (6, 6) of that.
         said: (k, 6) standard deviations that the chain says of its wrench.
         said_correlation: (6, 6).
+        shear_gain: Standard deviation of the share by which a grasp's shear is felt too large.
         between: Standard deviation of the logarithm of a grasp's factor.
-        slow: Share of the variance that lasts.
-        slow_time: s, time constant of that.
-        outliers: (k,) share of images whose error is `outlier_size` times as large.
-        outlier_size: See there.
+        slow_time: s, time constant of what lasts.
+        outliers: (k,) share of images in which what is new is `outlier_size` times as large.
+        outlier_size: (6,) see there.
         unknown: (k,) share of images in which the chain says that it does not know.
         touch_force: N, above which there is a touch.
         release: Share of that, below which it ends.
@@ -60,14 +64,15 @@ class ChainErrors:
     gain: Array
     mean: Array
     sd: Array
+    fresh: Array
     correlation: Array
     said: Array
     said_correlation: Array
+    shear_gain: float
     between: float
-    slow: float
     slow_time: float
     outliers: Array
-    outlier_size: float
+    outlier_size: Array
     unknown: Array
     touch_force: float
     release: float
@@ -84,7 +89,7 @@ class ChainErrors:
 
     @cached_property
     def at_loads(self) -> Array:
-        """(k, 23) All that goes with the load, in the order of `AtLoad`."""
+        """(k, 29) All that goes with the load, in the order of `AtLoad`."""
         return np.column_stack([getattr(self, name) for name in AtLoad._fields])
 
     def at(self, load: float) -> AtLoad:
@@ -105,6 +110,7 @@ class AtLoad(NamedTuple):
 
     mean: Array
     sd: Array
+    fresh: Array
     said: Array
     outliers: float
     unknown: float
@@ -114,8 +120,8 @@ class AtLoad(NamedTuple):
 
     @classmethod
     def of(cls, row: Array) -> AtLoad:
-        """Of the 23 numbers in this order."""
-        return cls(row[:6], row[6:12], row[12:18], *row[18:].tolist())
+        """Of the 29 numbers in this order."""
+        return cls(row[:6], row[6:12], row[12:18], row[18:24], *row[24:].tolist())
 
 
 _ARRAYS = frozenset(

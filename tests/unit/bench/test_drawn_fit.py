@@ -28,3 +28,49 @@ def test_one_grasp_that_errs_by_ten_times_is_not_what_all_are_drawn_with():
     assert not mean[:, :2].any()
     assert spread == pytest.approx(np.std(np.log(factors)), rel=0.1)
     assert np.corrcoef(factor, np.repeat(factors, images))[0, 1] > 0.99
+
+
+def test_what_is_new_what_lasts_and_what_a_grasp_errs_by_are_told_apart():
+    """Sixty fingers, each of 300 images with shears between 0.1 and 0.3 N: white noise of 2 mN, what
+    lasts half a second of 8 mN, and gains of sd 6 % about 4 %, of which the 4 % are not drawn.
+    Bounds: the median of 60 has a standard error of 1/7 of an sd, and every finger 300 images of 15
+    that are one; three of these errors."""
+    rng = np.random.default_rng(3)
+    fingers, images, period = 60, 300, 1 / 30
+    kept = np.exp(-period / 0.5)
+    parts = []
+    for _ in range(fingers):
+        error = np.zeros((images, 6))
+        state = rng.standard_normal(6)
+        for row in error:
+            state = kept * state + np.sqrt(1 - kept**2) * rng.standard_normal(6)
+            row[:] = 8e-3 * state + 2e-3 * rng.standard_normal(6)
+        true = np.zeros((images, 6))
+        true[:, 1] = rng.uniform(0.1, 0.3)
+        true[:, 2] = -0.5
+        error[:, 1] += (0.04 + 0.06 * rng.standard_normal()) * true[:, 1]
+        parts.append((true, error))
+    true, error = (np.concatenate(one) for one in zip(*parts, strict=True))
+    count = len(true)
+    rows = {
+        "status": np.full(count, "ok"),
+        "wrench": true,
+        "felt": true + error,
+        "cov": np.tile(1e-4 * np.eye(6), (count, 1, 1)),
+        "touching": np.ones(count, bool),
+        "seed": np.repeat(np.arange(fingers), images),
+        "finger": np.zeros(count, int),
+        "time": np.tile(period * np.arange(images), fingers),
+    }
+    for name in ("area", "depth"):
+        rows |= {name: np.full(count, 1e-3), f"felt_{name}": np.full(count, 1e-3)}
+    rows |= {"centroid": np.zeros((count, 2)), "felt_centroid": np.zeros((count, 2))}
+    found = drawn.fit(rows)
+    at = int(np.flatnonzero(drawn.LOADS == 0.5)[0])
+    # what lasts is new by 8 mN * sqrt(1 - kept^2) = 2.8 mN an image, a fifth of it in this measure
+    assert found.fresh[at, 2] == pytest.approx(2.2e-3, rel=0.2)
+    assert found.sd[at, 2] == pytest.approx(8.2e-3, rel=0.1)
+    assert found.shear_gain == pytest.approx(0.06, rel=0.4)
+    assert found.slow_time == pytest.approx(0.5, rel=0.25)
+    assert (found.outliers < 0.01).all()
+    assert not found.gain[:2].any()

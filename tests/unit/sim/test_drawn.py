@@ -25,8 +25,15 @@ DRAWN = "-sheet,-chain"
 
 def test_errors_have_the_mean_spread_and_memory_that_the_model_says():
     """Of 20000 images at one load; bounds are four standard errors, with the memory counted in."""
+    measured = load_errors(DENSE)
+    lasts = 0.6  # of the variance
     errors = dataclasses.replace(
-        load_errors(DENSE), outliers=np.zeros(7), slow=0.6, slow_time=0.5, between=0.0
+        measured,
+        fresh=np.sqrt(1 - lasts) * measured.sd,
+        outliers=np.zeros(7),
+        slow_time=0.5,
+        shear_gain=0.0,
+        between=0.0,
     )
     true = np.array([0.1, -0.2, -0.7, 1e-3, 2e-3, 1e-4])
     here = errors.at(0.7)
@@ -36,11 +43,11 @@ def test_errors_have_the_mean_spread_and_memory_that_the_model_says():
     count = 20000
     felt = np.array([erring.felt(true, PERIOD, rng)[0].copy() for _ in range(count)])
     z = (felt - true - errors.gain @ true - here.mean) / here.sd
-    alone = count / (1 + 2 * errors.slow * errors.slow_time / PERIOD)
+    alone = count / (1 + 2 * lasts * errors.slow_time / PERIOD)
     assert np.abs(z.mean(axis=0)).max() < 4 / np.sqrt(alone)
     assert np.abs(z.T @ z / count - errors.correlation).max() < 4 * np.sqrt(2 / alone)
     for lag in (1, 15, 60):
-        said = errors.slow * np.exp(-lag * PERIOD / errors.slow_time)
+        said = lasts * np.exp(-lag * PERIOD / errors.slow_time)
         assert (z[lag:] * z[:-lag]).mean() == pytest.approx(said, abs=4 / np.sqrt(6 * alone))
 
 
@@ -56,17 +63,19 @@ def test_the_kernel_draws_as_the_formula_does():
     drawn = np.random.default_rng(1)
     slow = spread @ drawn.standard_normal(6)
     factor = np.exp(errors.between * (drawn.standard_normal() - errors.between))
+    gain = np.array([1, 1, 0, 0, 0, 0]) * errors.shear_gain * drawn.standard_normal()
     rng, again = np.random.default_rng(2), np.random.default_rng(2)
     kept = np.exp(-PERIOD / errors.slow_time)
-    untouched = np.minimum(here.sd, errors.sd[0]) ** 2
-    sd = np.sqrt(untouched + factor**2 * (here.sd**2 - untouched))
+    lasts = here.sd**2 - here.fresh**2
+    untouched = np.minimum(lasts, errors.sd[0] ** 2 - errors.fresh[0] ** 2)
+    sd = np.sqrt(untouched + factor**2 * (lasts - untouched))
     for _ in range(5):
         felt, cov, _ = erring.felt(true, PERIOD, rng)
         fresh, fast = again.standard_normal((2, 6)) @ spread.T
         slow = kept * slow + np.sqrt(1 - kept**2) * fresh
         size = errors.outlier_size if again.random() < 0.5 else 1.0
-        error = np.sqrt(errors.slow) * slow + np.sqrt(1 - errors.slow) * fast
-        wanted = true + errors.gain @ true + here.mean + size * sd * error
+        error = sd * slow + size * here.fresh * fast
+        wanted = true + errors.gain @ true + gain * true + here.mean + error
         np.testing.assert_allclose(felt, wanted, rtol=1e-11, atol=1e-14)
         np.testing.assert_allclose(
             cov, np.outer(here.said, here.said) * errors.said_correlation, rtol=1e-11

@@ -1,0 +1,53 @@
+"""How errors of a chain compare with what is drawn with a model of them."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from mjtactile.core.types import Array
+from mjtactile.sim.chain_errors import ChainErrors
+
+
+def check(errors: ChainErrors, rows: dict[str, Array]) -> dict[str, Any]:
+    """How errors of other seeds compare with the model: their root mean square over its sd at each
+    load (1: as it says), over all grasps."""
+    load = np.maximum(-rows["wrench"][:, 2], 0.0)
+    known = np.asarray(rows["status"] == "ok")
+    left = rows["felt"] - rows["wrench"] @ (np.eye(6) + errors.gain).T
+    at = [errors.at(float(one)) for one in load]
+    z = (left - [one.mean for one in at]) / [one.sd for one in at]
+    by_load = []
+    for low, high in pairwise(errors.loads.tolist()):
+        here = known & (load >= low) & (load < high)
+        by_load.append(
+            {
+                "from_N": low,
+                "to_N": high,
+                "images": int(here.sum()),
+                "force_rms_mN": 1e3 * _rms(rows["felt"][here, 2] - rows["wrench"][here, 2]),
+                "drawn_rms_mN": 1e3 * _rms(_drawn(errors, rows["wrench"][here])),
+                "force_ratio": _rms(z[here, 2]),
+                "shear_ratio": _rms(z[here, :2]),
+                "torque_ratio": _rms(z[here, 3:]),
+            }
+        )
+    return {"rows": by_load, "unknown_percent": 100 * float(np.mean(~known))}
+
+
+def _drawn(errors: ChainErrors, wrenches: Array) -> Array:
+    """(n,) N: an error of the normal force for each wrench, as it would be drawn."""
+    rng = np.random.default_rng(0)
+    found = []
+    for wrench in wrenches:
+        here = errors.at(max(-float(wrench[2]), 0.0))
+        error = here.sd[2] * rng.standard_normal()
+        found.append(errors.gain[2] @ wrench + here.mean[2] + error)
+    return np.array(found)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if np.size(values) else math.nan
