@@ -40,6 +40,10 @@ class ChamberGas:
         self._wall = chamber.temperature
         self._warming = 0.0
         self._pressure = chamber.ambient  # absolute
+        self._has_ideal_valve = math.isinf(chamber.valve_conductance)
+        self._ways: tuple[tuple[float, float], ...] = ()
+        """Conductance and far pressure, Pa absolute, of every way that gas can take now."""
+        self._find_ways()
 
     @property
     def is_open(self) -> bool:
@@ -73,7 +77,7 @@ class ChamberGas:
             return True
         if self._warming:
             return False
-        level = all(abs(far - self._pressure) < _LEVEL for _, far in self._openings())
+        level = all(abs(far - self._pressure) < _LEVEL for _, far in self._ways)
         return level and (
             math.isinf(self._chamber.heat_exchange) or abs(self._temperature - self._wall) < _WARM
         )
@@ -96,16 +100,19 @@ class ChamberGas:
             )
         self._supply_gauge = float(supply_gauge)
         self._is_open = True
+        self._find_ways()
 
     def close(self) -> None:
         """Trap the gas that is in the chamber now."""
         self._is_open = False
+        self._find_ways()
         self._fill()
 
     def seal(self, volume: float, pressure_gauge: float) -> None:
         """Close the valve on a chamber of `volume` m^3 that holds `pressure_gauge` Pa and is as
         warm as its walls."""
         self._is_open = False
+        self._find_ways()
         self._volume = volume
         self._temperature = self._wall
         self._pressure = pressure_gauge + self.ambient
@@ -122,6 +129,7 @@ class ChamberGas:
             )
         self._fill()
         self._leak = conductance
+        self._find_ways()
 
     def warm(self, rate: float) -> None:
         """From now on, gas and walls get warmer by `rate` K/s."""
@@ -159,23 +167,20 @@ class ChamberGas:
             return 0.0
         gamma = self._chamber.heat_ratio
         pressure = self._pressure
-        rate = sum(
-            gamma * conductance * max(pressure, far) / self._volume
-            for conductance, far in self._openings()
-        )
+        rate = 0.0
+        for conductance, far in self._ways:  # at every step: a sum takes twice as long
+            rate += gamma * conductance * max(pressure, far) / self._volume
         kept_heat = _ramp_share(step / self._chamber.heat_exchange)
         return pressure / self._volume * (1 + (gamma - 1) * kept_heat) * _ramp_share(rate * step)
 
     @property
     def _is_ideally_open(self) -> bool:
-        return self._is_open and math.isinf(self._chamber.valve_conductance)
+        return self._is_open and self._has_ideal_valve
 
-    def _openings(self) -> list[tuple[float, float]]:
-        """Conductance and far pressure, Pa absolute, of every way that gas can take now."""
-        ways = [(self._leak, self.ambient)] if self._leak else []
-        if self._is_open and not self._is_ideally_open:
-            ways.append((self._chamber.valve_conductance, self._supply_gauge + self.ambient))
-        return ways
+    def _find_ways(self) -> None:
+        leak = [(self._leak, self.ambient)] if self._leak else []
+        valve = (self._chamber.valve_conductance, self._supply_gauge + self.ambient)
+        self._ways = (*leak, valve) if self._is_open and not self._has_ideal_valve else (*leak,)
 
     def _fill(self) -> None:
         """Start to count the gas, if it was not counted yet."""
@@ -193,7 +198,7 @@ class ChamberGas:
         self._volume = volume
 
     def _flow_all(self, elapsed: float) -> None:
-        for conductance, far in self._openings():
+        for conductance, far in self._ways:
             self._flow(conductance, far, elapsed)
 
     def _flow(self, conductance: float, far: float, elapsed: float) -> None:
