@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from mjtactile.core.types import Array
 from mjtactile.explore import body
 from mjtactile.explore.families import FAMILIES, HALF, ObjectFamily
+from mjtactile.explore.foretold import excess
 from mjtactile.explore.patch import Patch, between
 from mjtactile.explore.surface import BelievedSurface, kernel, unknown
 
@@ -83,12 +84,15 @@ def _of_family(
             starts[-1][3:6] = _upside_down(place[3:6])
     tried = sorted((_robust(data, family, one, _FIRST_ROUNDS) for one in starts), key=_cost)
     theta = min((_robust(data, family, one.x, _ROUNDS) for one in tried[:_STARTS]), key=_cost).x
+    said = data.noise
     data = data.with_doubt(theta).with_free(theta)
     theta = _solve(data, family, _FIRST_FIELD, theta).x
     fields = [_with_field(data, family, theta, field) for field in family.fields]
     likeliest = max(fields, key=lambda one: one.log_evidence)
     theta = _solve(data, family, likeliest.field, theta).x
     found = _with_field(data, family, theta, likeliest.field)
+    expected = _expected(data, family, theta)
+    found = replace(found, excess=excess(found.factor, expected, data.noise, said, data.parts))
     if family.cut and not _ends_flat(data, theta):
         return replace(found, log_evidence=found.log_evidence - _UNTOUCHED)
     return found
@@ -256,6 +260,12 @@ def _solve(
     return _least_squares(left, slopes, start, _ROUNDS)
 
 
+def _expected(data: _Data, family: ObjectFamily, theta: Array) -> Array:
+    """What is left at the points of the body that the family expects, mm, to first order."""
+    rows = body.by_numbers(theta, data.points)
+    return data.left(theta) - rows @ (family.mean - theta)
+
+
 def _with_field(
     data: _Data, family: ObjectFamily, theta: Array, field: tuple[float, float]
 ) -> BelievedSurface:
@@ -265,7 +275,7 @@ def _with_field(
     own = kernel(data.points, data.points, *field) + data.noise
     cov = rows @ family.cov @ rows.T + own
     factor = cho_factor(cov, lower=True)
-    expected = data.left(theta) - rows @ (family.mean - theta)
+    expected = _expected(data, family, theta)
     evidence = -0.5 * float(expected @ cho_solve(factor, expected)) - float(
         np.log(np.diag(factor[0])).sum()
     )

@@ -14,6 +14,7 @@ from mjtactile.explore.size import principal_sizes
 from mjtactile.sim.true_surface import TrueSurface
 
 _FACETS = 5e-5  # m, that a triangle's edge takes off a size
+_TOUCHED_SD = 3e-5  # m, that the triangles are off by themselves
 _APART = (
     2e-3  # m: a true point that is farther than this from all vertices is not beside the surface
 )
@@ -31,8 +32,9 @@ def score(found: Explored, true: TrueSurface, p_HO: Array, R_HO: Array) -> dict[
     Returns:
         `surface_error_mm_true` (root mean square of distances from either surface to the other),
         `surface_error_worst_mm_true` (95 % are below), `size_error_true` (of three extents along
-        the object's axes, the worst share), `within_2_sd_true` (share of the believed surface),
-        `sizes_within_true` (share of the three believed sizes whose interval has the true one).
+        the object's axes, the worst share), `within_1_sd_true`, `within_2_sd_true`
+        (share of the believed surface), `sizes_within_true` (share of the three believed sizes
+        whose 68 % interval has the true one), `sizes_within_2_sd_true`.
     """
     mesh = found.mesh
     vertices = (mesh.vertices - p_HO) @ R_HO
@@ -42,25 +44,29 @@ def score(found: Explored, true: TrueSurface, p_HO: Array, R_HO: Array) -> dict[
     missed = _missed(Mesh(vertices, mesh.triangles, normals, mesh.sd), true.points)
     square = (np.average(outside**2, weights=weights) + float(np.mean(missed**2))) / 2
     sizes = np.ptp(vertices, axis=0) / true.extents(np.eye(3))
+    sd = np.maximum(mesh.sd, _TOUCHED_SD)
     both = np.concatenate([np.abs(outside), np.abs(missed)])
     return {
         "surface_error_mm_true": 1e3 * float(np.sqrt(square)),
         "surface_error_95_mm_true": 1e3 * float(np.quantile(both, 0.95)),
         "size_error_true": float(np.abs(sizes - 1).max()),
-        "within_2_sd_true": float(
-            np.average(np.abs(outside) < 2 * np.maximum(mesh.sd, 3e-5), weights=weights)
-        ),
-        "sizes_within_true": _sizes_within(found, true, R_HO),
+        "within_1_sd_true": float(np.average(np.abs(outside) < sd, weights=weights)),
+        "within_2_sd_true": float(np.average(np.abs(outside) < 2 * sd, weights=weights)),
+        **_sizes_within(found, true, R_HO),
     }
 
 
-def _sizes_within(found: Explored, surface: TrueSurface, R_HO: Array) -> float:
-    """Share of the sizes along the believed axes that are within their intervals; one that is known
-    to less than the triangles' own 0.05 mm is given these."""
+def _sizes_within(found: Explored, surface: TrueSurface, R_HO: Array) -> dict[str, float]:
+    """Share of the sizes along the believed axes that are within their intervals, and within twice
+    their sd; one that is known to less than the triangles' own 0.05 mm is given these."""
     _, axes = principal_sizes(found.mesh)
     true = surface.extents(R_HO.T @ axes)
     low, high = found.sizes.interval.T
-    return float(np.mean((true >= low - _FACETS) & (true <= high + _FACETS)))
+    twice = np.abs(true - found.sizes.mean) <= 2 * found.sizes.sd + _FACETS
+    return {
+        "sizes_within_true": float(np.mean((true >= low - _FACETS) & (true <= high + _FACETS))),
+        "sizes_within_2_sd_true": float(np.mean(twice)),
+    }
 
 
 def _missed(mesh: Mesh, points: Array) -> Array:

@@ -12,7 +12,7 @@ from mjtactile.core.types import Array
 from mjtactile.explore.fuse import shares
 from mjtactile.explore.patch import Patch
 from mjtactile.explore.plan import Mesh
-from mjtactile.explore.surface import BelievedSurface
+from mjtactile.explore.surface import ALIKE, BelievedSurface
 
 _END = 5e-4  # m from the outermost point: what counts as an end
 _FACING = 0.8  # cosine of an end's normal with the axis
@@ -106,10 +106,12 @@ def _ends(mesh: Mesh, axis: Array) -> list[Array]:
 
 def _variance(surface: BelievedSurface, ends: Sequence[Array], touched: Array) -> float:
     """m^2, of the distance between two ends: of body and field, and of what these leave: of an end
-    that nobody came near, and of a body that explains little by itself."""
+    that nobody came near, of a body that explains little by itself, and of touches that are all off
+    alike."""
     places = np.concatenate(list(ends))
     weight = np.concatenate([np.full(len(end), 1 / len(end)) for end in ends])
     told = max(float(weight @ surface.distance_cov(places, places) @ weight), 0.0)
+    told += (2e-3 * ALIKE) ** 2  # the same at either end
     unexplained = _UNEXPLAINED * 1e-3 * surface.field[0]
     if not len(touched):
         return told + 2 * unexplained**2

@@ -14,6 +14,9 @@ from mjtactile.explore import body
 from mjtactile.explore.families import FREE, ObjectFamily
 
 _MM = 1e3
+ALIKE = 0.04
+"""mm, sd by which all touches are off alike: a thing is as much larger all around, which no touch
+can say of another. Of the shipped sensors, from sizes of eggs, vials and random things."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +31,7 @@ class BelievedSurface:
         weights: (N,) 1/mm, of the field's covariances with the points.
         factor: Of the covariance of the points' distances, with the body's numbers unknown.
         log_evidence: Of the field.
+        excess: By what variances are larger than those of the Gaussian (Eq. E6).
     """
 
     family: ObjectFamily
@@ -37,6 +41,7 @@ class BelievedSurface:
     weights: Array
     factor: tuple[Array, bool]
     log_evidence: float
+    excess: float = 1.0
 
     def distance(self, p: Array) -> Array:
         """How far points (N, 3) m are outside, (N,) m; 0 on the surface."""
@@ -44,23 +49,24 @@ class BelievedSurface:
         return (body.distance(self.theta, _MM * p) + across @ self.weights) / _MM
 
     def distance_sd(self, p: Array) -> Array:
-        """Its standard deviation, (N,) m."""
+        """Its standard deviation, (N,) m, with what all touches share."""
         p_mm = _MM * p
         rows = body.by_numbers(self.theta, p_mm)
         across = self._across(p_mm, rows)
         before = np.einsum("ni,ij,nj->n", rows, self.family.cov, rows) + self.field[0] ** 2
         told = np.einsum("nm,mn->n", across, cho_solve(self.factor, across.T))
-        return np.sqrt(np.maximum(before - told, 1e-8)) / _MM
+        return np.sqrt(self.excess * np.maximum(before - told, 1e-8) + ALIKE**2) / _MM
 
     def distance_cov(self, p: Array, q: Array) -> Array:
-        """Covariance (N, M) m^2 of the distances at points with those at others."""
+        """Covariance (N, M) m^2 of the distances at points with those at others, without what all
+        touches share: another touch tells nothing of that."""
         p_mm, q_mm = _MM * p, _MM * q
         rows, others = (body.by_numbers(self.theta, at) for at in (p_mm, q_mm))
         before = rows @ self.family.cov @ others.T + kernel(p_mm, q_mm, *self.field)
         if not len(self.points):
-            return before / _MM**2
+            return self.excess * before / _MM**2
         told = cho_solve(self.factor, self._across(q_mm, others).T)
-        return (before - self._across(p_mm, rows) @ told) / _MM**2
+        return self.excess * (before - self._across(p_mm, rows) @ told) / _MM**2
 
     def _across(self, p_mm: Array, rows: Array) -> Array:
         """Covariance (N, M) mm^2 of the distances at points with those that were touched."""

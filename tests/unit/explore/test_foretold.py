@@ -1,0 +1,81 @@
+"""How much wider a surface's doubt is than its Gaussian's: by touches that others did not foretell."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag, cho_factor
+from scipy.spatial.transform import Rotation
+
+from mjtactile.explore.foretold import excess
+from mjtactile.explore.fuse import fuse
+from mjtactile.explore.patch import Patch
+
+TOUCHES, EACH = 5, 4
+PARTS = [slice(EACH * k, EACH * (k + 1)) for k in range(TOUCHES)]
+
+
+@pytest.fixture(scope="module")
+def model():
+    """Covariances (20, 20) mm^2 of a surface and of what touches say of it."""
+    rng = np.random.default_rng(11)
+    slopes = rng.normal(size=(TOUCHES * EACH, 3))
+    surface = slopes @ slopes.T
+    heights = [0.04 + 0.01 * k for k in range(TOUCHES)]
+    noise = block_diag(*(h * np.ones((EACH, EACH)) + 0.01 * np.eye(EACH) for h in heights))
+    return surface, noise
+
+
+def test_it_is_what_each_touch_is_off_from_a_surface_of_the_others(model):
+    """Leaves each touch out in turn, and conditions on the others: no inverse of all at once."""
+    surface, noise = model
+    found = 3 * np.random.default_rng(4).multivariate_normal(np.zeros(20), surface + noise)
+    doubted = noise.copy()
+    doubted[PARTS[2], PARTS[2]] += 1.0  # not believed; yet it counts as it said
+    squares = []
+    for part in PARTS:
+        others = np.setdiff1d(np.arange(20), np.arange(20)[part])
+        known = surface[np.ix_(others, others)] + doubted[np.ix_(others, others)]
+        gain = np.linalg.solve(known, surface[others, part]).T
+        foretold = (gain @ found[others]).mean()
+        open_ = (surface[part, part] - gain @ surface[others, part]).mean()
+        off = found[part].mean() - foretold
+        squares.append(off**2 / (open_ + noise[part, part].mean()))
+    assert (
+        sum(squares) > TOUCHES
+    )  # three times what was said: else the floor of 1 is all that is seen
+    said = excess(cho_factor(surface + doubted, lower=True), found, doubted, noise, PARTS)
+    # the same algebra: rounding is left
+    mean = (2 + sum(squares)) / (2 + TOUCHES)
+    assert said == pytest.approx(1 + 2 * (mean - 1), rel=1e-8)
+
+
+def test_what_was_foretold_widens_nothing(model):
+    surface, noise = model
+    factor = cho_factor(surface + noise, lower=True)
+    assert excess(factor, np.zeros(20), noise, noise, PARTS) == 1.0
+    assert excess(factor, np.ones(20), noise, noise, []) == 1.0
+
+
+def ball_patch(way, radius_mm):
+    """Nine points on a ball about the origin, and what a good touch says of itself."""
+    turn = Rotation.align_vectors(way[None], np.array([[0.0, 0.0, 1.0]]))[0]
+    u, v = (2e-3 * grid.ravel() for grid in np.meshgrid([-1.0, 0, 1], [-1.0, 0, 1]))
+    radius = 1e-3 * radius_mm
+    local = np.column_stack([u, v, np.sqrt(radius**2 - u**2 - v**2)])
+    return Patch(turn.apply(local), np.zeros((0, 3)), way, "smooth", 0.3)
+
+
+def test_touches_that_disagree_make_every_place_less_sure():
+    """A ball touched in six places; then every other touch found 0.3 mm less: of no family."""
+    ways = np.random.default_rng(2).normal(size=(6, 3))
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    agreed = fuse([ball_patch(way, 12.0) for way in ways])[0]
+    assert agreed.excess == pytest.approx(1.0)
+    uneven = [ball_patch(way, 12.0 - 0.3 * (k % 2)) for k, way in enumerate(ways)]
+    disagreed = fuse(uneven)[0]
+    assert disagreed.excess > 2
+    # 1.8 by its square root, and 0.04 mm that touches share; without it 1.2, by the numbers alone
+    place = 12e-3 * np.random.default_rng(3).normal(size=(50, 3))
+    place *= 12e-3 / np.linalg.norm(place, axis=1)[:, None]
+    assert np.median(disagreed.distance_sd(place)) > 1.6 * np.median(agreed.distance_sd(place))
