@@ -236,6 +236,36 @@ def test_a_load_grows_with_what_two_images_show():
         assert grown.worst == pytest.approx(0.62, abs=1e-3)
 
 
+def test_a_load_that_has_gone_is_kept_for_a_second_and_a_half():
+    """By its time constant: a half of a shake is light."""
+    heavy = [touch(0, -0.6, 1.0)] * 2
+    light = [touch(0, -0.1, 1.0)] * 2
+    load = hold.Load().after(heavy, 1 / 30)
+    for _ in range(30):
+        load = load.after(light, 1 / 30)
+    assert load.worst == pytest.approx(0.6 * math.exp(-1 / 1.5) + 0.02)
+
+
+def test_a_weight_is_an_average_over_seven_tenths_of_a_second():
+    hangs = [touch(0, -0.3, 1.0)] * 2
+    heavier = [touch(0, -0.6, 1.0)] * 2
+    load = hold.Load().hanging(hangs).after(hangs, 1 / 30)
+    change = (1 / 30) / 0.7
+    mass = load.after(heavier, 1 / 30).mass
+    assert mass == pytest.approx((0.6 + 0.6 * change) / 9.81)
+
+
+def test_what_is_pushed_sideways_loads_the_fingers_as_statics_say():
+    """0.3 N downward and 0.4 N sideways on each are 0.5 N along it; who faces the other feels the
+    same side as the other one."""
+    hangs = [touch(0, -0.3, 1.0)] * 2
+    pushed = [touch(0.4, -0.3, 1.0), touch(-0.4, -0.3, 1.0)]
+    load = hold.Load().hanging(hangs)
+    for _ in range(60):
+        load = load.after(pushed, 1 / 30)
+    assert load.worst == pytest.approx(0.52, abs=1e-3)  # it is no more on its way
+
+
 def test_a_slip_lets_go_of_what_the_fingers_dragged_each_other_by():
     stands = (touch(0.06, 0.0, 0.3), touch(0.06, 0.0, 0.3))
     load = hold.Load().standing(stands)
