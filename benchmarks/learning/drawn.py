@@ -221,36 +221,42 @@ def _moments(values: Array, share: Array) -> tuple[Array, Array]:
     return mean, np.maximum(np.sqrt(_mean_at(off**2, share)), 1e-9)
 
 
-def _by_grasps(left: Array, near: Array, rows: Rows) -> tuple[Array, Array, Array, float]:
+def _by_grasps(left: Array, near: Array, rows: Rows) -> tuple[Array, Array, Array, Array]:
     """Moments as a typical grasp has them, medians over grasps and fingers: few err ten times as
     much as most, above all where something presses hard, and without this all would be drawn with
     what these do.
 
     Returns:
-        Mean and sd (k, 6) at each load, the factor (n,) of each row's grasp, whose square is one in
-        the mean where its logarithm is normal, and the standard deviation of that.
+        Mean and sd (k, 6) at each load, the factor (n,) of each row's grasp, and at each load the
+        standard deviation (k,) of a factor's logarithm. A factor's square is one in the mean where
+        that is normal.
     """
     mean = _typical(left, near, rows, _mean)
     mean[:, :2] = 0.0  # all things hang the same way: it would be a gain
     off = left - near @ mean
     sd = np.maximum(_typical(off, near, rows, _root_mean_square), 1e-9)
-    found = _between(off / (near @ sd), rows)
-    known = np.log(np.unique(found[found != 1.0]))
-    spread = float(np.std(known)) if len(known) else 0.0
-    rms = math.exp(spread**2)  # of a factor, over its median
-    sd = np.where(LOADS[:, None] > 0, rms, 1.0) * sd  # what is there without a load has no factor
-    return mean, sd, np.where(found != 1.0, found / rms, 1.0), spread
+    z = off / (near @ sd)
+    spread = _typical(z, near, rows, _logarithm, np.std)[:, 0]
+    spread[0] = 0.0  # what is there without a load has no factor
+    rms = np.exp(spread**2)  # of a factor, over its median
+    return mean, rms[:, None] * sd, _between(z, rows) / (near @ rms), spread
 
 
-def _typical(values: Array, share: Array, rows: Rows, of: Callable[[Array], Array]) -> Array:
-    """(k, m) Median over grasps and fingers of what `of` says of a grasp's `values` (n, m) at each
-    load; where few have any, as at the nearest load with enough."""
+def _typical(
+    values: Array,
+    share: Array,
+    rows: Rows,
+    of: Callable[[Array], Array],
+    over: Callable[..., Any] = np.median,
+) -> Array:
+    """(k, m) Median, or what is `over` grasps and fingers, of what `of` says of a grasp's `values`
+    (n, m) at each load; where few have any, as at the nearest load with enough."""
     nearest = share.argmax(axis=1)
     found: list[Array | None] = []
     for k in range(len(LOADS)):
         own = [values[which & (nearest == k)] for which in _each(rows)]
         told = [of(one) for one in own if len(one) >= _FEW_OF_GRASP]
-        found.append(np.median(told, axis=0) if len(told) >= _FEW_GRASPS else None)
+        found.append(over(told, axis=0) if len(told) >= _FEW_GRASPS else None)
     enough = np.array([k for k, one in enumerate(found) if one is not None])
     if not len(enough):
         return np.repeat(of(values)[None], len(LOADS), axis=0)
@@ -268,6 +274,10 @@ def _each(rows: Rows) -> Iterator[Array]:
 
 def _mean(values: Array) -> Array:
     return values.mean(axis=0)
+
+
+def _logarithm(values: Array) -> Array:
+    return np.log(np.sqrt(np.mean(values**2, keepdims=True)))[0]
 
 
 def _root_mean_square(values: Array) -> Array:

@@ -4,8 +4,8 @@
 #include "kernels.h"
 #include "small.h"
 
-enum { SLOW_TIME, FACTOR, SHEAR_GAIN, ELAPSED, UNIFORM };
-enum { MEAN, SD = 6, FRESH = 12, SAID = 18, OUTLIERS = 24, COLUMNS = 29 };
+enum { SLOW_TIME, GRASP, SHEAR_GAIN, ELAPSED, UNIFORM };
+enum { MEAN, SD = 6, FRESH = 12, SAID = 18, OUTLIERS = 24, BETWEEN = 29, COLUMNS = 30 };
 
 static void at_load(int64_t loads, const double *load, const double *table, double here, double *row) {
     int64_t right = 1;
@@ -34,11 +34,12 @@ int64_t draw_errors(int64_t loads, const double *load, const double *table, cons
     double fresh[6], fast[6];
     spread_out(spread, normals, fresh), spread_out(spread, normals + 6, fast);
     const double kept = exp(-settings[ELAPSED] / settings[SLOW_TIME]), new = sqrt(most(1 - kept * kept, 0));
+    const double factor = exp(row[BETWEEN] * (settings[GRASP] - row[BETWEEN])); /* its square is one in the mean */
     const int out = settings[UNIFORM] < row[OUTLIERS];
     for (int i = 0; i < 6; i++) {
         slow[i] = kept * slow[i] + new *fresh[i];
         const double lasts = lasting(row, i), untouched = least(lasts, lasting(table, i));
-        const double sd = sqrt(untouched + square(settings[FACTOR]) * (lasts - untouched));
+        const double sd = sqrt(untouched + square(factor) * (lasts - untouched));
         const double new_sd = row[FRESH + i] * (out ? outlier_size[i] : 1);
         felt[i] = wrench[i] + row[MEAN + i] + sd * slow[i] + new_sd * fast[i];
         if (i < 2) felt[i] += settings[SHEAR_GAIN] * wrench[i];

@@ -289,11 +289,11 @@ int64_t film_steps(int64_t count, const int64_t *mujoco /* 4 */, double time, do
                    int64_t movers, const int64_t *mover /* movers */, const double *hurry /* movers */, int64_t iterations,
                    const int32_t *solver_iterations /* 20 */, double *wrenches /* count, films, 6 */, int64_t *told /* 4 */);
 /* sim/drawn.py: the wrench that a chain would say, and its covariance, for a true one. `table`: mean, sd, sd of what is new and said sd (6 each), shares
-   of outliers and of unknown images, area and its sd, centroid's sd, at each `load`; `row`: the same at this load. `settings`: time s
-   of what lasts, factor of the grasp, its gain of shear, s since the image before, a uniform number. In place: `slow`. */
-int64_t draw_errors(int64_t loads, const double *load /* loads */, const double *table /* loads, 29 */, const double *gain /* 6, 6 */,
+   of outliers and of unknown images, area and its sd, centroid's sd, spread between grasps, at each `load`; `row`: the same at this load. `settings`: time s
+   of what lasts, normal number of the grasp, its gain of shear, s since the image before, a uniform number. In place: `slow`. */
+int64_t draw_errors(int64_t loads, const double *load /* loads */, const double *table /* loads, 30 */, const double *gain /* 6, 6 */,
                     const double *spread /* 6, 6 */, const double *said_correlation /* 6, 6 */, const double *settings /* 5 */,
-                    const double *outlier_size /* 6 */, const double *normals /* 12 */, const double *wrench /* 6 */, double *slow /* 6 */, double *row /* 29 */,
+                    const double *outlier_size /* 6 */, const double *normals /* 12 */, const double *wrench /* 6 */, double *slow /* 6 */, double *row /* 30 */,
                     double *felt /* 6 */, double *cov /* 6, 6 */);
 int64_t film_derive_room(const double *numbers /* 19 */);
 /* Of a film at rest with `x` and `force`, derivatives by `changes` of its bodies: `body` as they are, then for each change those

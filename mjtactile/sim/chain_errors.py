@@ -45,7 +45,7 @@ class ChainErrors:
         said: (k, 6) standard deviations that the chain says of its wrench.
         said_correlation: (6, 6).
         shear_gain: Standard deviation of the share by which a grasp's shear is felt too large.
-        between: Standard deviation of the logarithm of a grasp's factor.
+        between: (k,) standard deviation of the logarithm of a grasp's factor.
         slow_time: s, time constant of what lasts.
         outliers: (k,) share of images in which what is new is `outlier_size` times as large.
         outlier_size: (6,) see there.
@@ -69,7 +69,7 @@ class ChainErrors:
     said: Array
     said_correlation: Array
     shear_gain: float
-    between: float
+    between: Array
     slow_time: float
     outliers: Array
     outlier_size: Array
@@ -89,7 +89,7 @@ class ChainErrors:
 
     @cached_property
     def at_loads(self) -> Array:
-        """(k, 29) All that goes with the load, in the order of `AtLoad`."""
+        """(k, 30) All that goes with the load, in the order of `AtLoad`."""
         return np.column_stack([getattr(self, name) for name in AtLoad._fields])
 
     def at(self, load: float) -> AtLoad:
@@ -117,10 +117,11 @@ class AtLoad(NamedTuple):
     area: float
     area_sd: float
     centroid_sd: float
+    between: float
 
     @classmethod
     def of(cls, row: Array) -> AtLoad:
-        """Of the 29 numbers in this order."""
+        """Of the 30 numbers in this order."""
         return cls(row[:6], row[6:12], row[12:18], row[18:24], *row[24:].tolist())
 
 

@@ -29,9 +29,9 @@ _NOWHERE = fixed(np.full(2, np.nan))
 _STILL = fixed(np.zeros(2))
 _NO_CONTACT = Contact(False, 0.0, _NOWHERE, 0.0, _NO_MASK)
 _NO_SLIP = Slip("none", _STILL, 0.0, 1.0)
-_COLUMNS = 29
+_COLUMNS = 30
 # of what the kernel is given
-_FACTOR = 1
+_GRASP = 1
 _ELAPSED = 3
 METHOD = "drawn"
 """`Traction.method` of a touch that no chain has felt."""
@@ -44,7 +44,7 @@ class Erring:
         self._errors = errors
         self._spread = np.linalg.cholesky(errors.correlation)
         self._slow = np.zeros(6)
-        self._settings = np.array([errors.slow_time, 1.0, 0.0, 0.0, 0.0])
+        self._settings = np.array([errors.slow_time, 0.0, 0.0, 0.0, 0.0])
         self._normals = np.zeros(12)
         self._true = np.zeros(6)
         self._row = np.zeros(_COLUMNS)
@@ -71,11 +71,8 @@ class Erring:
     def begin(self, rng: np.random.Generator) -> None:
         """Draw anew what lasts."""
         self._slow[:] = self._spread @ rng.standard_normal(6)
-        between = self._errors.between
-        # whose square is one in the mean
-        factor = math.exp(between * (rng.standard_normal() - between))
-        gain = self._errors.shear_gain * rng.standard_normal()
-        self._settings[_FACTOR:_ELAPSED] = factor, gain
+        grasp, gain = rng.standard_normal(2)
+        self._settings[_GRASP:_ELAPSED] = grasp, self._errors.shear_gain * gain
 
     def felt(
         self, true: Array, elapsed: float, rng: np.random.Generator

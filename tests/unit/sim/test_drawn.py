@@ -33,7 +33,7 @@ def test_errors_have_the_mean_spread_and_memory_that_the_model_says():
         outliers=np.zeros(7),
         slow_time=0.5,
         shear_gain=0.0,
-        between=0.0,
+        between=np.zeros(7),
     )
     true = np.array([0.1, -0.2, -0.7, 1e-3, 2e-3, 1e-4])
     here = errors.at(0.7)
@@ -62,7 +62,7 @@ def test_the_kernel_draws_as_the_formula_does():
     erring.begin(np.random.default_rng(1))
     drawn = np.random.default_rng(1)
     slow = spread @ drawn.standard_normal(6)
-    factor = np.exp(errors.between * (drawn.standard_normal() - errors.between))
+    factor = np.exp(here.between * (drawn.standard_normal() - here.between))
     gain = np.array([1, 1, 0, 0, 0, 0]) * errors.shear_gain * drawn.standard_normal()
     rng, again = np.random.default_rng(2), np.random.default_rng(2)
     kept = np.exp(-PERIOD / errors.slow_time)
