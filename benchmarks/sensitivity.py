@@ -244,14 +244,14 @@ def _median_ratio(now: Array, before: Array) -> float:
 # -- all numbers
 
 
-def variants() -> list[tuple[str, float, Any]]:
-    """Name, factor and value of every number to try; a whole number goes to the next one, and
-    what is not allowed to the end of its range."""
+def variants(source: str = TRIED) -> list[tuple[str, float, Any]]:
+    """Name, factor and value of every number to try, of those whose `source` ends so; a whole
+    number goes to the next one, and what is not allowed to the end of its range."""
     found = []
     for name, default in DEFAULTS.to_dict().items():
         stage, _, field = name.rpartition(".")
         owner = getattr(DEFAULTS, stage) if stage else DEFAULTS
-        if owner.__dataclass_fields__[field].metadata["source"] != TRIED:
+        if not owner.__dataclass_fields__[field].metadata["source"].endswith(source):
             continue
         entry = entries(type(owner))[field]
         for factor in FACTORS:

@@ -45,6 +45,8 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   attacks     everything bad that the tests do, counted by what must come of it
   settings    what half and twice of each number of the sensing chain do to what is felt
   gauge       the same of the filter that follows a pressure gauge
+  seen        the same of photographs, and where markers fit no shape
+  bodies      the same of what body touches
   relaxation  holds of ten minutes on rubber that relaxes: felt less true, and the price
   first_day   setup, calibrate, fit, grasp and shadow of an emulated rig with every trouble
   tasks       what touch buys: tasks that ask for it, with and without, over the same episodes
@@ -93,6 +95,8 @@ BENCHMARKS = {
     "attacks": "attacks",
     "settings": "sensitivity",
     "gauge": "gauge",
+    "seen": "seen",
+    "bodies": "shape.settings",
     "relaxation": "relaxation",
     "first_day": "first_day.run",
     "tasks": "tasks.run",

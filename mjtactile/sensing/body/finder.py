@@ -27,6 +27,7 @@ from mjtactile.sensing.settings import DEFAULTS, BodySettings, Settings
 _EDGE = 1.5e-3  # m from the frame, where bodies that go on are cut off
 _ROUNDING = 0.5  # spacings of the film
 _MOST_PARTS = 3  # bodies at once
+_PART_SHARE = 0.12  # of the force: what bears less is no body of its own; nearly all patches do
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +136,7 @@ class ShapeFinder:
         firm = [
             patch
             for patch in touch.patches[:_MOST_PARTS]
-            if -patch.force[2] > self.settings.body.part_share * touch.force_normal
+            if -patch.force[2] > _PART_SHARE * touch.force_normal
         ]
         if len(firm) < 2:
             return whole

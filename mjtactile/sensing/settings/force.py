@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mjtactile.sensing.settings.number import GAUGED, TRIED, number
+from mjtactile.sensing.settings.number import GAUGED, SEEN, TRIED, number
 
 _BARS = "bench bars: fitted to scenes of seeds below 1000, which its table leaves out"
 
@@ -165,7 +165,7 @@ class InverseSettings:
         15, "images that nothing explains after which what was before is forgotten", "half a second"
     )
     overload_least: float = number(
-        1.0, "N, before the markers fit no shape any more, that are said to be too much", "trial"
+        1.0, "N, before the markers fit no shape any more, that are said to be too much", SEEN
     )
     excess_most: float = number(
         80.0,

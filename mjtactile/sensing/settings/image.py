@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mjtactile.sensing.settings.number import TRIED, number
+from mjtactile.sensing.settings.number import SEEN, TRIED, number
 
 _MONTE_CARLO = "Monte Carlo: the covariance against the scatter of fits to simulated noise"
 
@@ -29,7 +29,7 @@ class CandidateSettings:
         (3.0, 24.0),
         "grey levels of 256 darker than its neighbourhood: the least, and the most that noise can "
         "ask for",
-        "trial; at first 4, whatever the noise",
+        "at first 4, whatever the noise; " + SEEN,
     )
     noise: float = number(
         4.0, "times the median difference of neighbours: the margin that noise asks for", TRIED
@@ -63,7 +63,7 @@ class EdgeSettings:
     outlier_share: float = number(
         0.1,
         "of the contrast: no pixel nearer than that is an outlier",
-        "a lens or a camera's sharpening that the model does not know; trial",
+        "a lens or a camera's sharpening that the model does not know; " + SEEN,
     )
     covariance_factor: float = number(
         4.3, "factor on the covariance: softened noise is not white", _MONTE_CARLO
@@ -91,7 +91,7 @@ class ProfileSettings:
         high=10.0,
     )
     start_blur: float = number(1.1, "px, see `step`; the blur to start from", TRIED)
-    spacing: float = number(2.0, "px of arc between profiles", "trial; at first 1")
+    spacing: float = number(2.0, "px of arc between profiles", "at first 1; " + SEEN)
     level_outlier: float = number(
         2.5, "times the spread of a marker's levels, at which a profile's level is bounded", TRIED
     )

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mjtactile.sensing.settings.number import TRIED, number
+from mjtactile.sensing.settings.number import SEEN, TRIED, number
 
-_PHOTOGRAPHS = "trial, on photographs of flat boards of dots"
+_PHOTOGRAPHS = "photographs of flat boards of dots; " + SEEN
 
 
 @dataclass(frozen=True)
@@ -61,23 +61,10 @@ class SmoothnessSettings:
         "least and most of them",
         "few say nothing about smoothness; the cost grows with the cube",
     )
-    per_freedom: float = number(
-        8.0, "circles for each degree of freedom of the spline, at most", _PHOTOGRAPHS
-    )
-    max_scatter: float = number(
-        5.0,
-        "scatter over predicted sd, above which they lie on no smooth surface",
-        "what a real camera may explain; " + _PHOTOGRAPHS,
-    )
     common_share: float = number(
         0.33,
         "part of a depth's own sd that all share, so that it stays",
-        "a camera's processing, an error of blur; trial",
-    )
-    min_sd_share: float = number(
-        0.7,
-        "of the predicted sd: what errors are at least",
-        "a noise-free bend and noise can look alike; trial",
+        "a camera's processing, an error of blur; " + SEEN,
     )
     gross_scatters: float = number(
         5.0, "times the scatter about a second-order surface: where first weights fall off", TRIED
@@ -111,5 +98,5 @@ class PreferenceSettings:
         4.0, "circles thought beforehand to hang each as it likes, against one on a surface", TRIED
     )
     min_surface_sd: float = number(
-        0.035, "rad, sd of a plane through neighbours for a bent sheet", "2 degrees; trial"
+        0.035, "rad, sd of a plane through neighbours for a bent sheet", "2 degrees; " + SEEN
     )

@@ -14,6 +14,8 @@ from mjtactile.core.toml import Section
 
 TRIED = "tried: docs/settings.md has what half and twice of it do"
 GAUGED = "tried: bench gauge (docs/settings.md has what half and twice of it do)"
+SEEN = "tried: bench seen (docs/settings.md has what half and twice of it do)"
+PRESSED = "tried: bench bodies (docs/settings.md has what half and twice of it do)"
 _FACTOR = 100.0
 _PLACES = ("first", "second", "third", "fourth")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mjtactile.sensing.settings.number import TRIED, number
+from mjtactile.sensing.settings.number import PRESSED, TRIED, number
 
 _PRESSED = "bench bars: fitted to scenes of seeds below 1000"
 
@@ -136,7 +136,7 @@ class BodySettings:
         1e-5, "m, of a body's place over the rubber, beside its fit's", _PRESSED_SHAPES
     )
     misfit_most: float = number(
-        6.0, "mean square of the heights over their sd, above which no body explains", "trial"
+        6.0, "mean square of the heights over their sd, above which no body explains", PRESSED
     )
     force_least: float = number(0.03, "N; less says nothing of a shape", _PRESSED_SHAPES)
     look_force: float = number(
@@ -145,24 +145,21 @@ class BodySettings:
         _PRESSED_SHAPES,
         low=1.0,
     )
-    look_images: int = number(15, "after which all families are looked at in any case", "trial")
+    look_images: int = number(15, "after which all families are looked at in any case", PRESSED)
     misfit_asks: float = number(
-        1.5, "mean square of what is left, above which all families are looked for again", "trial"
+        1.5, "mean square of what is left, above which all families are looked for again", PRESSED
     )
     misfit_one: float = number(
         0.7, "the same: what is below it, at two places, is one body nevertheless", _PRESSED_SHAPES
     )
-    log_body: float = number(3.0, "of the log of evidence, that one body more must gain", "trial")
-    part_share: float = number(
-        0.12, "of the force: a place of contact that bears less is no body", "trial"
-    )
+    log_body: float = number(3.0, "of the log of evidence, that one body more must gain", PRESSED)
     log_lost: float = number(
         6.0,
         "of the log of evidence, by which a family is behind that is not looked at any more",
         "bench shape: with 12, a third more time and the same kinds",
     )
     ball_ratio: float = number(
-        1.5, "of two curvatures, below which a smooth body has a radius", "trial"
+        1.5, "of two curvatures, below which a smooth body has a radius", PRESSED
     )
 
 

@@ -1,0 +1,181 @@
+"""`mjtactile bench seen`: what half and twice of those tried numbers do that the images of `bench
+settings` do not come near: photographs, and what is said where markers fit no shape.
+
+A large ball under a small and under a large force, after which markers fit no shape, as of a sheet
+that tears; and pictures for `locate` as cameras make them, sharpened and compressed, flat and bent,
+some of them small.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks import sensitivity
+from benchmarks.sensitivity import FACTORS, INTERVAL, REFERENCE_IMAGES, Press, feel
+from mjtactile.core.design import load_sensor
+from mjtactile.core.errors import MjtactileError
+from mjtactile.core.optics import Camera
+from mjtactile.core.types import Image
+from mjtactile.experiments.station import View
+from mjtactile.sensing.pose.locate import Located, find_circles
+from mjtactile.sensing.settings import DEFAULTS, Settings
+from mjtactile.sensing.settings.number import SEEN
+from mjtactile.sim import truth
+from mjtactile.sim.scenes.indentation import Indenter, PressWorld
+
+TORN = ("dense", "sphere:25", (1e-3, -1e-3))
+TORN_FORCES = (0.7, 1.4)  # N
+TORN_STEP = 3e-4  # m
+TORN_SD = 4e-4  # m, of markers that fit no shape
+TORN_IMAGES = 3
+SMALL = 0.5  # of a picture's size
+_NEAR = 3.0  # px, of the same circle
+_SURE_ALIKE = 0.05  # of the probability that a pose is right
+
+
+def torn(force: float) -> Press:
+    """A large ball that presses with `force` N; then markers that fit no shape."""
+    design = load_sensor(TORN[0])
+    world = PressWorld(design, Indenter.parse(TORN[1]), at=TORN[2])
+    view = View(world, design, seed=1)
+    rng = np.random.default_rng(1)
+    world.inflate(0.0, seal=False)
+    flat = [view.image() for _ in range(REFERENCE_IMAGES)]
+    gauge = design.chamber.supply_gauge
+    world.inflate(gauge, seal=True)
+    rest = [view.image() for _ in range(REFERENCE_IMAGES)]
+    pixels = []
+    while -truth.contact_force(world, 0)[2] < force:
+        world.drive(TORN_STEP * len(pixels), 0.0)
+        pixels.append(view.image().pixels)
+    p, n = world.marker_poses(0)
+    for _ in range(TORN_IMAGES):
+        places = p + rng.normal(0, TORN_SD, p.shape) * [1, 1, 0]
+        pixels.append(view.renderer.render(places, n, 0.0).pixels)
+    images = [Image(one, number * INTERVAL) for number, one in enumerate(pixels)]
+    return Press(design, flat, rest, gauge, images)
+
+
+def pictures(presses: Sequence[Press], bent: Press) -> list[tuple[Image, Press]]:
+    """Those of `bench settings`, and more of `bent`: processed, and small."""
+    flat, pressed = bent.flat[0].pixels, bent.images[4].pixels
+    more = [_processed(bent.images[0].pixels), _processed(pressed)]
+    more += [_small(one) for one in (flat, pressed, _processed(pressed))]
+    return [*sensitivity.pictures(presses), *((Image(one), bent) for one in more)]
+
+
+def _processed(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Edges that a camera makes sharper, and what its compression leaves."""
+    soft = cv2.GaussianBlur(pixels, (0, 0), 1.5)
+    sharper = cv2.addWeighted(pixels, 1.8, soft, -0.8, 0)
+    packed = cv2.imencode(".jpg", sharper, [cv2.IMWRITE_JPEG_QUALITY, 40])[1]
+    return np.asarray(cv2.imdecode(packed, cv2.IMREAD_GRAYSCALE), np.uint8)
+
+
+def _small(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    small = cv2.resize(pixels, None, fx=SMALL, fy=SMALL, interpolation=cv2.INTER_AREA)
+    return np.asarray(small, np.uint8)
+
+
+def locate(images: Sequence[tuple[Image, Press]], settings: Settings) -> list[Located | None]:
+    """Each picture's circles; None where it is refused."""
+    found: list[Located | None] = []
+    for image, press in images:
+        camera = Camera.from_design(press.design.camera, press.design.glass)
+        radius = press.design.markers.radius
+        try:
+            found.append(find_circles(image, camera, radius, gamma="auto", settings=settings))
+        except (MjtactileError, np.linalg.LinAlgError):
+            found.append(None)
+    return found
+
+
+def change(before: Sequence[Located | None], now: Sequence[Located | None]) -> dict[str, float]:
+    """How many circles come, go, or have another status; how many another probability of their
+    pose; how far depths go (rms, m); by how much error bars change (median ratio of the picture
+    where it is largest)."""
+    circles = poses = 0
+    off: list[float] = []
+    bars = [1.0]
+    for old, new in zip(before, now, strict=True):
+        if old is None or new is None:
+            circles += sum(len(one.sure) for one in (old, new) if one is not None)
+            continue
+        pairs = _pairs(old, new)
+        status = [(old.poses.status[i], new.poses.status[j]) for i, j in pairs]
+        circles += len(old.sure) + len(new.sure) - 2 * len(pairs)
+        circles += sum(one != other for one, other in status)
+        poses += sum(abs(old.sure[i] - new.sure[j]) > _SURE_ALIKE for i, j in pairs)
+        good = [pair for pair, said in zip(pairs, status, strict=True) if said == ("ok", "ok")]
+        off += [float(new.poses.p_CM[j, 2] - old.poses.p_CM[i, 2]) for i, j in good]
+        ratios = [new.poses.cov_p[j, 2, 2] / old.poses.cov_p[i, 2, 2] for i, j in good]
+        bars.append(float(np.sqrt(np.median(ratios))) if ratios else 1.0)
+    return {
+        "circles": int(circles),
+        "poses": int(poses),
+        "depth_m": float(np.sqrt(np.mean(np.square(off)))) if off else 0.0,
+        "circle_bar": max(bars, key=lambda ratio: abs(np.log(ratio))),
+    }
+
+
+def _pairs(old: Located, new: Located) -> list[tuple[int, int]]:
+    apart = old.ellipses.center_px[:, None] - new.ellipses.center_px
+    distance = np.linalg.norm(apart, axis=2)
+    if not distance.size:
+        return []
+    nearest = distance.argmin(axis=1).tolist()
+    return [(i, j) for i, j in enumerate(nearest) if distance[i, j] < _NEAR]
+
+
+def run(out: Path, quick: bool = False) -> dict[str, Any]:
+    """Every number whose source says that it was tried here."""
+    del out
+    todo = sensitivity.variants(SEEN)
+    presses = [sensitivity.record(*press) for press in sensitivity.PRESSES]
+    images = pictures(presses, presses[0])
+    presses += [torn(force) for force in TORN_FORCES]
+    felt, seen = feel(presses, DEFAULTS), locate(images, DEFAULTS)
+    rows = []
+    for name, factor, value in todo[: 2 if quick else None]:
+        settings = DEFAULTS.override({name: value})
+        row = {"name": name, "factor": factor, "value": value}
+        row |= sensitivity.touch_change(felt, feel(presses, settings))
+        row |= change(seen, locate(images, settings))
+        rows.append(row)
+    return {"rows": rows}
+
+
+def table(result: Mapping[str, Any]) -> str:
+    """Half and twice of each number, as Markdown."""
+    defaults = DEFAULTS.to_dict()
+    lines = [
+        "| number | default | force, mN | images | circles | poses | depth, um | its bar, x |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    rows = result["rows"]
+    for half, twice in zip(rows[::2], rows[1::2], strict=True):
+        cells = [
+            _both(half, twice, "force_N", 1e3, ".1f"),
+            _both(half, twice, "said", 1, ".0f"),
+            _both(half, twice, "circles", 1, ".0f"),
+            _both(half, twice, "poses", 1, ".0f"),
+            _both(half, twice, "depth_m", 1e6, ".0f"),
+            _both(half, twice, "circle_bar", 1, ".2f"),
+        ]
+        value = defaults[half["name"]]
+        shown = ", ".join(f"{v:g}" for v in (value if isinstance(value, tuple) else (value,)))
+        lines.append(f"| `{half['name']}` | {shown} | {' | '.join(cells)} |")
+    assert len(FACTORS) == 2
+    return "\n".join(lines) + "\n"
+
+
+def _both(half: Mapping[str, Any], twice: Mapping[str, Any], key: str, unit: float, by: str) -> str:
+    """At half and at twice; nothing where neither changes."""
+    shown = [format(unit * row[key], by) for row in (half, twice)]
+    return "" if set(shown) <= {"0", "0.0", "1.00"} else " / ".join(shown)

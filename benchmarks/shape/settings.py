@@ -1,0 +1,159 @@
+"""`mjtactile bench bodies`: what the tried numbers of shapes are worth: the same presses told with
+each of them at half and at twice.
+
+A ball, an ellipsoid, a block, and two close balls of which one touches later, pressed in steps and
+held; touches are recorded once, so that a change is the setting's alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from benchmarks.shape.bodies import Case, draw
+from benchmarks.shape.run import MESH
+from mjtactile.core.design import load_sensor
+from mjtactile.core.types import FeltShape, Touch
+from mjtactile.experiments.station import View, take_references
+from mjtactile.sensing.chain import Chain
+from mjtactile.sensing.settings import DEFAULTS, Settings
+from mjtactile.sensing.settings.number import PRESSED
+from mjtactile.sensing.state import ChainState
+from mjtactile.sim import truth
+from mjtactile.sim.scenes.indentation import Indenter, PressWorld
+
+FACTORS = (0.5, 2.0)
+DRAWN = (1035, 1038, 1023)  # of bodies that have been looked at: bench shape's come later
+_CLOSE = "".join(
+    f'<geom type="sphere" size="5e-3" pos="{x} 0 {5e-3 + later}"/>'
+    for x, later in ((-3e-3, 0.0), (3e-3, 0.2e-3))
+)
+_DEPTHS = np.array([0.4, 0.8, 1.2, 1.7, 2.3]) * 1e-3  # m
+_FORCE_MOST = 1.5  # N
+_HELD = 20  # images
+_AREA_ALIKE = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Pressed:
+    """A press: the `state` after its references, and of each image the states before and after it
+    and what was felt."""
+
+    state: ChainState
+    images: Sequence[tuple[ChainState, ChainState, Touch]]
+
+
+@dataclass(frozen=True)
+class Told:
+    """What one image says: the kind and area m^2 of the shape, its radius m, and the force N."""
+
+    kind: str
+    area: float
+    radius: float
+    force: float
+
+
+def cases() -> list[Case]:
+    """The bodies that are pressed."""
+    close = Case("several", "two close balls", _CLOSE, (0.5e-3, 0.5e-3))
+    return [*map(draw, DRAWN), close]
+
+
+def record(case: Case) -> Pressed:
+    """Press it in steps, as far as the force allows, and hold it."""
+    with TemporaryDirectory() as folder:
+        indenter = Indenter("model", path=case.write(Path(folder)))
+        world = PressWorld("dense", indenter, at=case.at, mesh=MESH)
+    view = View(world, load_sensor("dense"), seed=1)
+    take_references(world, [view], world.design.chamber.supply_gauge)
+    perception = view.perception
+    begin = perception.state
+    images = []
+    for depth in (*_DEPTHS, *[None] * _HELD):
+        if depth is not None:
+            if -truth.contact_force(world, 0)[2] > _FORCE_MOST:
+                continue
+            world.press(float(depth))
+        before = perception.state
+        touch = view.touch()
+        if touch.traction is not None and touch.touching:
+            images.append((before, perception.state, touch))
+    return Pressed(begin, images)
+
+
+def tell(presses: Sequence[Pressed], settings: Settings) -> list[Told]:
+    """What all images say with these settings."""
+    chain = Chain(load_sensor("dense"), settings=settings)
+    told = []
+    for pressed in presses:
+        finder = chain.shape_finder(pressed.state)
+        press = None
+        for before, after, touch in pressed.images:
+            followed = replace(before, press=press)
+            felt, state = chain.follow_shape(followed, after, touch, finder)
+            press = state.press
+            told.append(_told(felt.shape, felt.force_normal))
+    return told
+
+
+def _told(shape: FeltShape | None, force: float) -> Told:
+    assert shape is not None
+    return Told(shape.kind, shape.area, shape.radius, force)
+
+
+def change(before: Sequence[Told], now: Sequence[Told]) -> dict[str, float]:
+    """Of how many images another kind is said, an area that is 5 % off, a radius or none; how far
+    the force goes (rms, N)."""
+    pairs = list(zip(before, now, strict=True))
+    same = [(old, new) for old, new in pairs if old.kind == new.kind]
+    off = [new.force - old.force for old, new in pairs]
+    return {
+        "kinds": sum(old.kind != new.kind for old, new in pairs),
+        "areas": sum(abs(new.area / old.area - 1) > _AREA_ALIKE for old, new in same),
+        "radii": sum(np.isfinite(old.radius) != np.isfinite(new.radius) for old, new in same),
+        "force_N": float(np.sqrt(np.mean(np.square(off)))),
+    }
+
+
+def run(out: Path, quick: bool = False) -> dict[str, Any]:
+    """Every number whose source says that it was tried here."""
+    del out
+    presses = [record(case) for case in cases()[: 1 if quick else None]]
+    usual = tell(presses, DEFAULTS)
+    rows = []
+    for field in fields(DEFAULTS.body):
+        if PRESSED not in field.metadata["source"]:
+            continue
+        value = getattr(DEFAULTS.body, field.name)
+        row: dict[str, Any] = {"name": f"body.{field.name}", "default": value}
+        for factor in FACTORS:
+            tried = round(factor * value) if isinstance(value, int) else factor * value
+            now = tell(presses, DEFAULTS.override({row["name"]: tried}))
+            row[str(factor)] = change(usual, now)
+        rows.append(row)
+    return {"numbers": rows, "images": len(usual), "bodies": [case.name for case in cases()]}
+
+
+def table(result: Mapping[str, Any]) -> str:
+    """Half and twice of each number, as Markdown."""
+    lines = [
+        f"Of {result['images']} images:",
+        "",
+        "| number | default | another kind | area | radius or none | force, mN |",
+        "|---|---|---|---|---|---|",
+    ]
+    for row in result["numbers"]:
+        tried = [row[str(factor)] for factor in FACTORS]
+        cells = [_both([f"{one[key]}" for one in tried]) for key in ("kinds", "areas", "radii")]
+        cells.append(_both([f"{1e3 * one['force_N']:.1f}" for one in tried]))
+        lines.append(f"| `{row['name']}` | {row['default']:g} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _both(shown: Sequence[str]) -> str:
+    return "" if set(shown) <= {"0", "0.0"} else " / ".join(shown)
