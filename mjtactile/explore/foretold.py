@@ -11,9 +11,7 @@ from scipy.linalg import cho_solve
 from mjtactile.core.types import Array
 
 _BEFORE = 2.0  # touches, that count as foretold as well as was said, before there was any
-_BETWEEN = (
-    2.0  # what is more than was said counts so often: no touch is at an edge, where it is most
-)
+_BETWEEN = 2.0  # by which an excess counts: no touch is at an edge, where it is largest
 
 
 def excess(
