@@ -219,7 +219,7 @@ def _draw(path: Path, cases: list[dict[str, Any]]) -> None:
         cut.set_xlabel("x, mm")
         cut.set_ylabel("height, mm")
         cut.set_ylim(-0.2, top)
-    axes[1, 0].legend(loc="lower center", fontsize=8)
+    axes[1, 0].legend(loc="upper left", fontsize=8)
     figure.savefig(path)
 
 
