@@ -4,6 +4,7 @@
    lines along y are padded to whole vectors with nodes that are none, and at rest. */
 #ifndef MJTACTILE_FILM_H
 #define MJTACTILE_FILM_H
+#include <math.h>
 #include <stdint.h>
 
 #define FILM_MOST_LINE 400
@@ -53,6 +54,14 @@ typedef struct {
 
 enum { BODY_SPHERE, BODY_CAPSULE, BODY_ELLIPSOID, BODY_CYLINDER, BODY_BOX, BODY_PLANE, BODY_QUADRIC, BODY_DISC, BODY_CONE,
        BODY_CONVEX, BODY_TRIANGLES, BODY_HEIGHTS };
+
+#define FILM_STEEPEST 4.0 /* 75 degrees */
+
+/* What a distance across a slope is along z; where it is too steep to follow, the surface is nearly met from the side. */
+static inline double film_farther_along_z(const double slope[2]) {
+    const double farther = sqrt(1 + slope[0] * slope[0] + slope[1] * slope[1]);
+    return farther < FILM_STEEPEST ? farther : FILM_STEEPEST;
+}
 
 /* Height of the body's lower side over (x, y), as far out as the sheet's middle stays from it, and its slopes; 1 where the body
    is not over that place, and then nothing is written. */

@@ -8,7 +8,6 @@
 #include "small.h"
 
 #define FAR 1.0          /* m below everything: where lines start */
-#define STEEPEST 4.0 /* 75 degrees */
 #define SHARP 1.0 /* where a rim that is rounded by less than the spacing ends as an edge does */
 #define FLANK 2.0
 #define MOST_APPROACHES 50
@@ -255,9 +254,6 @@ static int heights(const Film *film, const double *field, double x, double y, do
     return 0;
 }
 
-/* What a distance across a slope is along z; where it is too steep to follow, the surface is nearly met from the side. */
-static double farther_along_z(const double slope[2]) { return least(sqrt(1 + square(slope[0]) + square(slope[1])), STEEPEST); }
-
 /* Beyond which a body counts as ended: at a flank that a sheet meets at its edge alone, and at a rim rounder than no cell can be. */
 static double steepest_of(const Film *film, const FilmBody *b) {
     switch ((int)b->kind) {
@@ -291,12 +287,12 @@ int film_body_height(const Film *film, const FilmBody *b, const double *pool, do
         t = -line.from[2] / line.along[2], missed = !isfinite(t);
         break;
     default: missed = heights(film, own, x, y, &t, slope);
-        if (!missed) *height = t - out * farther_along_z(slope);
+        if (!missed) *height = t - out * film_farther_along_z(slope);
         return missed;
     }
     if (missed || slopes_of(b, n, slope)) return 1;
     if (square(slope[0]) + square(slope[1]) > square(steepest_of(film, b))) return 1;
-    *height = exact ? t : t - out * farther_along_z(slope);
+    *height = exact ? t : t - out * film_farther_along_z(slope);
     return 0;
 }
 

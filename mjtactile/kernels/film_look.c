@@ -17,18 +17,19 @@
 #define SAME 1e-9           /* m */
 #define STRAIGHT 1e-12      /* m, off a line */
 #define SLOPING (30 * SAME) /* over which the lowest place is surely at the end */
-#define STEEP_SHEET 3.      /* half thicknesses more along z on a steep place than on a level one */
+#define NEARBY 1e-3         /* m above the sheet: more than it moves by while it comes to rest */
 #define ROUND_ABOUT 1       /* nodes: what lowers one that touches, and where bodies end beside it */
 
-long film_seen_size(const Film *f) { return (1 + 1 + 2 + 1 + 2 + 4 + 4 + 1 + 1 + 1) * f->count + f->count / 8; }
+long film_seen_size(const Film *f) { return (1 + 1 + 2 + 1 + 2 + 4 + 4 + 1 + 1 + 1) * f->count + 2 * (f->count / 8) + FILM_FLOORS * FILM_PLANES; }
 
 Seen film_seen_in(const Film *f, double **room) {
     const long n = f->count;
-    Seen s = {.narrow = 0};
+    Seen s = {.floors = -1};
     s.obstacle = film_take(room, n), s.level = film_take(room, n), s.slope = film_take(room, 2 * n), s.lower = film_take(room, n);
     s.away = film_take(room, 2 * n), s.edge = film_take(room, 4 * n), s.spring = film_take(room, 4 * n);
     s.along_x = film_take(room, n), s.along_y = film_take(room, n), s.cell = film_take(room, n);
-    s.touching = (uint8_t *)film_take(room, n / 8); /* lines are whole eights */
+    s.planes = film_take(room, FILM_FLOORS * FILM_PLANES);
+    s.touching = (uint8_t *)film_take(room, n / 8), s.wanted = (uint8_t *)film_take(room, n / 8); /* lines are whole eights */
     memset(s.slope, 0, 2 * n * sizeof *s.slope), memset(s.along_x, 0, 2 * n * sizeof *s.along_x), memset(s.touching, 0, n);
     return s;
 }
@@ -199,6 +200,31 @@ void look_narrowly(const Film *f, const Bodies *bodies, Seen *seen) {
     seen->narrow = 1;
 }
 
+/* Where nodes are in the plane, of those of line `i` that are in the box. */
+static void place_nodes(const Film *f, const double *x, const Seen *seen, long i, double *at_x, double *at_y) {
+    for (long j = seen->box[2]; j < seen->box[3]; j++) {
+        at_x[j] = (double)i * f->dx - f->numbers.length_x / 2 + x[i * f->line + j];
+        at_y[j] = (double)j * f->dy - f->numbers.length_y / 2 + x[f->count + i * f->line + j];
+    }
+}
+
+/* Bodies are asked at nodes that touch or may soon, and at those next to them, from which curvature and edges are seen. */
+static void want_nodes(const Film *f, const double *x, Seen *seen) {
+    double at_x[FILM_MOST_LINE], at_y[FILM_MOST_LINE], floor[FILM_MOST_LINE];
+    const double *z = x + 2 * f->count;
+    memset(seen->wanted, 0, f->count);
+    for (long i = seen->box[0]; i < seen->box[1]; i++) {
+        place_nodes(f, x, seen, i, at_x, at_y);
+        floor_at(seen, seen->box[3] - seen->box[2], at_x + seen->box[2], at_y + seen->box[2], floor + seen->box[2]);
+        for (long j = seen->box[2]; j < seen->box[3]; j++) {
+            if (!seen->touching[i * f->line + j] && floor[j] > z[i * f->line + j] + NEARBY) continue;
+            const long from = j > 0 ? j - 1 : 0, to = j < f->rows - 1 ? j + 1 : j;
+            for (long near = i > 0 ? i - 1 : 0; near <= i + 1 && near < f->columns; near++)
+                memset(seen->wanted + near * f->line + from, 1, to - from + 1);
+        }
+    }
+}
+
 /* Heights of all bodies over the nodes where they are now. */
 void see_bodies(const Film *f, const Bodies *bodies, const double *x, Seen *seen) {
     const int thin = any_thin(f, bodies);
@@ -206,9 +232,12 @@ void see_bodies(const Film *f, const Bodies *bodies, const double *x, Seen *seen
     for (long b = 0; b < bodies->count; b++) sharp |= body_of(bodies, b)->least == 0;
     for (long b = 0; b < bodies->count && !seen->narrow; b++) grow_box(f, body_of(bodies, b), seen->box);
     if (!seen->narrow) see_nothing(f, seen);
+    const int all = thin || seen->floors < 0; /* what is thin may be between nodes */
+    if (!all) want_nodes(f, x, seen);
     for (long i = seen->box[0]; i < seen->box[1]; i++)
         for (long j = seen->box[2]; j < seen->box[3]; j++) {
             const long k = i * f->line + j;
+            if (!all && !seen->wanted[k]) continue;
             const double at_x = i * f->dx - f->numbers.length_x / 2 + x[k];
             const double at_y = j * f->dy - f->numbers.length_y / 2 + x[f->count + k];
             double slope[2] = {0, 0};
@@ -264,7 +293,7 @@ void find_edges(const Film *f, const Bodies *bodies, const double *x, long k, in
     for (int side = 0; side < 4; side++) {
         const long other = k + film_next(f, side);
         seen->edge[side * count + k] = -1;
-        if (!on_a_body(f, bodies, at[0], at[1]) || isfinite(seen->obstacle[other])) continue;
+        if (isfinite(seen->obstacle[other]) || !on_a_body(f, bodies, at[0], at[1])) continue;
         double way[2] = {side < 2 ? (side ? -1 : 1) * f->dx + x[other] - x[k] : 0,
                                side < 2 ? 0 : (side == 3 ? -1 : 1) * f->dy + x[count + other] - x[count + k]};
         if (thin) way[side < 2] += lean_of(f, bodies, at, side >= 2) * (side % 2 ? -1 : 1) * (side < 2 ? f->dy : f->dx);
@@ -345,58 +374,66 @@ int against_the_frame(const Film *f, const Settings *set, const Seen *seen) {
     return CONVERGED;
 }
 
-/* Below which a convex body cannot be: above its tangents at the nodes about it, which are not exact where it bends by half a sheet. */
-static double least_height(const Film *f, const double *x, const Seen *seen, const long corners[4], double at_x, double at_y) {
-    double found = -INFINITY;
-    for (int c = 0; c < 4; c++) {
-        const long k = corners[c];
-        if (!isfinite(seen->obstacle[k])) return -INFINITY;
-        const double off_x = at_x - ((double)(k / f->line) * f->dx - f->numbers.length_x / 2 + x[k]);
-        const double off_y = at_y - ((double)(k % f->line) * f->dy - f->numbers.length_y / 2 + x[f->count + k]);
-        found = most(found, seen->obstacle[k] + seen->slope[k] * off_x + seen->slope[f->count + k] * off_y);
-    }
-    return found - STEEP_SHEET * f->numbers.half_thickness;
-}
-
-/* How far a body is behind the sheet over a place in the cell of node `k`, where the sheet is flat. */
-static int is_behind(const Film *f, const Bodies *bodies, const double *x, const Seen *seen, long k, double at_x, double at_y, double behind) { /* `behind`: spacings */
+/* Whether a body is behind the sheet, by more than so many spacings, over a place in the cell of node `k`, where the sheet is flat
+   and no body is below `floor`. */
+static int is_behind(const Film *f, const Bodies *bodies, const double *x, const Seen *seen, long k, const double at[2], double floor,
+                     double behind) {
     const long corners[4] = {k, k + 1, k + f->line, k + f->line + 1};
-    if (f->whole && f->whole[k / f->line * f->rows + k % f->line] == 0) return 0; /* the rim is asked instead */
+    const double spacing = most(f->dx, f->dy);
     double height, slope[2], z = 0;
     int touches = 0;
     for (int c = 0; c < 4; c++) z += x[2 * f->count + corners[c]] / 4, touches |= seen->touching[corners[c]];
+    if (z - floor <= BEHIND_UNSEEN * spacing) return 0;
+    if (f->whole && f->whole[k / f->line * f->rows + k % f->line] == 0) return 0; /* the rim is asked instead */
     for (long i = -1; i <= 2 && !touches; i++)
         for (long j = -1; j <= 2; j++) {
             const long near = k + i * f->line + j;
             touches |= near >= 0 && near < f->count && seen->touching[near];
         }
-    const double much = (touches ? behind : BEHIND_UNSEEN) * most(f->dx, f->dy);
-    if (is_one_convex(bodies) && z - least_height(f, x, seen, corners, at_x, at_y) <= much) return 0;
-    if (lowest(f, bodies, at_x, at_y, &height, slope)) return 0;
+    const double much = (touches ? behind : BEHIND_UNSEEN) * spacing;
+    if (z - floor <= much || lowest(f, bodies, at[0], at[1], &height, slope)) return 0;
     return z - height > much;
 }
 
-int goes_through(const Film *f, const Bodies *bodies, const double *x, const Seen *seen) {
-    const long count = f->count;
-    for (long i = seen->box[0]; i < least(seen->box[1], f->columns - 1); i++)
-        for (long j = seen->box[2]; j < least(seen->box[3], f->rows - 1); j++) {
-            const long k = i * f->line + j, corners[4] = {k, k + 1, k + f->line, k + f->line + 1};
-            double at[2] = {(i + 0.5) * f->dx - f->numbers.length_x / 2, (j + 0.5) * f->dy - f->numbers.length_y / 2};
-            for (int c = 0; c < 4; c++) at[0] += x[corners[c]] / 4, at[1] += x[count + corners[c]] / 4;
-            if (is_behind(f, bodies, x, seen, k, at[0], at[1], BEHIND)) return 1;
+/* At the middles of the cells. */
+static int goes_through_a_cell(const Film *f, const Bodies *bodies, const double *x, const Seen *seen) {
+    const long first = seen->box[2], last = (long)least(seen->box[3], f->rows - 1);
+    double at_x[FILM_MOST_LINE], at_y[FILM_MOST_LINE], floor[FILM_MOST_LINE];
+    for (long i = seen->box[0]; i < least(seen->box[1], f->columns - 1); i++) {
+        for (long j = first; j < last; j++) {
+            const double *x0 = x + i * f->line + j, *x1 = x0 + f->line, *y0 = x0 + f->count, *y1 = x1 + f->count;
+            at_x[j] = ((double)i + 0.5) * f->dx - f->numbers.length_x / 2 + (x0[0] + x0[1] + x1[0] + x1[1]) / 4;
+            at_y[j] = ((double)j + 0.5) * f->dy - f->numbers.length_y / 2 + (y0[0] + y0[1] + y1[0] + y1[1]) / 4;
         }
-    for (long b = 0; b < bodies->count; b++) { /* and at a body's own ends */
+        floor_at(seen, last - first, at_x + first, at_y + first, floor + first);
+        for (long j = first; j < last; j++) {
+            const double at[2] = {at_x[j], at_y[j]};
+            if (is_behind(f, bodies, x, seen, i * f->line + j, at, floor[j], BEHIND)) return 1;
+        }
+    }
+    return 0;
+}
+
+/* At the bodies' own ends. */
+static int goes_through_at_an_end(const Film *f, const Bodies *bodies, const double *x, const Seen *seen) {
+    for (long b = 0; b < bodies->count; b++) {
         const FilmBody *one = body_of(bodies, b);
         const double half = one->kind == BODY_CAPSULE || one->kind == BODY_CYLINDER ? one->sizes[1] : 0;
-        for (int end = -1; end <= 1; end++) {
+        for (int end = half > 0 ? -1 : 1; end <= 1; end++) {
             const double at[2] = {one->p[0] + end * half * one->R[2], one->p[1] + end * half * one->R[5]};
             const double i = floor((at[0] + f->numbers.length_x / 2) / f->dx), j = floor((at[1] + f->numbers.length_y / 2) / f->dy);
             if (i < 0 || j < 0 || i > f->columns - 2 || j > f->rows - 2) continue;
             const double tip = BEHIND_TIP + f->numbers.half_thickness / most(f->dx, f->dy), behind = one->kind == BODY_CONE ? tip : BEHIND;
-            if (is_behind(f, bodies, x, seen, (long)i * f->line + (long)j, at[0], at[1], behind)) return 1;
+            double below;
+            floor_at(seen, 1, at, at + 1, &below);
+            if (is_behind(f, bodies, x, seen, (long)i * f->line + (long)j, at, below, behind)) return 1;
         }
     }
     return 0;
+}
+
+int goes_through(const Film *f, const Bodies *bodies, const double *x, const Seen *seen) {
+    return goes_through_a_cell(f, bodies, x, seen) || goes_through_at_an_end(f, bodies, x, seen);
 }
 
 void gas_of(const Film *f, const Settings *set, double bulge, double *pressure, double *stiffness) {

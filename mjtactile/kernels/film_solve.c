@@ -361,7 +361,7 @@ static int come_to_rest(const Film *f, const Settings *set, const Bodies *bodies
     film_forget(l);
     const int narrow = trend && !f->lopsided; /* second tries see all; beyond a window the sheet is what it is when turned */
     w->heights.first = narrow ? f->columns : 0, w->heights.last = narrow ? -1 : f->columns - 1;
-    see_touch(f, w->force, &w->seen);
+    see_touch(f, w->force, &w->seen), find_floors(f, bodies, &w->seen);
     for (int step = 0; step < (int)set->most_steps; step++) {
         look(f, bodies, lifted, step, w);
         const int misplaced = step ? CONVERGED : against_the_frame(f, set, &w->seen);

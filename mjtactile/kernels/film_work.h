@@ -16,6 +16,10 @@ typedef struct { double gas, sealed, tolerance, most_steps, again, below_rim; } 
 
 typedef struct { long count; const double *body, *pool; } Bodies;
 
+#define FILM_FLOORS 32   /* bodies at most of which it is known where they cannot be */
+#define FILM_TANGENTS 5  /* of each */
+#define FILM_PLANES (3 * (FILM_TANGENTS + 1)) /* numbers of these, and of a level one */
+
 /* Bodies as nodes see them, and what touches them. Fields (count). */
 typedef struct {
     double *obstacle, *level, *slope, *lower; /* heights, see `follow_bodies`, slopes (2, count), correction */
@@ -23,7 +27,10 @@ typedef struct {
     double *edge, *spring;                    /* see `find_edges` and `find_springs`, (4, count) */
     double *along_x, *along_y;                /* the sheet's links, see film_sheet.h */
     double *cell;                             /* m^2 of the plane that a node stands for */
+    double *planes;                           /* (FILM_FLOORS, FILM_PLANES), see `find_floors` */
+    long floors;                              /* bodies that have some; -1: it is not known */
     uint8_t *touching;
+    uint8_t *wanted;                          /* whether a body may be where the sheet, or that of a neighbour, soon is */
     long box[4];                              /* of nodes, lines and places on them, beyond which there is no body: from, to behind */
     int narrow;                               /* beyond which bodies are not looked at */
 } Seen;
@@ -45,6 +52,11 @@ void film_unpad(const Film *film, long fields, const double *from, double *to);
 void see_touch(const Film *film, const double *force, Seen *seen);
 /* From now on bodies are looked at near what touches only, where that is all they are seen by: neither thin nor sharp. */
 void look_narrowly(const Film *film, const Bodies *bodies, Seen *seen);
+/* Planes below which the bodies are not, by tangents about what touches; they are used as long as bodies stay where they are, or are
+   lifted. */
+void find_floors(const Film *film, const Bodies *bodies, Seen *seen);
+/* The height (count) below which no body is, at each of some places. */
+void floor_at(const Seen *seen, long count, const double *x, const double *y, double *floor);
 /* Of bodies: heights and slopes over the nodes where they are; where they end beside a node, to 2^-halves; corrections. */
 void see_bodies(const Film *film, const Bodies *bodies, const double *x, Seen *seen);
 void find_edges(const Film *film, const Bodies *bodies, const double *x, long node, int halves, Seen *seen);
