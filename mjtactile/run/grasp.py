@@ -234,7 +234,7 @@ def _score(scenario: Scenario, rig: Rig, observer: Observer) -> Any:
     from mjtactile.run.scoring import GraspScore
 
     score = GraspScore(rig.scene, Judge.of(scenario, rig))
-    rig.scene.after_each_stretch(score.after_stretch)
+    rig.scene.after_each_stretch(score.after_stretch, score.due)
     force = rig.scene.object.break_force
     varied = {"varied": rig.varied} if rig.varied else {}
     observer.note(break_force_N=force if math.isfinite(force) else None, **varied)

@@ -136,6 +136,13 @@ class GraspScore:
             self._hold_steps += len(each)
             self._held.append(risen)
 
+    def due(self) -> float:
+        """s in the world's time at which `after_stretch` must be called at the latest: after each
+        step where the task counts how hard it is set down, which takes milliseconds."""
+        sets_down = self.phase in ("lower", "release")
+        counts = self.judge is not None and math.isfinite(self.judge.task.counts.bump)
+        return self.world.time if sets_down and counts else math.inf
+
     def _watch_fall(self) -> None:
         """From where it was let go of."""
         height = float(self._object_position()[2])
