@@ -107,7 +107,7 @@ class _Log(Observer):
 
     def on_images(self) -> None:
         if self.score is not None:
-            self.score.snapshot()
+            self.score.snapshot(self._watching.sees)
         if self.estimate is not None and self.phases[-1:] == ["hold"]:
             self.estimate.keep()
         self._watching.on_images()
