@@ -159,6 +159,16 @@ int64_t inverse_gain(int64_t nx, int64_t ny, const double *numbers, const double
     return failed;
 }
 
+int64_t solve_lower(int64_t n, int64_t k, const double *factor, double *x) {
+    for (int64_t i = 0; i < n; i++) {
+        double *row = x + i * k;
+        for (int64_t j = 0; j < i; j++)
+            for (int64_t c = 0; c < k; c++) row[c] -= factor[i * n + j] * x[j * k + c];
+        for (int64_t c = 0; c < k; c++) row[c] /= factor[i * n + i];
+    }
+    return 0;
+}
+
 /* -- one step ------------------------------------------------------------------------------------------------------------- */
 
 /* Solves L L^T x = b for x in place of b; L (n, n) by rows. */

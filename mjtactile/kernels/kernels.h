@@ -96,6 +96,9 @@ int64_t inverse_step(int64_t nx, int64_t ny, const double *numbers /* 8 */,
                      double *traction /* 3, jx, jy */, double *misfit /* r */, double *noise /* r */,
                      double *drift_found /* modes */);
 
+/* L x = b by the lower factor L, for k columns b. In `x`: b; out: x. */
+int64_t solve_lower(int64_t n, int64_t k, const double *factor /* n, n */, double *x /* n, k */);
+
 /* Out: covariance `cov` of the net wrench of tractions on nodes at `positions` with `areas`, given what r rows saw. */
 int64_t wrench_posterior(int64_t r, int64_t jx, int64_t jy, const double *root_x /* jx, jx */, const double *root_y /* jy, jy */,
                          const double *prior /* 3, jx, jy */, const double *positions /* jx * jy, 3 */,
