@@ -269,9 +269,9 @@ int64_t film_follow(const double *numbers /* 19 */, const double *law /* 11 */, 
                     int64_t carrier, int64_t nbody, const double *xpos /* nbody, 3 */, const double *xmat /* nbody, 9 */,
                     int64_t ngeom, const double *geom_xpos /* ngeom, 3 */, const double *geom_xmat /* ngeom, 9 */,
                     const int64_t *geom /* geoms */, const int64_t *body_of /* geoms */, const double *bounds /* geoms, 7 */,
-                    double *memory /* 67 */, uint8_t *touched /* 2, columns, rows */, double *before /* 6, columns, rows */);
+                    double *memory /* 69 */, uint8_t *touched /* 2, columns, rows */, double *before /* 6, columns, rows */);
 /* Out: what that pushes by MuJoCo's degrees of freedom, and how a free body is held (see film_hold.c); returns whether it does. */
-int64_t film_push(const double *given /* 8 */, const double *memory /* 67 */, int64_t carrier, int64_t nbody,
+int64_t film_push(const double *given /* 8 */, const double *memory /* 69 */, int64_t carrier, int64_t nbody,
                   const int32_t *parent /* nbody */, const int32_t *joints /* nbody */, const int32_t *first /* nbody */, int64_t njnt,
                   const int32_t *type /* njnt */, const int32_t *dof /* njnt */, const double *anchor /* njnt, 3 */,
                   const double *axis /* njnt, 3 */, const double *xpos /* nbody, 3 */, const double *xmat /* nbody, 9 */,

@@ -100,6 +100,35 @@ def test_what_is_filled_weighs_what_it_should_in_the_end():
     assert np.abs(np.diff(fast)).max() < 0.0675 * 0.014
 
 
+@pytest.mark.parametrize("leak", [0.0, 1e-12])
+@pytest.mark.parametrize("ahead", [True, False])
+def test_looking_changes_nothing(leak, ahead):
+    """To the bit, of tight gas and of one that leaks, before and while something touches and is
+    lifted; in one go and step by step."""
+    found = []
+    for looks in (False, True):
+        rig, world = hand()
+        for sensor in world.sensors:
+            sensor.puncture(leak)
+        if not ahead:
+            world._ahead = None
+        world.set_finger_target(0.03, 0.3)
+        for stretch in range(45):
+            if stretch == 35:
+                world.set_lift_target(0.02)
+            world.step(13)
+            for sensor in world.sensors if looks else ():
+                assert sensor.temperature > 0 and sensor.volume > 0
+                assert np.isfinite(sensor.look()).all() and np.isfinite(sensor.p_SV).all()
+                assert isinstance(sensor.flags(), dict) and sensor.pressure_gauge > 0
+        films = [(s.look(), s.p_SV, s.pressure_gauge, s.slid, s.slides) for s in world.sensors]
+        found.append([world.data.qpos.copy(), *(part for film in films for part in film)])
+        rig.close()
+    for ours, theirs in zip(*found, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    assert found[0][1][2] < -0.2  # N: it is held
+
+
 def test_what_goes_wrong_ends_it_in_that_step():
     rig, world = hand()
     world.data.qvel[-6:-3] = np.nan
