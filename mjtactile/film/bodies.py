@@ -42,6 +42,7 @@ KINDS: dict[str, tuple[int, tuple[str, ...]]] = {
 _FEW = 16  # numbers, which Python looks at faster than numpy
 _UNIT = 0.01  # off one, of a quaternion that was rounded
 _FLAT = 1e-9  # m, of a skin that has no thickness
+_SAME_PLANE = 9  # digits of m, and of a normal
 _MAY_VANISH = {"curvature x", "curvature y", "rim radius"}
 
 
@@ -217,14 +218,16 @@ def _pool(kind: str, corners: Array | None, data: ArrayLike | None) -> Array:
 
 
 def _hull(vertices: Array) -> Array:
-    """Planes (m, 4) of the convex hull: n x <= d."""
+    """Planes (m, 4) of the convex hull: n x <= d; one of a face, however many triangles it has."""
     from scipy.spatial import ConvexHull, QhullError  # takes a tenth of a second to import
 
     try:
         equations = ConvexHull(vertices).equations
     except (QhullError, ValueError) as error:
         raise InputError("the vertices enclose no volume", field="data") from error
-    return np.column_stack([equations[:, :3], -equations[:, 3]])
+    _, first = np.unique(np.round(equations, _SAME_PLANE), axis=0, return_index=True)
+    kept = equations[np.sort(first)]
+    return np.column_stack([kept[:, :3], -kept[:, 3]])
 
 
 _NOT_TURNED = np.eye(3).ravel()
