@@ -335,13 +335,33 @@ class Film:
             The Cholesky factor's lower band (width + 1, 3 inner nodes), as SciPy has it; x, y and
             height of a node in turn.
         """
+        width = 3 * self.grid[1] - 1
+        return np.ascontiguousarray(self._stiffness_band(state)[:, : width + 1].T)
+
+    def compliance(self, state: FilmState) -> Array:
+        """How the sheet gives in the plane, its heights free, over gas that stays at its pressure.
+
+        Args:
+            state: At rest.
+
+        Returns:
+            (2 inner, 2 inner) m/N, displacements by forces; x and y of each inner node in turn.
+        """
+        band = self._stiffness_band(state)
+        count = 2 * len(band) // 3
+        room = np.empty(8 * len(band))
+        found = np.empty((count, count))
+        kernel("film_compliance")(*self.grid, band, room.size, room, found)
+        return found
+
+    def _stiffness_band(self, state: FilmState) -> Array:
+        """The factor by columns, as kernels/band.h has it."""
         columns, rows = self.grid
-        width = 3 * rows - 1
-        band = np.empty((3 * (columns - 2) * (rows - 2), band_stride(width)))
+        band = np.empty((3 * (columns - 2) * (rows - 2), band_stride(3 * rows - 1)))
         fixed = (self._numbers, self._law, *self.grid)
         given = (state.x, state.pressure_gauge, self._room.size, self._room)
         kernel("film_stiffness")(*fixed, *given, band)
-        return np.ascontiguousarray(band[:, : width + 1].T)
+        return band
 
     def heights_of(self, obstacles: Obstacle | Sequence[Obstacle], places: ArrayLike) -> Array:
         """Find how high obstacles leave the sheet's middle.

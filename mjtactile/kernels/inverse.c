@@ -149,7 +149,7 @@ int64_t inverse_gain(int64_t nx, int64_t ny, const double *numbers, const double
             bulge_seen[first + l] = see(&s, &sight, first + l, motion);
             along[l] = share * see(&s, &sight, first + l, softened);
         }
-        band_solve_lanes(dofs, s.width, factor, x);
+        band_solve_lanes(dofs, s.width, factor, x, 0);
         for (long i = 0; i < dofs; i++) x[i] -= softened[i] * along;
         half_of(&s, &nodes, prior, x, rows, out);
         for (long l = 0; l < lanes; l++)

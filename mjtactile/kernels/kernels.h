@@ -229,6 +229,11 @@ int64_t film_heights(const double *numbers /* 19 */, int64_t bodies, const doubl
 int64_t film_stiffness(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows,
                        const double *x /* 3, columns, rows */, double pressure, int64_t roomy, double *room /* roomy */,
                        double *factor /* 3 * (columns - 2) * (rows - 2), BAND_STRIDE(3 * rows - 1) */);
+/* Out: displacements in the plane by forces in the plane, x and y of each inner node in turn, with that factor. */
+int64_t film_compliance(int64_t columns, int64_t rows,
+                        const double *factor /* 3 * (columns - 2) * (rows - 2), BAND_STRIDE(3 * rows - 1) */, int64_t roomy,
+                        double *room /* roomy */,
+                        double *compliance /* 2 * (columns - 2) * (rows - 2), 2 * (columns - 2) * (rows - 2) */);
 int64_t film_room(const double *numbers /* 19 */); /* doubles of `room` that a solution wants */
 int64_t film_kept(const double *numbers /* 19 */); /* floats of `kept`: what all solutions of a film share */
 /* Out: `kept`, factors of the sheet's stiffness at rest, in the plane and of heights, at displacements `x`. */
