@@ -14,7 +14,7 @@
 `step` is pure: its memory is `Command.memory`. It knows no clock, nor which way is down.
 """
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from math import hypot, isfinite
 from typing import Any
 
@@ -48,8 +48,8 @@ START = {f"{clock}_time": 0.0 for clock in CLOCKS} | {
     "low": WEIGH_HEIGHT,
     "target": FORCE_LEAST,
     "due": FORCE_LEAST,
-    **{kind.__name__.lower(): asdict(kind()) for kind in (Load, Spring, Frames)},
-    **{kind.__name__.lower(): asdict(kind(FRICTION_FIRST)) for kind in (Belief, Trial)},
+    **{kind.__name__.lower(): vars(kind()) for kind in (Load, Spring, Frames)},
+    **{kind.__name__.lower(): vars(kind(FRICTION_FIRST)) for kind in (Belief, Trial)},
 }
 
 
@@ -109,7 +109,7 @@ def grip_as_needed(observation: Observation, command: Command) -> Command:
     if trial.is_on:  # what is tried must be in use: nothing to spare
         worst, least = trial.grip * load.most, FORCE_TRIED
     target = max(least, min(MARGIN * worst / belief.friction, FORCE_MOST, frames.most))
-    found = {"load": asdict(load), "belief": asdict(belief), "frames": asdict(frames)}
+    found = {"load": vars(load), "belief": vars(belief), "frames": vars(frames)}
     return _remember(command, target=target, **found, mass=load.mass, mass_sd=weigh(touch).sd)
 
 
@@ -128,7 +128,7 @@ def _regulated(observation: Observation, command: Command, felt: list[float]) ->
     actual = observation.gripper.opening
     opening = command.opening - speed * observation.period
     opening = max(actual - 0.006, min(actual + 0.004, opening))
-    return _remember(replace(command, opening=opening), due=due, spring=asdict(spring))
+    return _remember(replace(command, opening=opening), due=due, spring=vars(spring))
 
 
 def _approach(observation: Observation, command: Command, felt: list[float]) -> Command:
@@ -156,7 +156,7 @@ def _regulate(observation: Observation, command: Command, felt: list[float]) -> 
     settled_time = command.memory["settled_time"] + observation.period if settled else 0.0
     if settled_time >= SETTLE_TIME:
         standing = _kept(Load, command).standing(observation.touch)
-        return _go(_remember(command, load=asdict(standing)), "lift")
+        return _go(_remember(command, load=vars(standing)), "lift")
     if command.memory["phase_time"] > GRIP_TIMEOUT:
         return _give_up(command, "the force did not settle")
     return _remember(command, settled_time=settled_time)
@@ -176,7 +176,7 @@ def _lift(observation: Observation, command: Command, felt: list[float]) -> Comm
         return command  # grip first, as far as the jaws can
     goal, load = observation.told.lift_height, _kept(Load, command)
     if not load.down and not is_low:
-        command = _remember(command, load=asdict(load.hanging(observation.touch)))
+        command = _remember(command, load=vars(load.hanging(observation.touch)))
     if observation.gripper.lift_height > goal - 0.001:
         return _go(command, "hold")
     rise = (WEIGH_SPEED if is_low else LIFT_SPEED) * observation.period
@@ -190,7 +190,7 @@ def _try_friction(now: Observation, command: Command) -> Command:
     proof = belief.used if trial.passed and not trial.slipped else belief.wrong
     belief = replace(belief, friction=trial.friction, before=0.0, wrong=proof)
     low = command.lift_height + trial.slipped * WEIGH_HEIGHT  # it may stand again
-    return _remember(command, trial=asdict(trial), belief=asdict(belief), low=low)
+    return _remember(command, trial=vars(trial), belief=vars(belief), low=low)
 
 
 def _hold(observation: Observation, command: Command, felt: list[float]) -> Command:
