@@ -217,7 +217,7 @@ def _lower(observation: Observation, command: Command, felt: list[float]) -> Com
     speed = PLACE_SPEED if above < SEARCH else LIFT_SPEED
     height = max(goal, command.lift_height - speed * observation.period)
     carried = float(_kept(Load, command).vector(observation.touch)[0])
-    stands = carried < 0.5 * command.memory["held"][0] - TABLE_FORCE
+    stands = carried < 0.5 * np.asarray(command.memory["held"])[0] - TABLE_FORCE
     if stands or (height == goal and observation.gripper.lift_height < goal + 0.001):
         return _release_now(replace(command, lift_height=max(0.0, observation.gripper.lift_height)))
     return replace(command, lift_height=height)
