@@ -303,9 +303,6 @@ int64_t draw_errors(int64_t loads, const double *load /* loads */, const double 
                     const double *spread /* 6, 6 */, const double *said_correlation /* 6, 6 */, const double *settings /* 5 */,
                     const double *outlier_size /* 6 */, const double *normals /* 12 */, const double *wrench /* 6 */, double *slow /* 6 */, double *row /* 30 */,
                     double *felt /* 6 */, double *cov /* 6, 6 */);
-/* recording/png.py: a grey image as zlib's stream in a PNG file; returns its length. A code has 15 bits at most, their table 1100. */
-int64_t pack_png(int64_t height, int64_t width, const uint8_t *pixels /* height, width */,
-                 uint8_t *packed /* 2 * height * (width + 1) + 512 */);
 int64_t film_derive_room(const double *numbers /* 19 */);
 /* Of a film at rest with `x` and `force`, derivatives by `changes` of its bodies: `body` as they are, then for each change those
    that are `steps` of it farther. Out: of displacements, forces and what film_solve finds.

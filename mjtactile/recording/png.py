@@ -1,43 +1,45 @@
 """Grey images as PNG files, fast enough to write two cameras' beside a control loop.
 
-The format: https://www.w3.org/TR/png-3/. Noise has no strings that come again, so that none are
-looked for: each row is taken less the mean of its neighbours before, and then only Huffman's code
-of single bytes is used (kernels/png.c).
+The format: https://www.w3.org/TR/png-3/. Noise hardly compresses, so that little is looked for:
+ISA-L packs an image in a third of the time that OpenCV takes to write one, into a tenth more.
 """
 
 from __future__ import annotations
 
 import struct
-import zlib
 
 import numpy as np
+from isal import isal_zlib
 from numpy.typing import NDArray
 
-from mjtactile.kernels import kernel
-
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_LEVEL = 1  # of 0 to 3; 2 takes a quarter longer for files 5 % smaller
+_UP = 2  # first byte of each row: less the row above, which saves a sixth of the file
 
 
 def encode(pixels: NDArray[np.uint8]) -> bytes:
     """`pixels` (H, W), 8 bit grey, as a PNG file."""
     height, width = pixels.shape
+    rows = np.empty((height, width + 1), np.uint8)
+    rows[:, 0] = _UP
+    rows[:1, 1:] = pixels[:1]
+    np.subtract(pixels[1:], pixels[:-1], out=rows[1:, 1:])  # modulo 256, as the format has it
     depth = 8
     grey = 0
     deflate = 0
     filters = 0
     progressive = 0
     header = struct.pack(">2I5B", width, height, depth, grey, deflate, filters, progressive)
-    room = np.empty(2 * height * (width + 1) + 512, np.uint8)  # as kernels.h has it
-    packed = room[: kernel("pack_png")(height, width, pixels, room)].data
+    packed = isal_zlib.compress(rows, _LEVEL)
     return b"".join(
         [_SIGNATURE, *_chunk(b"IHDR", header), *_chunk(b"IDAT", packed), *_chunk(b"IEND", b"")]
     )
 
 
-def _chunk(kind: bytes, data: bytes | memoryview) -> tuple[bytes, bytes, bytes | memoryview, bytes]:
+def _chunk(kind: bytes, data: bytes) -> tuple[bytes, bytes, bytes, bytes]:
     return (
         struct.pack(">I", len(data)),
         kind,
         data,
-        struct.pack(">I", zlib.crc32(data, zlib.crc32(kind))),
+        struct.pack(">I", isal_zlib.crc32(data, isal_zlib.crc32(kind))),
     )

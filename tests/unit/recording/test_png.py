@@ -12,31 +12,16 @@ from mjtactile.recording import png
 RNG = np.random.default_rng(0)
 
 
-def _rare() -> np.ndarray:
-    """Pixels that differ from the mean before them by k about as often as Fibonacci's k-th number
-    says: Huffman's longest code has more than the format's 15 bits then."""
-    often = [1, 1]
-    while len(often) < 24:
-        often.append(often[-1] + often[-2])
-    differences = RNG.permutation(np.repeat(np.arange(24), often)[: 256 * 400]).reshape(400, 256)
-    pixels = np.zeros((401, 257), int)
-    for y, x in np.ndindex(400, 256):
-        mean = (pixels[y + 1, x] + pixels[y, x + 1]) // 2
-        pixels[y + 1, x + 1] = (mean + differences[y, x]) % 256
-    return pixels[1:, 1:].astype(np.uint8)
-
-
 @pytest.mark.parametrize(
     "pixels",
     [
         RNG.integers(0, 256, (48, 64), np.uint8),  # nothing to compress
         np.rint(RNG.normal(120, 3, (480, 640))).astype(np.uint8),
         np.zeros((1, 1), np.uint8),
-        _rare(),
         np.full((3, 70000), 255, np.uint8),
         np.tile(np.arange(200, dtype=np.uint8), (50, 1))[:, ::2],  # not contiguous
     ],
-    ids=["random", "noise", "a pixel", "a code too long", "long rows", "strided"],
+    ids=["random", "noise", "a pixel", "long rows", "strided"],
 )
 def test_opencv_reads_what_was_written(pixels):
     read = cv2.imdecode(np.frombuffer(png.encode(pixels), np.uint8), cv2.IMREAD_UNCHANGED)
@@ -58,7 +43,5 @@ def test_chunks_are_as_the_format_says():
         data = data[12 + length :]
     assert list(chunks) == [b"IHDR", b"IDAT", b"IEND"]
     rows = np.frombuffer(zlib.decompress(chunks[b"IDAT"]), np.uint8).reshape(5, 8)
-    assert (rows[:, 0] == 3).all()  # each pixel less the mean, rounded down, of left and above
-    before = np.pad(pixels.astype(int), ((1, 0), (1, 0)))
-    mean = (before[1:, :-1] + before[:-1, 1:]) // 2
-    np.testing.assert_array_equal((rows[:, 1:] + mean) % 256, pixels)
+    assert (rows[:, 0] == 2).all()  # each row less the one above
+    np.testing.assert_array_equal(rows[:, 1:].cumsum(axis=0) % 256, pixels)
