@@ -20,7 +20,6 @@ _TRIED = 4
 _HOPELESS = 3.0
 _SETTLED = 0.5  # of the cost: less does not tell one body from another
 _DAMPING = (1e-2, 1e-8, 1e3)  # first, least, most
-_AGAIN = 0.5  # of what an image tells, that the next has no part in: the film's error comes again
 _WORN = 8.0  # steps of a derivative that a number may go before it is taken anew
 
 
@@ -187,15 +186,6 @@ class Fit:
         spread = np.linalg.slogdet(self.precision_with(noise))[1]
         known = np.linalg.slogdet(self.prior.precision)[1]
         return -0.5 * (cost + float(spread - known))
-
-    def then(self, noise: float, hint: Hint) -> Prior:
-        """What is believed of the numbers at another time, where they count from `hint` and may
-        have changed as the family's are loose."""
-        family = self.family
-        theta = family.rebased(self.theta, self.hint, hint)
-        loose = np.hypot(family.loose, family.share * theta) / family.sd
-        known = np.linalg.inv(self.precision_with(noise)) / _AGAIN + np.diag(loose**2)
-        return Prior(theta / family.sd, np.linalg.inv(known))
 
 
 def begin(

@@ -11,6 +11,7 @@ import numpy as np
 from mjtactile.core.types import Array
 from mjtactile.sensing.body.area import FACES
 from mjtactile.sensing.body.bodies import Hint
+from mjtactile.sensing.body.common import Common
 from mjtactile.sensing.body.families import FAMILIES, Family, kinds_of, several
 from mjtactile.sensing.body.fit import Data, Fit, Prior, begin, refine
 from mjtactile.sensing.body.motion import Track
@@ -31,11 +32,34 @@ _PARTS = ("ball", "cylinder", "disc", "block")
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A family that may be it: its `fit` at the last look, and the `log` of its evidence so far."""
+    """A family that may be it: its `fit` at the last look, the `log` of the images' evidence so
+    far, and what all looks have told of what it keeps."""
 
     family: Family
     fit: Fit
-    log: float
+    image_log: float
+    common: Common
+
+    @property
+    def log(self) -> float:
+        """Of its evidence: the images', and that it stayed the same."""
+        return self.image_log - self.common.drift / 2
+
+
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """A body of the newest image, with what was known before: the `image_log` of its family's
+    evidence and what its looks had in common; the image's own evidence counts by a `share`."""
+
+    fit: Fit
+    image_log: float
+    common: Common
+    share: float
+
+    def with_noise(self, noise: float) -> Candidate:
+        """As a candidate, where the markers' variances are `noise` times what is believed."""
+        log = self.image_log + self.share * self.fit.log_evidence_with(noise)
+        return Candidate(self.fit.family, self.fit, log, self.common.with_look(self.fit))
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +75,7 @@ class Press:
         parts: Places where it was touched then.
         doubted: Mean square misfit when all families were looked for.
         track: Where the body stood in the last images.
+        left: Families that were given up, as they were then.
     """
 
     candidates: tuple[Candidate, ...]
@@ -61,6 +86,7 @@ class Press:
     parts: int
     doubted: float
     track: Track = ()
+    left: tuple[Candidate, ...] = ()
 
     @property
     def probabilities(self) -> Array:
@@ -113,7 +139,7 @@ def follow(
     if worse or (looked.images == 0 and misfit > _BAD * s.misfit_most):
         other = _first(films, hint, data, s)
         if other is not None and other.now.misfit < _BETTER * misfit:
-            return other
+            return _with_past(press, looked, other, hint, data, s)
         return replace(looked, doubted=misfit)
     return looked
 
@@ -128,9 +154,35 @@ def _first(films: Films, hint: Hint, data: Data, s: BodySettings) -> Press | Non
         found += both
         if both and s.misfit_one < both[0].misfit < least:
             found += _other_parts(films, both[0], data, s)
-    given = [(one, -s.log_body * max(len(one.family.parts) - 1, 0)) for one in found]
+    given = [
+        Looked(one, -s.log_body * max(len(one.family.parts) - 1, 0), Common.of(one.family), 1.0)
+        for one in found
+    ]
     looked = _weighed(given, hint, data, s)
     return None if looked is None else replace(looked, doubted=looked.now.misfit)
+
+
+def _with_past(
+    past: Press, looked: Press, other: Press, hint: Hint, data: Data, s: BodySettings
+) -> Press:
+    """What was `looked` at and what was found from nothing, `other`, with all that the press has
+    told of their families before this image; of one that was not there, that it would have
+    explained as much."""
+    known = {one.family.name: one for one in (*past.left, *past.candidates)}
+    best = past.candidates[0]
+    bodies = {one.family.name: one.fit for one in looked.candidates}
+    bodies |= {one.family.name: one.fit for one in other.candidates}
+    found = []
+    for name, fit in bodies.items():
+        one = known.get(name)
+        if one is None:
+            before = best.log - s.log_body * max(len(fit.family.parts) - 1, 0)
+            found.append(Looked(fit, before, Common.of(fit.family), s.log_again))
+        else:
+            found.append(Looked(fit, one.image_log, one.common, s.log_again))
+    weighed = _weighed(found, hint, data, s, past)
+    assert weighed is not None
+    return replace(weighed, doubted=weighed.now.misfit)
 
 
 def _other_parts(films: Films, best: Fit, data: Data, s: BodySettings) -> list[Fit]:
@@ -175,24 +227,24 @@ def _with_part(films: Films, fit: Fit, family: Family, place: int, data: Data) -
 
 def _look(films: Films, press: Press, hint: Hint, data: Data, s: BodySettings) -> Press | None:
     """All that may still be it, each from where it was."""
-    found: list[tuple[Fit, float]] = []
+    found: list[Looked] = []
     for number, one in enumerate(press.candidates):
         start = press.now if number == 0 else one.fit
-        body = _next(films, one.fit, start, press.noise, hint, data, _LOOKED)
-        least = min((fit.misfit for fit, _ in found), default=press.noise)
-        flat = one.family.name in FACES or one.family.parts
-        if body is None or (flat and body.misfit > _STUCK * least):
-            body = _again(films, one.fit, body, press.noise, hint, data)
+        body = _next(films, one, start, press.noise, hint, data, _LOOKED)
+        least = min((each.fit.misfit for each in found), default=press.noise)
+        if body is None or body.misfit > _STUCK * least:
+            body = _again(films, one, body, press.noise, hint, data)
         if body is not None:
-            found.append((body, one.log))
-    looked = _weighed(found, hint, data, s)
+            found.append(Looked(body, one.image_log, one.common, s.log_again))
+    looked = _weighed(found, hint, data, s, press)
     return None if looked is None else replace(looked, doubted=press.doubted)
 
 
 def _weighed(
-    found: list[tuple[Fit, float]], hint: Hint, data: Data, s: BodySettings
+    found: list[Looked], hint: Hint, data: Data, s: BodySettings, past: Press | None = None
 ) -> Press | None:
-    """Bodies of an image with the logs of their evidence before it.
+    """Bodies of an image, weighed; those that are given up, with those that were in the `past`, are
+    remembered.
 
     What even the best leaves of the markers is the film's and the simulator's doing: it is taken
     for noise, the same for all families, so that none wins by chi-squares of hundreds over another
@@ -200,13 +252,20 @@ def _weighed(
     """
     if not found:
         return None
-    noise = max(s.noise_least, min(fit.misfit for fit, _ in found))
-    weighed = [Candidate(fit.family, fit, log + fit.log_evidence_with(noise)) for fit, log in found]
+    noise = max(s.noise_least, min(one.fit.misfit for one in found))
+    weighed = [one.with_noise(noise) for one in found]
     weighed.sort(key=lambda one: -one.log)
     kept = [one for one in weighed if one.log > weighed[0].log - s.log_lost]
     spoken = _spoken(kept, noise)
+    lost = [one for one in weighed if one not in kept]
+    if past is not None:
+        seen = {one.family.name for one in weighed}
+        before = (*past.left, *past.candidates)
+        lost += [one for one in before if one.family.name not in seen]
     kept.remove(spoken)
-    return Press((spoken, *kept), spoken.fit, noise, data.force, 0, len(hint.parts), 0.0)
+    return Press(
+        (spoken, *kept), spoken.fit, noise, data.force, 0, len(hint.parts), 0.0, left=tuple(lost)
+    )
 
 
 def _spoken(candidates: list[Candidate], noise: float) -> Candidate:
@@ -228,21 +287,20 @@ def _spoken(candidates: list[Candidate], noise: float) -> Candidate:
 
 
 def _follow(films: Films, press: Press, hint: Hint, data: Data) -> Press | None:
-    looked = press.candidates[0].fit
-    body = _next(films, looked, press.now, press.noise, hint, data, _FOLLOWED)
+    body = _next(films, press.candidates[0], press.now, press.noise, hint, data, _FOLLOWED)
     if body is None:
         return None
     return replace(press, now=body, images=press.images + 1)
 
 
 def _next(
-    films: Films, looked: Fit, newest: Fit, noise: float, hint: Hint, data: Data, rounds: int
+    films: Films, one: Candidate, newest: Fit, noise: float, hint: Hint, data: Data, rounds: int
 ) -> Fit | None:
-    """A family's body, believed as at the look before, from where it was in the newest image and
-    about as deep as the force says."""
-    family = looked.family
+    """A family's body, believed as the looks before have it, from where it was in the newest image
+    and about as deep as the force says."""
+    family = one.family
     hint = _matched(newest.hint, hint)
-    prior = looked.then(noise, hint)
+    prior = one.common.prior(one.fit, noise, hint)
     stays = family.rebased(newest.theta, newest.hint, hint)
     theta = stays.copy()
     heights = family.heights
@@ -259,23 +317,44 @@ def _next(
 
 
 def _again(
-    films: Films, looked: Fit, stuck: Fit | None, noise: float, hint: Hint, data: Data
+    films: Films, one: Candidate, stuck: Fit | None, noise: float, hint: Hint, data: Data
 ) -> Fit | None:
-    """The same, or what is found from the middle of the touch, where that explains more: on flat
-    faces, fits end before they have come to the end."""
-    family = looked.family
-    hint = _matched(looked.hint, hint)
-    prior = looked.then(noise, hint)
+    """The same, or what is found anew, where that explains more: on flat faces fits end before they
+    have come to the end, and what is round has been thought sharp while few nodes touched it."""
+    if one.family.name in FACES or one.family.parts:
+        other = _from_middle(films, one, noise, hint, data)
+    else:
+        other = _from_nothing(films, one, noise, hint, data)
+    if other is None or (stuck is not None and stuck.chi2 < other.chi2):
+        return stuck
+    return other
+
+
+def _from_nothing(films: Films, one: Candidate, noise: float, hint: Hint, data: Data) -> Fit | None:
+    """From all its starts; believed as the looks before have it once it is there."""
+    found = search(films, (one.family,), hint, data, noise)
+    if not found:
+        return None
+    prior = one.common.prior(replace(one.fit, at=found[0].at, hint=hint), noise, hint)
+    at = begin(films.fine, one.family, hint, found[0].theta, data, prior, found[0].state)
+    if at is None:
+        return None
+    slopes = found[0].slopes
+    return refine(films.fine, one.family, hint, at, data, prior, slopes=slopes, rounds=_FOLLOWED)
+
+
+def _from_middle(films: Films, one: Candidate, noise: float, hint: Hint, data: Data) -> Fit | None:
+    """From the middle of the touch."""
+    family = one.family
+    hint = _matched(one.fit.hint, hint)
+    prior = one.common.prior(one.fit, noise, hint)
     theta = prior.mean * family.sd
     middle = [n for n, name in enumerate(family.names) if name in ("x", "y", "z", *_LEVEL)]
     theta[middle] = 0.0
     at = approach(films.fine, family, hint, theta, data, prior)
     if at is None:
-        return stuck
-    other = refine(films.fine, family, hint, at, data, prior, rounds=_LOOKED)
-    if other is None or (stuck is not None and stuck.at.cost < other.at.cost):
-        return stuck
-    return other
+        return None
+    return refine(films.fine, family, hint, at, data, prior, rounds=_LOOKED)
 
 
 def _matched(old: Hint, new: Hint) -> Hint:

@@ -39,6 +39,9 @@ class PatchSettings:
 _PRESSED_SHAPES = "bench shape: bodies of seeds below 1000, which its table leaves out"
 
 
+_CALIBRATED = "bench shape's bodies of seeds 2000 to 2059, on which it is calibrated: "
+
+
 @dataclass(frozen=True)
 class BodySettings:
     """What the body is that touches (sensing/body)."""
@@ -154,9 +157,15 @@ class BodySettings:
     )
     log_body: float = number(3.0, "of the log of evidence, that one body more must gain", PRESSED)
     log_lost: float = number(
-        6.0,
+        4.0,
         "of the log of evidence, by which a family is behind that is not looked at any more",
-        "bench shape: with 12, a third more time and the same kinds",
+        _CALIBRATED + "with 6, a fifth more time and no kind more",
+    )
+    log_again: float = number(
+        0.25,
+        "of the log of evidence of an image, that counts after the first of a press: what the film "
+        "has wrong comes again",
+        _CALIBRATED + "of 0.12 to 1 the one that names most kinds, and most surely",
     )
     ball_ratio: float = number(
         1.5, "of two curvatures, below which a smooth body has a radius", PRESSED
