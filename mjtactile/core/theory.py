@@ -23,6 +23,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.rubber import Law, equibiaxial_stress
 from mjtactile.core.types import Array
 
+_NEWTON = 60  # steps at most; six are enough
 _ASPECT = (1.0, 1.25, 4 / 3, 1.5, 2.0, 3.0, 4.0)
 _C1 = (3.3934493, 2.7929932, 2.6675326, 2.4808630, 2.1954508, 2.0377822, 2.0077390)
 _POISSON = (0.3, 0.45, 0.49, 0.5)
@@ -142,8 +143,15 @@ def _hookean_height(design: SensorDesign, young: float, pressure_gauge: float) -
     cubic = c2 * young * sheet.thickness * sheet.pre_stretch**2 / a**4
     if not np.isfinite(linear + cubic) or linear < 0:
         return np.nan
-    bound = (abs(pressure_gauge) / cubic) ** (1 / 3)  # the height without pre-tension
-    height = _root(lambda w: abs(pressure_gauge) - linear * w - cubic * w**3, 0.0, 1.01 * bound)
+    if pressure_gauge == 0:
+        return 0.0
+    height = (abs(pressure_gauge) / cubic) ** (1 / 3)  # without pre-tension: the most
+    for _ in range(_NEWTON):  # from above, where the curve bends up: never past the root
+        missing = abs(pressure_gauge) - linear * height - cubic * height**3
+        lower = height + missing / (linear + 3 * cubic * height**2)
+        if not lower < height:
+            break
+        height = lower
     return float(np.sign(pressure_gauge) * height)
 
 

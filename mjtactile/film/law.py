@@ -8,11 +8,14 @@ no logarithm in the inner loop.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from mjtactile.core.rubber import Law, equibiaxial_stress, shear_modulus
 from mjtactile.core.sensor_parts import Membrane
 from mjtactile.core.types import Array
+from mjtactile.core.types.arrays import fixed
 
 DEGREE = 10
 _LEAST_STRETCH, _MOST_STRETCH = 0.75, 1.9  # of the mounted sheet; mean of both directions
@@ -58,6 +61,7 @@ def tension_slope(sheet: Membrane, area_ratio: float) -> float:
     return (tension(sheet, area_ratio + step) - tension(sheet, area_ratio - step)) / (2 * step)
 
 
+@lru_cache(maxsize=64)
 def _polynomial(sheet: Membrane) -> tuple[float, float, Array]:
     """Middle and scale of 1 / sqrt(det C), and q's coefficients in it, to 1e-6 of q or better."""
     nu = max(sheet.poisson, _LEAST_POISSON)
@@ -72,4 +76,5 @@ def _polynomial(sheet: Membrane) -> tuple[float, float, Array]:
         x = x - (c - 1 + half * (x + log_det)) / (c + half)
     q = np.exp(x - log_det)
     chebyshev = np.polynomial.chebyshev.Chebyshev.fit(t, q, DEGREE, w=q**-0.5)
-    return middle, 1 / reach, chebyshev.convert(kind=np.polynomial.Polynomial).coef
+    powers = chebyshev.convert(kind=np.polynomial.Polynomial).coef
+    return middle, 1 / reach, fixed(powers)

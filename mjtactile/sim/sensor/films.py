@@ -9,10 +9,12 @@ import mujoco
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.film import Film
-from mjtactile.film.live import Sticking
+from mjtactile.film.live import LiveFilm, Sticking, empty_rows
 
 FILM_GRID = (21, 16)
 FEELER = "feeler"
+_TOLERANCE = 2  # place of it in a film's settings
+_CLOSE = 1e-9  # m
 
 
 def add_feeler(body: mujoco.MjsBody, design: SensorDesign) -> None:
@@ -47,5 +49,8 @@ def sticking_of(film: Film) -> Sticking:
 def bulge_stiffness(film: Film) -> float:
     """dp/dV, Pa/m^3, of the bulge about its rest."""
     step = 0.05 * film.pressure_gauge
-    other = Film(film.design, film.grid, film.pressure_gauge + step)
-    return step / (other.rest.volume - film.rest.volume)
+    live = LiveFilm(film, empty_rows(0), None)
+    live.x[:] = film.rest.x
+    live.settings[_TOLERANCE] = _CLOSE
+    live.rest_on(film.pressure_gauge + step, False, 1.0)
+    return step / (live.volume - film.rest.volume)
