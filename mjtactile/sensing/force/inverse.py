@@ -21,6 +21,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_solve
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, Markers, Traction
@@ -229,9 +230,7 @@ class InverseMembrane(LoadedSheet):
         )
         drift = _drift_seen(gas_seen, weights @ modes @ camera.root)
         innovation = _innovation(half, drift)
-        seen = drift.copy()
-        kernel("solve_lower")(*seen.shape, innovation, seen)
-        known = seen.T @ seen
+        known = drift.T @ cho_solve((innovation, True), drift, check_finite=False)
         return Gain(
             c=c,
             ids=ids,
