@@ -14,7 +14,7 @@
 `step` is pure: its memory is `Command.memory`. It knows no clock, nor which way is down.
 """
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from math import hypot, isfinite
 from typing import Any
 
@@ -23,7 +23,8 @@ import numpy as np
 from mjtactile.hold import Belief, Frames, Load, Spring, Trial, weigh
 from mjtactile.types import Command, Observation
 
-FORCE_MOST, FORCE_LEAST = 2.2, 0.18  # N on each finger that it asks for; it closes to the least
+FORCE_MOST, FORCE_LEAST = 2.2, 0.18  # N on each finger that it asks for; it closes to the least,
+FORCE_TRIED = 0.10  # but with this while friction is tried, close over the table
 TOUCH_FORCE, PUSH_MOST = 0.08, 0.5  # N: well over the noise; to push it until both fingers touch
 SERVO_FORCE_LIMIT = 5.0  # N: the most that the servo may push, whatever is felt
 MARGIN = 1.3  # grip over what load and friction ask for
@@ -47,11 +48,8 @@ START = {f"{clock}_time": 0.0 for clock in CLOCKS} | {
     "low": WEIGH_HEIGHT,
     "target": FORCE_LEAST,
     "due": FORCE_LEAST,
-    "load": asdict(Load()),
-    "spring": asdict(Spring()),
-    "belief": asdict(Belief(FRICTION_FIRST)),
-    "frames": asdict(Frames()),
-    "trial": asdict(Trial(FRICTION_FIRST)),
+    **{kind.__name__.lower(): vars(kind()) for kind in (Load, Spring, Frames)},
+    **{kind.__name__.lower(): vars(kind(FRICTION_FIRST)) for kind in (Belief, Trial)},
 }
 
 
@@ -105,11 +103,13 @@ def grip_as_needed(observation: Observation, command: Command) -> Command:
     touch = observation.touch
     load = _kept(Load, command).after(touch, observation.period)
     belief = _kept(Belief, command).after(touch, observation.period)
-    worst = hypot(load.worst, observation.told.push / len(touch))
-    asked = min(FORCE_MOST, max(FORCE_LEAST, MARGIN * worst / belief.friction))
+    trial = _kept(Trial, command)
     frames = _kept(Frames, command).after(touch, observation.gripper.effort, observation.period)
-    target = min(asked, max(FORCE_LEAST, frames.most)) * _kept(Trial, command).grip
-    found = {"load": asdict(load), "belief": asdict(belief), "frames": asdict(frames)}
+    worst, least = hypot(load.worst, observation.told.push / len(touch)), FORCE_LEAST
+    if trial.is_on:  # what is tried must be in use: nothing to spare
+        worst, least = trial.grip * load.most, FORCE_TRIED
+    target = max(least, min(MARGIN * worst / belief.friction, FORCE_MOST, frames.most))
+    found = {"load": vars(load), "belief": vars(belief), "frames": vars(frames)}
     return _remember(command, target=target, **found, mass=load.mass, mass_sd=weigh(touch).sd)
 
 
@@ -128,7 +128,7 @@ def _regulated(observation: Observation, command: Command, felt: list[float]) ->
     actual = observation.gripper.opening
     opening = command.opening - speed * observation.period
     opening = max(actual - 0.006, min(actual + 0.004, opening))
-    return _remember(replace(command, opening=opening), due=due, spring=asdict(spring))
+    return _remember(replace(command, opening=opening), due=due, spring=vars(spring))
 
 
 def _approach(observation: Observation, command: Command, felt: list[float]) -> Command:
@@ -156,7 +156,7 @@ def _regulate(observation: Observation, command: Command, felt: list[float]) -> 
     settled_time = command.memory["settled_time"] + observation.period if settled else 0.0
     if settled_time >= SETTLE_TIME:
         standing = _kept(Load, command).standing(observation.touch)
-        return _go(_remember(command, load=asdict(standing)), "lift")
+        return _go(_remember(command, load=vars(standing)), "lift")
     if command.memory["phase_time"] > GRIP_TIMEOUT:
         return _give_up(command, "the force did not settle")
     return _remember(command, settled_time=settled_time)
@@ -174,13 +174,13 @@ def _lift(observation: Observation, command: Command, felt: list[float]) -> Comm
         return _try_friction(observation, command)
     if _kept(Belief, command).since_slip < SLIP_WAIT or 0.0 < behind_time < GRIP_WAIT:
         return command  # grip first, as far as the jaws can
-    told, load = observation.told, _kept(Load, command)
+    goal, load = observation.told.lift_height, _kept(Load, command)
     if not load.down and not is_low:
-        command = _remember(command, load=asdict(load.hanging(observation.touch)))
-    if observation.gripper.lift_height > told.lift_height - 0.001:
+        command = _remember(command, load=vars(load.hanging(observation.touch)))
+    if observation.gripper.lift_height > goal - 0.001:
         return _go(command, "hold")
     rise = (WEIGH_SPEED if is_low else LIFT_SPEED) * observation.period
-    return replace(command, lift_height=min(told.lift_height, command.lift_height + rise))
+    return replace(command, lift_height=min(goal, command.lift_height + rise))
 
 
 def _try_friction(now: Observation, command: Command) -> Command:
@@ -190,7 +190,7 @@ def _try_friction(now: Observation, command: Command) -> Command:
     proof = belief.used if trial.passed and not trial.slipped else belief.wrong
     belief = replace(belief, friction=trial.friction, before=0.0, wrong=proof)
     low = command.lift_height + trial.slipped * WEIGH_HEIGHT  # it may stand again
-    return _remember(command, trial=asdict(trial), belief=asdict(belief), low=low)
+    return _remember(command, trial=vars(trial), belief=vars(belief), low=low)
 
 
 def _hold(observation: Observation, command: Command, felt: list[float]) -> Command:
@@ -216,8 +216,8 @@ def _lower(observation: Observation, command: Command, felt: list[float]) -> Com
     above = command.lift_height - observation.told.place_height
     speed = PLACE_SPEED if above < SEARCH else LIFT_SPEED
     height = max(goal, command.lift_height - speed * observation.period)
-    weight = float(np.asarray(command.memory["held"])[0])
-    stands = float(_kept(Load, command).vector(observation.touch)[0]) < 0.5 * weight - TABLE_FORCE
+    carried = float(_kept(Load, command).vector(observation.touch)[0])
+    stands = carried < 0.5 * np.asarray(command.memory["held"])[0] - TABLE_FORCE
     if stands or (height == goal and observation.gripper.lift_height < goal + 0.001):
         return _release_now(replace(command, lift_height=max(0.0, observation.gripper.lift_height)))
     return replace(command, lift_height=height)

@@ -68,7 +68,7 @@ def draw_fig5b(figure: Any, result: Mapping[str, Any]) -> None:
             fit = np.linalg.lstsq(columns, force, rcond=None)[0]
             whole.plot(depth, columns @ fit, style, color=colour, lw=1)
     law = result["sponge_law"]
-    d = np.linspace(0, max(result["sponge"]["own_deformation_mm"]), 50)
+    d = np.linspace(0, np.nanmax(result["sponge"]["own_deformation_mm"]), 50)
     own.plot(
         d,
         1e-3 * d * (law["stiffness_true_N_m"] + law["stiffening_true_N_m2"] * 1e-3 * d),

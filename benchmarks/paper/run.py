@@ -124,14 +124,14 @@ def fig5b(say: Say, quick: bool = False) -> dict[str, Any]:
             f"{1e3 * curves[name]['parabola_rms_N']:.0f} mN"
         )
     sponge = curves["sponge"]
-    square, linear, offset = np.polyfit(
-        1e-3 * np.array(sponge["own_deformation_mm"]), sponge["force_N"], 2
-    )
-    # the slope where the force is nothing
-    at_rest = float(np.sqrt(max(linear**2 - 4 * square * offset, 0.0)))
+    own = 1e-3 * np.array(sponge["own_deformation_mm"])
+    force = np.array(sponge["force_N"])
+    seen = np.isfinite(own)  # the lightest touches have no contact that is told
+    columns = np.column_stack([own, own**2])[seen]  # undeformed, it pushes nothing
+    stiffness, stiffening = np.linalg.lstsq(columns, force[seen], rcond=None)[0]
     curves["sponge_law"] = {
-        "stiffness_N_m": at_rest,
-        "stiffening_N_m2": float(square),
+        "stiffness_N_m": float(stiffness),
+        "stiffening_N_m2": float(stiffening),
         "stiffness_true_N_m": SPONGE.stiffness,
         "stiffening_true_N_m2": SPONGE.stiffening,
     }

@@ -40,6 +40,7 @@ class Oracle(Observer):
     """A controller and, as an observer, the one who looks at the truth for it."""
 
     path = Path(__file__)
+    sees = False
 
     def __init__(self, scenario: Scenario):
         own = load_controller("adaptive")

@@ -187,6 +187,8 @@ def run_one(episode: Episode) -> dict[str, Any]:
 class _Scale(Observer):
     """Keeps what a controller says that it holds, at the end of the hold, beside the truth."""
 
+    sees = False
+
     def __init__(self) -> None:
         self.found: dict[str, float] = {}
         self._world: Any = None

@@ -30,6 +30,7 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   cheap       episodes without images against episodes with them: markers, forces, time
   drawn       what a sensor's chain errs by in grasps, for --effects=-sheet,-chain
   learning    steps, episodes, outcomes and memory at each level of simulation, for learning
+  policy      a policy learned from nothing in ten minutes, judged drawn and in full
   effects     what each effect costs, and what leaving it out costs
   film        the film against an independent sheet, its scatter over places, and its time
   thin        blades, wires, pins and small faces, at random places and speeds: their force
@@ -82,6 +83,7 @@ BENCHMARKS = {
     "film": "film",
     "drawn": "learning.drawn",
     "learning": "learning.run",
+    "policy": "learning.policy",
     "thin": "thin.run",
     "shape": "shape.run",
     "sensors": "sensors",

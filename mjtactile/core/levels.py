@@ -19,5 +19,7 @@ def left_out_of(effects: Collection[str]) -> tuple[str, ...]:
 
 
 def level_texts(result: Mapping[str, object]) -> dict[str, str]:
-    """What a result says that was left out, by name."""
-    return {name: text for name, text in LEFT_OUT.items() if result.get(name) is False}
+    """What a result says that was left out, by name; without a chain there are no markers whose
+    images could be."""
+    gone = [name for name in LEFT_OUT if result.get(name) is False]
+    return {name: LEFT_OUT[name] for name in gone if name != "images" or "chain" not in gone}

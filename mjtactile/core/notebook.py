@@ -18,6 +18,10 @@ class _NotPlain(Exception):
     """It is none of these, or too much of them."""
 
 
+_NUMBERS = frozenset({float, bool, type(None)})
+"""Of each exactly this type, most of a notebook is: they are kept as they are."""
+
+
 class _Room:
     """How many more numbers and letters have room."""
 
@@ -29,7 +33,8 @@ class _Room:
             raise _NotPlain
 
     def spend(self, count: int) -> None:
-        self.has(count)
+        if count > self.left:
+            raise _NotPlain
         self.left -= count
 
 
@@ -63,18 +68,22 @@ def plain(memory: Mapping[Any, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
 def _name(key: object, room: _Room) -> str:
     if not isinstance(key, (str, int)):
         raise _NotPlain
-    room.spend(len(str(key)))
-    return str(key)
+    name = str(key)
+    room.spend(len(name))
+    return name
 
 
 def _copy(value: Any, room: _Room, depth: int) -> Any:
     """A plain copy. Raises _NotPlain."""
+    if type(value) in _NUMBERS:  # first: to ask what else it may be takes five times as long
+        room.spend(1)
+        return value
     if depth > DEEPEST:
         raise _NotPlain
     if isinstance(value, (np.generic, np.ndarray)):
         room.has(value.size)
         value = value.tolist()
-    if isinstance(value, Mapping):
+    if isinstance(value, (dict, Mapping)):
         room.has(len(value))
         return {_name(key, room): _copy(item, room, depth + 1) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

@@ -230,6 +230,8 @@ def _recorder(episode: Episode) -> Iterator[Recorder | None]:
 class _Facts(Observer):
     """At what force the object breaks, which phases were gone through, and how long that took."""
 
+    sees = False
+
     def __init__(self) -> None:
         self._begin = math.nan
         self.break_force: float | None = None

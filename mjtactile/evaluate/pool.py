@@ -110,10 +110,16 @@ def _line(episode: Episode, run: RunOne) -> dict[str, Any] | None:
 
 
 def _progress(line: dict[str, Any], done: int, of: int, rate: float) -> str:
+    why = f" ({line['reason']})" if line["outcome"] == "error" and line["reason"] else ""
     return (
         f"{done} of {of}: {line['controller']}, {line['object']}, seed {line['seed']}: "
-        f"{line['outcome']}; {3600 * rate:.0f} an hour, {(of - done) / rate / 60:.0f} min left"
+        f"{line['outcome']}{why}; {3600 * rate:.0f} an hour, {_left((of - done) / rate)} left"
     )
+
+
+def _left(seconds: float) -> str:
+    """Roughly, as people say it."""
+    return f"{seconds / 60:.0f} min" if seconds > 90 else f"{seconds:.0f} s"
 
 
 def run_all(

@@ -255,10 +255,13 @@ def pair_text(pair: Mapping[str, Any]) -> str:
         settled = "settled"
     else:
         settled = f"{more} more episodes like these would settle it"
+    better, other = pair["second"], pair["first"]
     difference = 100 * pair["difference"]
-    often = "less often" if difference < 0 else "more often"
+    if difference < 0:  # who holds more comes first
+        better, other = other, better
+        difference, low, high = -difference, -high, -low
     return (
-        f"{pair['second']} holds {abs(difference):.1f} % of {pair['episodes']} episodes {often} "
-        f"than {pair['first']} (more by {100 * low:+.1f} to {100 * high:+.1f} % with 95 %; "
-        f"{pair['alike']} ended alike): {settled}."
+        f"{better} holds {difference:.1f} points more than {other} in the same {pair['episodes']} "
+        f"episodes (95 %: {100 * low:+.1f} to {100 * high:+.1f} points; {pair['alike']} ended "
+        f"alike): {settled}."
     )

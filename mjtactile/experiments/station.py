@@ -3,6 +3,7 @@ drive with a load cell over it (`Station`)."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -86,11 +87,11 @@ class Station:
 
     def look(self, images: int = 1) -> dict[str, float]:
         """Means over some images: normal force, area of the whole membrane, how far the contact is
-        pressed in."""
+        pressed in; NaN where no contact is seen."""
         touches = [self.touch() for _ in range(images)]
         heights = [face[0] for touch in touches if (face := contact_face(touch)) is not None]
         areas = [touch.surface.area for touch in touches if touch.surface is not None]
-        indentation = self._rest_height - float(np.mean(heights)) if heights else 0.0
+        indentation = self._rest_height - float(np.mean(heights)) if heights else math.nan
         return {
             "force_N": float(np.mean([t.force_normal for t in touches])),
             "membrane_area_mm2": 1e6 * float(np.mean(areas)),

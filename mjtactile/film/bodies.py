@@ -42,6 +42,7 @@ KINDS: dict[str, tuple[int, tuple[str, ...]]] = {
 _FEW = 16  # numbers, which Python looks at faster than numpy
 _UNIT = 0.01  # off one, of a quaternion that was rounded
 _FLAT = 1e-9  # m, of a skin that has no thickness
+_SAME_PLANE = 9  # digits of m, and of a normal
 _MAY_VANISH = {"curvature x", "curvature y", "rim radius"}
 
 
@@ -139,39 +140,6 @@ def obstacle(
     return Obstacle(kind, numbers, pool.ravel(), corners)
 
 
-def ready(
-    kind: str,
-    sizes: Sequence[float],
-    p_SO: Sequence[float],
-    R_SO: Array | None = None,
-    heights: Array | None = None,
-) -> Obstacle:
-    """The same of numbers that are known to be right, for a fifth of the time: of a body without
-    planes or triangles, for fits, which make them by the hundred.
-
-    Args:
-        kind: "sphere", "ellipsoid", "cylinder", or "heights".
-        sizes: As in `obstacle`; of heights none.
-        p_SO: Its middle, (3,) m.
-        R_SO: (3, 3); None: none.
-        heights: (nx, ny) m, finite, of such.
-
-    Returns:
-        The body.
-    """
-    turned = _NOT_TURNED.tolist() if R_SO is None else R_SO.ravel().tolist()
-    sides = [0.0, 0.0, 0.0]
-    sides[: len(sizes)] = sizes
-    pool, least, reach = _NO_POOL.ravel(), 2 * min(sides[:2]), sum(sizes)
-    if kind == "sphere":
-        least = _least_width(kind, sides[:1], None)
-    if heights is not None:
-        sides[:2] = heights.shape
-        pool, least, reach = heights.ravel(), math.inf, math.inf
-    numbers = [KINDS[kind][0], *sides, *turned, *p_SO, 0.0, pool.size, least, reach]
-    return Obstacle(kind, np.array(numbers, dtype=float), pool)
-
-
 def listed(obstacles: Obstacle | Iterable[Obstacle], field: str) -> list[Obstacle]:
     """Bodies of what may be one; InputError that names `field` where something is none."""
     if isinstance(obstacles, Obstacle):
@@ -250,14 +218,16 @@ def _pool(kind: str, corners: Array | None, data: ArrayLike | None) -> Array:
 
 
 def _hull(vertices: Array) -> Array:
-    """Planes (m, 4) of the convex hull: n x <= d."""
+    """Planes (m, 4) of the convex hull: n x <= d; one of a face, however many triangles it has."""
     from scipy.spatial import ConvexHull, QhullError  # takes a tenth of a second to import
 
     try:
         equations = ConvexHull(vertices).equations
     except (QhullError, ValueError) as error:
         raise InputError("the vertices enclose no volume", field="data") from error
-    return np.column_stack([equations[:, :3], -equations[:, 3]])
+    _, first = np.unique(np.round(equations, _SAME_PLANE), axis=0, return_index=True)
+    kept = equations[np.sort(first)]
+    return np.column_stack([kept[:, :3], -kept[:, 3]])
 
 
 _NOT_TURNED = np.eye(3).ravel()

@@ -176,7 +176,6 @@ class Film:
         threads: int = 1,
         again: bool = True,
         into: FilmBatch | None = None,
-        most_steps: int = _MOST_STEPS,
     ) -> FilmBatch:
         """Where the films of several environments rest.
 
@@ -188,7 +187,6 @@ class Film:
                 many times as much.
             into: a batch of as many that is not wanted any more, which may be `batch`, to be
                 written over: new memory costs up to a fifth of a solution, and in threads more.
-            most_steps: after which what has found no rest is given up.
 
         Returns:
             The states, one after the other. What cannot be has a status, and raises nothing.
@@ -206,7 +204,7 @@ class Film:
                 asked.require_batch(field, given, (count, 3, *self.grid))
         made = new_batch(count, self.grid) if into is None or into.trend is None else into
         settings = np.tile(
-            [self._gas, self.sealed, TOLERANCE, most_steps, bool(again), 0.0], (count, 1)
+            [self._gas, self.sealed, TOLERANCE, _MOST_STEPS, bool(again), 0.0], (count, 1)
         )
         threads = asked.threads_among(threads, count)
         self._rooms += [np.empty_like(self._room) for _ in range(len(self._rooms), threads)]
@@ -337,13 +335,33 @@ class Film:
             The Cholesky factor's lower band (width + 1, 3 inner nodes), as SciPy has it; x, y and
             height of a node in turn.
         """
+        width = 3 * self.grid[1] - 1
+        return np.ascontiguousarray(self._stiffness_band(state)[:, : width + 1].T)
+
+    def compliance(self, state: FilmState) -> Array:
+        """How the sheet gives in the plane, its heights free, over gas that stays at its pressure.
+
+        Args:
+            state: At rest.
+
+        Returns:
+            (2 inner, 2 inner) m/N, displacements by forces; x and y of each inner node in turn.
+        """
+        band = self._stiffness_band(state)
+        count = 2 * len(band) // 3
+        room = np.empty(8 * len(band))
+        found = np.empty((count, count))
+        kernel("film_compliance")(*self.grid, band, room.size, room, found)
+        return found
+
+    def _stiffness_band(self, state: FilmState) -> Array:
+        """The factor by columns, as kernels/band.h has it."""
         columns, rows = self.grid
-        width = 3 * rows - 1
-        band = np.empty((3 * (columns - 2) * (rows - 2), band_stride(width)))
+        band = np.empty((3 * (columns - 2) * (rows - 2), band_stride(3 * rows - 1)))
         fixed = (self._numbers, self._law, *self.grid)
         given = (state.x, state.pressure_gauge, self._room.size, self._room)
         kernel("film_stiffness")(*fixed, *given, band)
-        return np.ascontiguousarray(band[:, : width + 1].T)
+        return band
 
     def heights_of(self, obstacles: Obstacle | Sequence[Obstacle], places: ArrayLike) -> Array:
         """Find how high obstacles leave the sheet's middle.

@@ -158,7 +158,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
                 perception.state = state  # type: ignore[attr-defined]
         rig = self._rig
         self._score = GraspScore(rig.scene, Judge.of(self._scenario_of(self._seed), rig))
-        rig.scene.after_each_stretch(self._score.after_stretch)
+        rig.scene.after_each_stretch(self._score.after_stretch, self._score.due)
         self._over = False
         self._come = 0.0
         assert self._session is not None

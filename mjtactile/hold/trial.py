@@ -13,11 +13,12 @@ from mjtactile.hold.felt import shear
 
 _LOOSE = 0.75  # of the grip meanwhile: what passes holds with a third to spare
 _TIME = 0.4  # s, of which a command takes 0.12 to be felt
-_MEAN_OF = 3  # images at the beginning, which is before that, and at the end
+_MEDIAN_OF = 3  # images at the beginning, which is before that, and at the end: one may err
 _LOOSER = 0.05  # of the grip: less of a change says nothing
-_SLIPS = 0.5  # of the change of the grip in the shear, halfway from what sticks to what slips
+_KEPT = 0.88  # of the shear at the end: what slips loses a fifth, or all of it, on the table
 _STEP = 1.25  # from a friction that has passed to the next one
 _SLIP_SHARE = 0.9  # of the ratio at which it slips
+_SHOWN = 0.9  # of what is tried, in use at the end: less, and the grip could not be loosened so far
 _MOST = 1.0  # as much as is ever believed, and as little
 _LEAST = 0.2
 
@@ -29,13 +30,15 @@ class Trial:
 
     Attributes:
         friction: What is tried now, and in the end the coefficient to go by.
-        passed: What has held so far; 0: nothing yet.
+        passed: The largest shear over normal force that has held so far; 0: nothing yet.
+        first: What was believed before; less is not, unless it slips.
         press, drag: N, the mean grip and the mean shear in each image of this try.
         begun, slipped, over: Where it stands; who `slipped` may stand on the table again.
     """
 
     friction: float
     passed: float = 0.0
+    first: float = 0.0
     press: Sequence[float] = ()
     drag: Sequence[float] = ()
     begun: bool = False
@@ -56,7 +59,9 @@ class Trial:
         """Take in one image, while what is gripped hangs low and nobody moves it.
 
         What sticks carries its load with the looser grip, too, and a higher friction is tried;
-        what slips is dragged by friction alone, which follows the grip.
+        what slips is dragged by friction alone, which follows the grip. A hold shows as much
+        friction as was in use (Coulomb: shear <= mu normal force), whatever was meant to be: what
+        is light uses little of it at the least grip that there is.
 
         Args:
             touch: What is felt now.
@@ -69,24 +74,27 @@ class Trial:
         press = [*self.press, float(np.mean([one.force_normal for one in touch]))]
         drag = [*self.drag, float(np.linalg.norm(shear(touch), axis=1).mean())]
         if len(press) * period < _TIME:
-            friction = self.friction if self.begun else max(self.friction, min(believed, _MOST))
-            return replace(self, friction=friction, press=press, drag=drag, begun=True)
+            first = self.first if self.begun else max(self.friction, min(believed, _MOST))
+            friction = self.friction if self.begun else first
+            return replace(self, friction=friction, first=first, press=press, drag=drag, begun=True)
         ended = replace(self, press=(), drag=())
         looser = 1 - _last(press) / _first(press)
         if looser < _LOOSER:  # the grip could not be changed: nothing is known
-            return replace(ended, friction=self.passed or self.friction, over=True)
-        if 1 - _last(drag) / _first(drag) > _SLIPS * looser:
+            return replace(ended, friction=max(self.passed, self.first), over=True)
+        if _last(drag) < _KEPT * _first(drag):  # what slides is dragged by less than its load
             ratio = float(np.max(np.asarray(drag) / np.asarray(press)))
             found = max(self.passed, min(self.friction, _SLIP_SHARE * ratio), _LEAST)
             return replace(ended, friction=found, slipped=True, over=True)
-        if self.friction >= _MOST:
-            return replace(ended, passed=self.friction, over=True)
-        return replace(ended, passed=self.friction, friction=min(_MOST, _STEP * self.friction))
+        shown = _last(drag) / _last(press)
+        passed = max(self.passed, min(shown, self.friction))
+        if shown < _SHOWN * self.friction or self.friction >= _MOST:
+            return replace(ended, passed=passed, friction=max(passed, self.first), over=True)
+        return replace(ended, passed=passed, friction=min(_MOST, _STEP * self.friction))
 
 
 def _first(values: Sequence[float]) -> float:
-    return float(np.mean(values[:_MEAN_OF]))
+    return float(np.median(values[:_MEDIAN_OF]))
 
 
 def _last(values: Sequence[float]) -> float:
-    return float(np.mean(values[-_MEAN_OF:]))
+    return float(np.median(values[-_MEDIAN_OF:]))

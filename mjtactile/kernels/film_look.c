@@ -17,7 +17,7 @@
 #define SAME 1e-9           /* m */
 #define STRAIGHT 1e-12      /* m, off a line */
 #define SLOPING (30 * SAME) /* over which the lowest place is surely at the end */
-#define NEARBY 1e-3         /* m above the sheet: more than it moves by while it comes to rest */
+#define NEARBY 5e-4         /* m above the sheet: more than it moves by while it comes to rest */
 #define ROUND_ABOUT 1       /* nodes: what lowers one that touches, and where bodies end beside it */
 
 long film_seen_size(const Film *f) { return (1 + 1 + 2 + 1 + 2 + 4 + 4 + 1 + 1 + 1) * f->count + 2 * (f->count / 8) + FILM_FLOORS * FILM_PLANES; }

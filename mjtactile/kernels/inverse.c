@@ -149,7 +149,7 @@ int64_t inverse_gain(int64_t nx, int64_t ny, const double *numbers, const double
             bulge_seen[first + l] = see(&s, &sight, first + l, motion);
             along[l] = share * see(&s, &sight, first + l, softened);
         }
-        band_solve_lanes(dofs, s.width, factor, x);
+        band_solve_lanes(dofs, s.width, factor, x, 0);
         for (long i = 0; i < dofs; i++) x[i] -= softened[i] * along;
         half_of(&s, &nodes, prior, x, rows, out);
         for (long l = 0; l < lanes; l++)
@@ -157,6 +157,16 @@ int64_t inverse_gain(int64_t nx, int64_t ny, const double *numbers, const double
     }
     free(seats), free(motion), free(x);
     return failed;
+}
+
+int64_t solve_lower(int64_t n, int64_t k, const double *factor, double *x) {
+    for (int64_t i = 0; i < n; i++) {
+        double *row = x + i * k;
+        for (int64_t j = 0; j < i; j++)
+            for (int64_t c = 0; c < k; c++) row[c] -= factor[i * n + j] * x[j * k + c];
+        for (int64_t c = 0; c < k; c++) row[c] /= factor[i * n + i];
+    }
+    return 0;
 }
 
 /* -- one step ------------------------------------------------------------------------------------------------------------- */

@@ -96,6 +96,9 @@ int64_t inverse_step(int64_t nx, int64_t ny, const double *numbers /* 8 */,
                      double *traction /* 3, jx, jy */, double *misfit /* r */, double *noise /* r */,
                      double *drift_found /* modes */);
 
+/* L x = b by the lower factor L, for k columns b. In `x`: b; out: x. */
+int64_t solve_lower(int64_t n, int64_t k, const double *factor /* n, n */, double *x /* n, k */);
+
 /* Out: covariance `cov` of the net wrench of tractions on nodes at `positions` with `areas`, given what r rows saw. */
 int64_t wrench_posterior(int64_t r, int64_t jx, int64_t jy, const double *root_x /* jx, jx */, const double *root_y /* jy, jy */,
                          const double *prior /* 3, jx, jy */, const double *positions /* jx * jy, 3 */,
@@ -226,6 +229,11 @@ int64_t film_heights(const double *numbers /* 19 */, int64_t bodies, const doubl
 int64_t film_stiffness(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows,
                        const double *x /* 3, columns, rows */, double pressure, int64_t roomy, double *room /* roomy */,
                        double *factor /* 3 * (columns - 2) * (rows - 2), BAND_STRIDE(3 * rows - 1) */);
+/* Out: displacements in the plane by forces in the plane, x and y of each inner node in turn, with that factor. */
+int64_t film_compliance(int64_t columns, int64_t rows,
+                        const double *factor /* 3 * (columns - 2) * (rows - 2), BAND_STRIDE(3 * rows - 1) */, int64_t roomy,
+                        double *room /* roomy */,
+                        double *compliance /* 2 * (columns - 2) * (rows - 2), 2 * (columns - 2) * (rows - 2) */);
 int64_t film_room(const double *numbers /* 19 */); /* doubles of `room` that a solution wants */
 int64_t film_kept(const double *numbers /* 19 */); /* floats of `kept`: what all solutions of a film share */
 /* Out: `kept`, factors of the sheet's stiffness at rest, in the plane and of heights, at displacements `x`. */
@@ -266,9 +274,9 @@ int64_t film_follow(const double *numbers /* 19 */, const double *law /* 11 */, 
                     int64_t carrier, int64_t nbody, const double *xpos /* nbody, 3 */, const double *xmat /* nbody, 9 */,
                     int64_t ngeom, const double *geom_xpos /* ngeom, 3 */, const double *geom_xmat /* ngeom, 9 */,
                     const int64_t *geom /* geoms */, const int64_t *body_of /* geoms */, const double *bounds /* geoms, 7 */,
-                    double *memory /* 67 */, uint8_t *touched /* 2, columns, rows */, double *before /* 6, columns, rows */);
+                    double *memory /* 69 */, uint8_t *touched /* 2, columns, rows */, double *before /* 6, columns, rows */);
 /* Out: what that pushes by MuJoCo's degrees of freedom, and how a free body is held (see film_hold.c); returns whether it does. */
-int64_t film_push(const double *given /* 8 */, const double *memory /* 67 */, int64_t carrier, int64_t nbody,
+int64_t film_push(const double *given /* 8 */, const double *memory /* 69 */, int64_t carrier, int64_t nbody,
                   const int32_t *parent /* nbody */, const int32_t *joints /* nbody */, const int32_t *first /* nbody */, int64_t njnt,
                   const int32_t *type /* njnt */, const int32_t *dof /* njnt */, const double *anchor /* njnt, 3 */,
                   const double *axis /* njnt, 3 */, const double *xpos /* nbody, 3 */, const double *xmat /* nbody, 9 */,
@@ -305,12 +313,5 @@ int64_t film_derive(const double *numbers /* 19 */, const double *law /* 11 */, 
                     const double *steps /* changes */, const double *x /* 3, columns, rows */,
                     const double *force /* columns, rows */, double *by_x /* changes, 3, columns, rows */,
                     double *by_force /* changes, columns, rows */, double *by_found /* changes, 14 */);
-/* Nearly the same for a fifth of the time, of heights and forces alone: as a film's step has it, without what moves in the plane. */
-int64_t film_answer(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
-                    const float *kept /* keeping */, int64_t roomy, double *room /* roomy */, const double *settings /* 6 */,
-                    int64_t bodies, int64_t changes, const double *body /* 1 + changes, bodies, 20 */, int64_t pooled,
-                    const double *pool /* pooled or NULL */, const double *steps /* changes */, const double *x /* 3, columns, rows */,
-                    const double *force /* columns, rows */, double *by_z /* changes, columns, rows */,
-                    double *by_force /* changes, columns, rows */);
 
 #endif

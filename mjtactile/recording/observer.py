@@ -16,6 +16,9 @@ class Observer:
     makes the hand go down and open before it is raised to who started the run.
     """
 
+    sees: bool = True
+    """Whether it looks at the views that `add` is given: where nobody does, none is made."""
+
     def begin(self, session: Any) -> None:
         """The rig is there, and nothing has moved yet.
 
@@ -56,7 +59,7 @@ class Observer:
 
         Args:
             cycle: What was seen, felt, asked for and sent.
-            view: The scene at that time; of a simulation alone.
+            view: The scene at that time; of a simulation alone, and where somebody looks at it.
             **truth: Ground truth by column (`mjtactile.recording.columns`); of a simulation alone.
         """
 
@@ -66,6 +69,7 @@ class Observers(Observer):
 
     def __init__(self, observers: Iterable[Observer]):
         self._observers = tuple(observers)
+        self.sees = any(observer.sees for observer in self._observers)
 
     def begin(self, session: Any) -> None:
         for observer in self._observers:

@@ -107,7 +107,7 @@ class _Log(Observer):
 
     def on_images(self) -> None:
         if self.score is not None:
-            self.score.snapshot()
+            self.score.snapshot(self._watching.sees)
         if self.estimate is not None and self.phases[-1:] == ["hold"]:
             self.estimate.keep()
         self._watching.on_images()
@@ -234,7 +234,7 @@ def _score(scenario: Scenario, rig: Rig, observer: Observer) -> Any:
     from mjtactile.run.scoring import GraspScore
 
     score = GraspScore(rig.scene, Judge.of(scenario, rig))
-    rig.scene.after_each_stretch(score.after_stretch)
+    rig.scene.after_each_stretch(score.after_stretch, score.due)
     force = rig.scene.object.break_force
     varied = {"varied": rig.varied} if rig.varied else {}
     observer.note(break_force_N=force if math.isfinite(force) else None, **varied)

@@ -73,9 +73,9 @@ class GraspScore:
         """A command of this phase was sent: it counts from the next images on."""
         self._next_phase = phase
 
-    def snapshot(self) -> None:
+    def snapshot(self, with_view: bool = True) -> None:
         """Keep the truth of this moment, at which the images were taken; the world must not be
-        moving."""
+        moving. To keep its view, too, takes a tenth of what a cycle without images does."""
         self.begin_cycle()
         sensors = range(len(self.world.sensors))
         self._wrenches = [truth.contact_wrench(self.world, i) for i in sensors]
@@ -87,7 +87,7 @@ class GraspScore:
             "object_position_true": p_WO.tolist(),
             "object_quaternion_true": q_WO.tolist(),
         }
-        self.view = SceneView.of(self.world)
+        self.view = SceneView.of(self.world) if with_view else None
 
     def columns(self, touch: Sequence[Touch], phase: str) -> dict[str, list[Any]]:
         """The columns of truth beside one cycle's touch (`mjtactile.recording.columns.TRUE`).
@@ -135,6 +135,13 @@ class GraspScore:
             self._hold_sum += float(each.sum()) / each.shape[1]
             self._hold_steps += len(each)
             self._held.append(risen)
+
+    def due(self) -> float:
+        """s in the world's time at which `after_stretch` must be called at the latest: after each
+        step where the task counts how hard it is set down, which takes milliseconds."""
+        sets_down = self.phase in ("lower", "release")
+        counts = self.judge is not None and math.isfinite(self.judge.task.counts.bump)
+        return self.world.time if sets_down and counts else math.inf
 
     def _watch_fall(self) -> None:
         """From where it was let go of."""

@@ -16,6 +16,7 @@ from mjtactile.core.types import Array
 
 # stretches of 0.47 to 2.7; linear between: q is good to 1e-6
 _LOG_DET = np.linspace(-3.0, 4.0, 7001)
+_NEWTON_STEPS = 10  # 8 take every Poisson's ratio to rounding
 _LEAST_POISSON = 0.005  # below, exp(1 / nu) is no number, and the thickness hardly changes
 
 
@@ -23,16 +24,13 @@ class SheetLaw:
     """Stress and moduli, N/m, of one sensor's sheet: what its thickness carries."""
 
     def __init__(self, sheet: Membrane):
-        from scipy.special import lambertw  # takes a while to import
-
         self._law = sheet.law
         self._nu = sheet.poisson
         self._plane = sheet.young * sheet.thickness / (1 - sheet.poisson**2)
         self._mu = sheet.young * sheet.thickness / (2 * (1 + sheet.poisson))
         nu = max(sheet.poisson, _LEAST_POISSON)
-        # lambda / 2 mu; then c - 1 + half ln(c det C) = 0 is Lambert's equation
-        half = nu / (1 - 2 * nu)
-        c = half * np.real(lambertw(np.exp(1 / half - _LOG_DET) / half))
+        half = nu / (1 - 2 * nu)  # lambda / 2 mu
+        c = _thickness(half)
         self._q = c * np.exp(-_LOG_DET)
         self._slope = -self._q * np.exp(-_LOG_DET) * (1 + half / (c + half))  # q'
 
@@ -93,3 +91,14 @@ class SheetLaw:
     @staticmethod
     def _log_det(C11: Array, C22: Array, C12: Array) -> Array:
         return np.log(np.maximum(C11 * C22 - C12 * C12, 1e-3))
+
+
+def _thickness(half: float) -> Array:
+    """The square c of the thickness's stretch over `_LOG_DET`: c - 1 + half ln(c det C) = 0, by
+    Newton's method for ln c. The left side rises and is convex, so that from above it goes down to
+    the root. (It is Lambert's equation, but scipy takes a sixth of a second to import.)"""
+    log_c = np.maximum(0.0, -_LOG_DET)
+    for _ in range(_NEWTON_STEPS):
+        c = np.exp(log_c)
+        log_c = log_c - (c - 1 + half * (log_c + _LOG_DET)) / (c + half)
+    return np.exp(log_c)

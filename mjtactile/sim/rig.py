@@ -153,7 +153,7 @@ def _world(plan: _Plan) -> GraspWorld:
         world.model.opt.tolerance = fidelity.tolerance
     if plan.drawn_task.events:
         happens = Happenings(world, plan.drawn_task.events, plan.task.orders.lift_height)
-        world.after_each_step(happens.step)
+        world.after_each_stretch(happens.step, happens.due)
     for sensor, own in zip(world.sensors, plan.specimens, strict=True):
         if own.leak or own.warming:
             sensor.puncture(own.leak)

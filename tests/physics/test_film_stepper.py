@@ -6,11 +6,12 @@ import pytest
 from mjtactile.core.errors import SimulationError
 from mjtactile.core.scenario import Scenario
 from mjtactile.rig.registry import build_rig
+from mjtactile.sim import truth
 
 
-def hand():
+def hand(task="lift"):
     """An egg between inflated films."""
-    rig = build_rig(Scenario(object="egg", effects="-sheet,-chain", seed=3))
+    rig = build_rig(Scenario(object="egg", effects="-sheet,-chain", seed=3, task=task))
     world = rig.scene
     for act in (world.open_valve, world.close_valve):
         for sensor in range(2):
@@ -46,6 +47,86 @@ def test_steps_in_one_go_are_those_one_by_one():
     # where the scene is looked at, forces are those of after the step
     assert (fast_forces == slow_forces).mean() > 0.99
     assert found[0][3].shape == (631, 2) and found[0][3][-1].max() < -0.9  # N: it is held
+
+
+@pytest.mark.parametrize("task", ["bump", "shake"])
+def test_what_happens_to_it_does_so_in_the_same_steps(task):
+    """A held egg is lifted, and pushed or shaken, which begins at a height and at a time: bit for
+    bit as step by step."""
+    found = []
+    for ahead in (True, False):
+        rig, world = hand(task)
+        if not ahead:
+            world._ahead = None
+        stretches = []
+
+        def call(world=world, stretches=stretches):
+            level = world.model.opt.gravity[:2]
+            stretches.append(bool(world.data.xfrc_applied.any() or level.any()))
+
+        world.after_each_stretch(call)
+        world.set_finger_target(0.03, 1.0)
+        world.step(500)
+        world.set_lift_target(0.05, 0.1)
+        world.step(1000)
+        rig.close()
+        found.append((world.data.qpos.copy(), world.data.qvel.copy(), world.time))
+        assert any(stretches)  # it happened
+        count = len(stretches)
+        assert count < 1000 if ahead else count == 1500
+    for ours, theirs in zip(*found, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_what_is_filled_weighs_what_it_should_in_the_end():
+    """As step by step: its mass grows in steps of a hundredth of a second."""
+    masses = []
+    for ahead in (True, False):
+        rig, world = hand("pour")
+        world._ahead = world._ahead if ahead else None
+        world.set_finger_target(0.03, 3.0)
+        world.step(500)
+        world.set_lift_target(0.05, 0.1)
+        world.step(500)
+        bodies = truth.object_bodies(world)
+        found = []
+        world.after_each_stretch(lambda: found.append(world.model.body_mass[bodies].sum()))  # noqa: B023
+        world.step(1500)
+        rig.close()
+        masses.append(found)
+    fast, slow = masses
+    assert fast[-1] == slow[-1] != fast[0] and len(fast) < 500 and len(slow) == 1500
+    # g/s: 135 g within 2 s at most
+    assert np.abs(np.diff(fast)).max() < 0.0675 * 0.014
+
+
+@pytest.mark.parametrize("leak", [0.0, 1e-12])
+@pytest.mark.parametrize("ahead", [True, False])
+def test_looking_changes_nothing(leak, ahead):
+    """To the bit, of tight gas and of one that leaks, before and while something touches and is
+    lifted; in one go and step by step."""
+    found = []
+    for looks in (False, True):
+        rig, world = hand()
+        for sensor in world.sensors:
+            sensor.puncture(leak)
+        if not ahead:
+            world._ahead = None
+        world.set_finger_target(0.03, 0.3)
+        for stretch in range(45):
+            if stretch == 35:
+                world.set_lift_target(0.02)
+            world.step(13)
+            for sensor in world.sensors if looks else ():
+                assert sensor.temperature > 0 and sensor.volume > 0
+                assert np.isfinite(sensor.look()).all() and np.isfinite(sensor.p_SV).all()
+                assert isinstance(sensor.flags(), dict) and sensor.pressure_gauge > 0
+        films = [(s.look(), s.p_SV, s.pressure_gauge, s.slid, s.slides) for s in world.sensors]
+        found.append([world.data.qpos.copy(), *(part for film in films for part in film)])
+        rig.close()
+    for ours, theirs in zip(*found, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    assert found[0][1][2] < -0.2  # N: it is held
 
 
 def test_what_goes_wrong_ends_it_in_that_step():

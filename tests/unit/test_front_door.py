@@ -65,5 +65,15 @@ print("mujoco" in sys.modules)
     assert loaded.strip() == "False"
 
 
+def test_a_grasp_imports_no_scipy():
+    """Its linear algebra alone takes as long as numpy, MuJoCo and all of ours."""
+    loaded = run_python("""
+import sys
+import mjtactile.commands.grasp, mjtactile.report.summary, mjtactile.sim.camera, mjtactile.run.scoring
+print("scipy" in sys.modules)
+""")
+    assert loaded.strip() == "False"
+
+
 def test_the_package_says_that_it_is_typed():
     assert (SOURCE.parent / "py.typed").exists()

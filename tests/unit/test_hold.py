@@ -186,6 +186,40 @@ def test_a_grip_that_does_not_change_tells_nothing():
     assert math.isnan(hold.follows([0.8, math.nan] * 6, [0.4] * 12).share)
 
 
+def tried(mu, load, least):
+    """A trial of friction to its end. Coulomb: each finger carries `load` N, or what it presses
+    with times mu; the grip goes within 0.3 s to where what is tried is in use, and never below
+    `least` N."""
+    trial = hold.Trial(0.6)
+    press = 1.3 * load / 0.6
+    for _ in range(150):
+        goal = max(least, load / trial.friction if trial.is_on else press)
+        press += (goal - press) / 3
+        finger = touch(0, -min(load, mu * press), press)
+        trial = hold.Trial(**asdict(trial)).after([finger] * 2, 1 / 30, 0.6)
+        if trial.over:
+            return trial
+    raise AssertionError("it has no end")
+
+
+@pytest.mark.parametrize("mu", [0.3, 0.45, 0.7, 1.2])
+@pytest.mark.parametrize("load", [0.03, 0.1, 0.4])
+@pytest.mark.parametrize("least", [0.02, 0.1])
+def test_a_trial_shows_as_much_friction_as_was_in_use(mu, load, least):
+    """Shear over normal force is at most mu, and load over the least grip: no more has passed,
+    whatever was tried, and no more is believed than that, or than before where nothing slipped.
+    Where the grip is no limit, it is known within the last step of a quarter."""
+    trial = tried(mu, load, least)
+    in_use = min(mu, load / least)
+    assert trial.passed <= in_use + 1e-9
+    slips = mu < min(load / least, 1.0)
+    assert slips or not trial.slipped
+    assert trial.friction <= max(in_use, 0.0 if trial.slipped else 0.6) + 1e-9
+    if slips:
+        # what slips is taken for nine tenths of its ratio; or it had passed a quarter below
+        assert trial.friction >= mu * 0.9 / 1.25
+
+
 def test_unknown_is_not_zero():
     both = [touch(0, 0, 1.0), UNKNOWN]
     assert np.isnan(hold.shear(both)).tolist() == [[False, False], [True, True]]

@@ -9,22 +9,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.film import FilmState
 from mjtactile.sensing.body.area import FACES
 from mjtactile.sensing.body.bodies import Hint
+from mjtactile.sensing.body.common import Common
 from mjtactile.sensing.body.families import FAMILIES, Family, kinds_of, several
-from mjtactile.sensing.body.fit import Fit, exactly, refine
-from mjtactile.sensing.body.forward import Forward
+from mjtactile.sensing.body.fit import Data, Fit, Prior, begin, refine
 from mjtactile.sensing.body.motion import Track
-from mjtactile.sensing.body.search import Films, approach, beside, search
-from mjtactile.sensing.body.standing import Data, Prior, begin
+from mjtactile.sensing.body.search import Films, approach, search
 from mjtactile.sensing.settings import BodySettings
 
 _LOST = 1e3  # of the log of evidence: a family of which no body can be there
 _FOLLOWED = 3  # rounds of a fit that is followed
 _LOOKED = 5  # the same, at a look
 _WORSE = 1.5  # times as much is left as when all families were looked for: they are again,
-_DEEPER = 1.5  # power of the force, with which what the film has wrong grows as a press goes on
+_BAD = 0.5  # of the misfit that is too much: with so much they are looked for at each look
 _BETTER = 0.8  # and what explains so much more than what is followed is taken in its place
 _STUCK = 1.15  # times the misfit of another family: it is begun with anew
 _LEVEL = ("tilt_x", "tilt_y", "lean")
@@ -34,17 +32,34 @@ _PARTS = ("ball", "cylinder", "disc", "block")
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A family that may be it: its `fit` at the last look, and the `log` of its evidence so far."""
+    """A family that may be it: its `fit` at the last look, the `log` of the images' evidence so
+    far, and what all looks have told of what it keeps."""
 
     family: Family
     fit: Fit
-    log: float
+    image_log: float
+    common: Common
 
-    def exactly(self, forward: Forward, data: Data, noise: float) -> Candidate:
-        """The same with its body's exact slopes, and with what they change of the evidence."""
-        fit = exactly(forward, self.fit, data, noise)
-        more = fit.log_evidence_with(noise) - self.fit.log_evidence_with(noise)
-        return Candidate(self.family, fit, self.log + more)
+    @property
+    def log(self) -> float:
+        """Of its evidence: the images', and that it stayed the same."""
+        return self.image_log - self.common.drift / 2
+
+
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """A body of the newest image, with what was known before: the `image_log` of its family's
+    evidence and what its looks had in common; the image's own evidence counts by a `share`."""
+
+    fit: Fit
+    image_log: float
+    common: Common
+    share: float
+
+    def with_noise(self, noise: float) -> Candidate:
+        """As a candidate, where the markers' variances are `noise` times what is believed."""
+        log = self.image_log + self.share * self.fit.log_evidence_with(noise)
+        return Candidate(self.fit.family, self.fit, log, self.common.with_look(self.fit))
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +73,9 @@ class Press:
         force: N, felt at the last look.
         images: Since the last look.
         parts: Places where it was touched then.
-        doubted: Mean square misfit when all families were looked for, or at a look since then: much
-            more is too much.
+        doubted: Mean square misfit when all families were looked for.
         track: Where the body stood in the last images.
+        left: Families that were given up, as they were then.
     """
 
     candidates: tuple[Candidate, ...]
@@ -71,6 +86,7 @@ class Press:
     parts: int
     doubted: float
     track: Track = ()
+    left: tuple[Candidate, ...] = ()
 
     @property
     def probabilities(self) -> Array:
@@ -117,23 +133,20 @@ def follow(
     else:
         looked = _follow(films, press, hint, data)
     if looked is None:
-        return _first(films, hint, data, s, press.now.state) or _first(films, hint, data, s)
+        return _first(films, hint, data, s)
     misfit = looked.now.misfit
-    worse = misfit > max(_WORSE * looked.doubted, s.misfit_asks)
-    if worse or (looked.images == 0 and misfit > s.misfit_most):
-        other = _first(films, hint, data, s, looked.now.state)
+    worse = misfit > max(_WORSE * press.doubted, s.misfit_asks)
+    if worse or (looked.images == 0 and misfit > _BAD * s.misfit_most):
+        other = _first(films, hint, data, s)
         if other is not None and other.now.misfit < _BETTER * misfit:
-            return other
+            return _with_past(press, looked, other, hint, data, s)
         return replace(looked, doubted=misfit)
-    usual = min(max(press.doubted, misfit), looked.doubted)
-    return replace(looked, doubted=usual)
+    return looked
 
 
-def _first(
-    films: Films, hint: Hint, data: Data, s: BodySettings, near: FilmState | None = None
-) -> Press | None:
-    """All families, from nothing but the film `near` it, where there is one."""
-    found = search(films, _ONE, hint, data, s.noise_least, near)
+def _first(films: Films, hint: Hint, data: Data, s: BodySettings) -> Press | None:
+    """All families, from nothing."""
+    found = search(films, _ONE, hint, data, s.noise_least)
     least = min((one.misfit for one in found), default=math.inf)
     if len(hint.parts) > 1 and least > s.misfit_one:
         balls = several(["ball"] * len(hint.parts))
@@ -141,9 +154,35 @@ def _first(
         found += both
         if both and s.misfit_one < both[0].misfit < least:
             found += _other_parts(films, both[0], data, s)
-    given = [(one, -s.log_body * max(len(one.family.parts) - 1, 0)) for one in found]
-    looked = _weighed(films, given, hint, data, s)
+    given = [
+        Looked(one, -s.log_body * max(len(one.family.parts) - 1, 0), Common.of(one.family), 1.0)
+        for one in found
+    ]
+    looked = _weighed(given, hint, data, s)
     return None if looked is None else replace(looked, doubted=looked.now.misfit)
+
+
+def _with_past(
+    past: Press, looked: Press, other: Press, hint: Hint, data: Data, s: BodySettings
+) -> Press:
+    """What was `looked` at and what was found from nothing, `other`, with all that the press has
+    told of their families before this image; of one that was not there, that it would have
+    explained as much."""
+    known = {one.family.name: one for one in (*past.left, *past.candidates)}
+    best = past.candidates[0]
+    bodies = {one.family.name: one.fit for one in looked.candidates}
+    bodies |= {one.family.name: one.fit for one in other.candidates}
+    found = []
+    for name, fit in bodies.items():
+        one = known.get(name)
+        if one is None:
+            before = best.log - s.log_body * max(len(fit.family.parts) - 1, 0)
+            found.append(Looked(fit, before, Common.of(fit.family), s.log_again))
+        else:
+            found.append(Looked(fit, one.image_log, one.common, s.log_again))
+    weighed = _weighed(found, hint, data, s, past)
+    assert weighed is not None
+    return replace(weighed, doubted=weighed.now.misfit)
 
 
 def _other_parts(films: Films, best: Fit, data: Data, s: BodySettings) -> list[Fit]:
@@ -157,7 +196,7 @@ def _other_parts(films: Films, best: Fit, data: Data, s: BodySettings) -> list[F
             if names[place] == name:
                 continue
             names[place] = name
-            found = _with_part(films, best, several(names), place, data, noise)
+            found = _with_part(films, best, several(names), place, data)
             if found is None:
                 continue
             tried.append(found)
@@ -166,9 +205,7 @@ def _other_parts(films: Films, best: Fit, data: Data, s: BodySettings) -> list[F
     return tried
 
 
-def _with_part(
-    films: Films, fit: Fit, family: Family, place: int, data: Data, noise: float
-) -> Fit | None:
+def _with_part(films: Films, fit: Fit, family: Family, place: int, data: Data) -> Fit | None:
     """Of several bodies one is of another family: the likeliest of its starts."""
     part = family.parts[place]
     own = fit.hint.parts[place]
@@ -182,36 +219,32 @@ def _with_part(
         at = begin(films.fine, family, fit.hint, theta, data, prior, fit.state)
         if at is None:
             continue
-        found.append(
-            refine(films.fine, family, fit.hint, at, data, prior, rounds=_LOOKED, noise=noise)
-        )
+        body = refine(films.fine, family, fit.hint, at, data, prior, rounds=_LOOKED)
+        if body is not None:
+            found.append(body)
     return min(found, key=lambda one: one.chi2, default=None)
 
 
 def _look(films: Films, press: Press, hint: Hint, data: Data, s: BodySettings) -> Press | None:
     """All that may still be it, each from where it was."""
-    found: list[tuple[Fit, float]] = []
+    found: list[Looked] = []
     for number, one in enumerate(press.candidates):
         start = press.now if number == 0 else one.fit
-        known = min((fit.chi2 for fit, _ in found), default=math.inf)
-        body = _next(films, one.fit, start, press.noise, hint, data, _LOOKED, known)
-        least = min((fit.misfit for fit, _ in found), default=press.noise)
-        flat = one.family.name in FACES or one.family.parts
-        if body is None or (flat and body.misfit > _STUCK * least):
-            near = min((fit for fit, _ in found), key=lambda fit: fit.chi2, default=press.now)
-            body = _again(films, one.fit, body, press.noise, hint, data, known, near.state)
+        body = _next(films, one, start, press.noise, hint, data, _LOOKED)
+        least = min((each.fit.misfit for each in found), default=press.noise)
+        if body is None or body.misfit > _STUCK * least:
+            body = _again(films, one, body, press.noise, hint, data)
         if body is not None:
-            found.append((body, one.log))
-    looked = _weighed(films, found, hint, data, s)
-    if looked is None:
-        return None
-    return replace(looked, doubted=press.doubted * max(data.force / press.force, 1.0) ** _DEEPER)
+            found.append(Looked(body, one.image_log, one.common, s.log_again))
+    looked = _weighed(found, hint, data, s, press)
+    return None if looked is None else replace(looked, doubted=press.doubted)
 
 
 def _weighed(
-    films: Films, found: list[tuple[Fit, float]], hint: Hint, data: Data, s: BodySettings
+    found: list[Looked], hint: Hint, data: Data, s: BodySettings, past: Press | None = None
 ) -> Press | None:
-    """Bodies of an image with the logs of their evidence before it.
+    """Bodies of an image, weighed; those that are given up, with those that were in the `past`, are
+    remembered.
 
     What even the best leaves of the markers is the film's and the simulator's doing: it is taken
     for noise, the same for all families, so that none wins by chi-squares of hundreds over another
@@ -219,15 +252,20 @@ def _weighed(
     """
     if not found:
         return None
-    noise = max(s.noise_least, min(fit.misfit for fit, _ in found))
-    weighed = [Candidate(fit.family, fit, log + fit.log_evidence_with(noise)) for fit, log in found]
-    most = max(one.log for one in weighed)
-    likely = [one for one in weighed if one.log > most - s.log_lost]
-    kept = [one.exactly(films.fine, data, noise) for one in likely]
-    kept.sort(key=lambda one: -one.log)
+    noise = max(s.noise_least, min(one.fit.misfit for one in found))
+    weighed = [one.with_noise(noise) for one in found]
+    weighed.sort(key=lambda one: -one.log)
+    kept = [one for one in weighed if one.log > weighed[0].log - s.log_lost]
     spoken = _spoken(kept, noise)
+    lost = [one for one in weighed if one not in kept]
+    if past is not None:
+        seen = {one.family.name for one in weighed}
+        before = (*past.left, *past.candidates)
+        lost += [one for one in before if one.family.name not in seen]
     kept.remove(spoken)
-    return Press((spoken, *kept), spoken.fit, noise, data.force, 0, len(hint.parts), 0.0)
+    return Press(
+        (spoken, *kept), spoken.fit, noise, data.force, 0, len(hint.parts), 0.0, left=tuple(lost)
+    )
 
 
 def _spoken(candidates: list[Candidate], noise: float) -> Candidate:
@@ -249,81 +287,74 @@ def _spoken(candidates: list[Candidate], noise: float) -> Candidate:
 
 
 def _follow(films: Films, press: Press, hint: Hint, data: Data) -> Press | None:
-    looked = press.candidates[0].fit
-    body = _next(films, looked, press.now, press.noise, hint, data, _FOLLOWED)
+    body = _next(films, press.candidates[0], press.now, press.noise, hint, data, _FOLLOWED)
     if body is None:
         return None
-    return replace(press, now=exactly(films.fine, body, data, press.noise), images=press.images + 1)
+    return replace(press, now=body, images=press.images + 1)
 
 
 def _next(
-    films: Films,
-    looked: Fit,
-    newest: Fit,
-    noise: float,
-    hint: Hint,
-    data: Data,
-    rounds: int,
-    known: float = math.inf,
+    films: Films, one: Candidate, newest: Fit, noise: float, hint: Hint, data: Data, rounds: int
 ) -> Fit | None:
-    """A family's body, believed as at the look before, from where it was in the newest image and
-    as much deeper as the force has grown; given up where it stays far behind `known`, what
-    another leaves."""
-    family = looked.family
+    """A family's body, believed as the looks before have it, from where it was in the newest image
+    and about as deep as the force says."""
+    family = one.family
     hint = _matched(newest.hint, hint)
-    prior = looked.then(noise, hint)
+    prior = one.common.prior(one.fit, noise, hint)
     stays = family.rebased(newest.theta, newest.hint, hint)
     theta = stays.copy()
     heights = family.heights
     by = -newest.slopes.sums[2, heights].sum() / family.sd[heights[0]]  # N/mm, all of them
     if by < 0:
-        theta[heights] += np.clip((data.force - newest.felt) / by, -1.0, 1.0)
+        theta[heights] += np.clip((data.force - newest.state.force_normal) / by, -1.0, 1.0)
     at = begin(films.fine, family, hint, theta, data, prior, newest.state)
     # on flat faces a film now and then goes to and fro from one start, and not from another
     at = at or begin(films.fine, family, hint, stays, data, prior, newest.state)
     at = at or begin(films.fine, family, hint, theta, data, prior, None)
     if at is None:
         return None
-    return refine(
-        films.fine,
-        family,
-        hint,
-        at,
-        data,
-        prior,
-        slopes=newest.slopes,
-        rounds=rounds,
-        known=known,
-        noise=noise,
-    )
+    return refine(films.fine, family, hint, at, data, prior, slopes=newest.slopes, rounds=rounds)
 
 
 def _again(
-    films: Films,
-    looked: Fit,
-    stuck: Fit | None,
-    noise: float,
-    hint: Hint,
-    data: Data,
-    known: float,
-    near: FilmState,
+    films: Films, one: Candidate, stuck: Fit | None, noise: float, hint: Hint, data: Data
 ) -> Fit | None:
-    """The same, or what is found from the middle of the touch, beside the film `near` it, where
-    that explains more: on flat faces, fits end before they have come to the end."""
-    family = looked.family
-    hint = _matched(looked.hint, hint)
-    prior = looked.then(noise, hint)
+    """The same, or what is found anew, where that explains more: on flat faces fits end before they
+    have come to the end, and what is round has been thought sharp while few nodes touched it."""
+    if one.family.name in FACES or one.family.parts:
+        other = _from_middle(films, one, noise, hint, data)
+    else:
+        other = _from_nothing(films, one, noise, hint, data)
+    if other is None or (stuck is not None and stuck.chi2 < other.chi2):
+        return stuck
+    return other
+
+
+def _from_nothing(films: Films, one: Candidate, noise: float, hint: Hint, data: Data) -> Fit | None:
+    """From all its starts; believed as the looks before have it once it is there."""
+    found = search(films, (one.family,), hint, data, noise)
+    if not found:
+        return None
+    prior = one.common.prior(replace(one.fit, at=found[0].at, hint=hint), noise, hint)
+    at = begin(films.fine, one.family, hint, found[0].theta, data, prior, found[0].state)
+    if at is None:
+        return None
+    slopes = found[0].slopes
+    return refine(films.fine, one.family, hint, at, data, prior, slopes=slopes, rounds=_FOLLOWED)
+
+
+def _from_middle(films: Films, one: Candidate, noise: float, hint: Hint, data: Data) -> Fit | None:
+    """From the middle of the touch."""
+    family = one.family
+    hint = _matched(one.fit.hint, hint)
+    prior = one.common.prior(one.fit, noise, hint)
     theta = prior.mean * family.sd
     middle = [n for n, name in enumerate(family.names) if name in ("x", "y", "z", *_LEVEL)]
     theta[middle] = 0.0
-    at = beside(films.fine, family, hint, theta, data, prior, near)
-    at = at or approach(films.fine, family, hint, theta, data, prior)
+    at = approach(films.fine, family, hint, theta, data, prior)
     if at is None:
-        return stuck
-    other = refine(
-        films.fine, family, hint, at, data, prior, rounds=_LOOKED, known=known, noise=noise
-    )
-    return other if stuck is None or other.at.cost < stuck.at.cost else stuck
+        return None
+    return refine(films.fine, family, hint, at, data, prior, rounds=_LOOKED)
 
 
 def _matched(old: Hint, new: Hint) -> Hint:

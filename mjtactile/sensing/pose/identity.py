@@ -13,7 +13,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import cho_factor, cho_solve
 
 from mjtactile.core import optics
 from mjtactile.core.design import SensorDesign
@@ -103,7 +102,7 @@ def _slope_operators(design: SensorDesign, present: bytes, weight: float) -> Arr
     fitter = SurfaceFitter(design)
     x, y = design.markers.p_SM[np.frombuffer(present, bool), :2].T
     B = fitter.rows(x, y)
-    gain = cho_solve(cho_factor(B.T @ B * weight + fitter.prior), B.T * weight)
+    gain = np.linalg.solve(B.T @ B * weight + fitter.prior, B.T * weight)
     return np.stack([fitter.rows(x, y, 1, 0) @ gain, fitter.rows(x, y, 0, 1) @ gain])
 
 

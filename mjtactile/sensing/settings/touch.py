@@ -39,11 +39,15 @@ class PatchSettings:
 _PRESSED_SHAPES = "bench shape: bodies of seeds below 1000, which its table leaves out"
 
 
+_CALIBRATED = "bench shape's bodies of seeds 2000 to 2059, on which it is calibrated: "
+
+
 @dataclass(frozen=True)
 class BodySettings:
     """What the body is that touches (sensing/body)."""
 
     spacing: float = number(1.3e-3, "m, between the film's nodes", _PRESSED_SHAPES)
+    spacing_coarse: float = number(1.8e-3, "m, of the film that looks first", _PRESSED_SHAPES)
     film_sd: float = number(
         16e-6, "m, of a marker's height that the film does not know of", "bench film"
     )
@@ -153,9 +157,15 @@ class BodySettings:
     )
     log_body: float = number(3.0, "of the log of evidence, that one body more must gain", PRESSED)
     log_lost: float = number(
-        6.0,
+        4.0,
         "of the log of evidence, by which a family is behind that is not looked at any more",
-        "bench shape: with 12, a third more time and the same kinds",
+        _CALIBRATED + "with 6, a fifth more time and no kind more",
+    )
+    log_again: float = number(
+        0.25,
+        "of the log of evidence of an image, that counts after the first of a press: what the film "
+        "has wrong comes again",
+        _CALIBRATED + "of 0.12 to 1 the one that names most kinds, and most surely",
     )
     ball_ratio: float = number(
         1.5, "of two curvatures, below which a smooth body has a radius", PRESSED
@@ -171,18 +181,24 @@ class SlipSettings:
 
     evidence: float = number(5.0, "sd of a wandering patch that are slip", _SLID)
     evidence_uneven: float = number(
-        12.0, "that are, while the shear is so uneven that the middle seems to stick", _SLID
+        10.0, "that are, while the shear is so uneven that the middle seems to stick", _SLID
     )
     even: float = number(
-        0.35, "spread over mean of shear over pressure in a contact that slides", _SLID
+        0.067,
+        "of how far the shear moves the markers, by which they stand elsewhere than where "
+        "everything slides",
+        _SLID,
     )
     even_turning: float = number(
-        0.42, "the same along circles, of a contact that turns on the spot and slides", _SLID
+        0.42,
+        "spread over mean of shear over pressure along circles, of a contact that turns on the "
+        "spot and slides",
+        _SLID,
     )
     rolls: float = number(
-        1.2, "of one whose middle sticks for sure: what goes anywhere there rolls", _SLID
+        0.18, "`even` of one whose middle sticks for sure: what goes anywhere there rolls", _SLID
     )
-    sticks: float = number(0.6, "of one whose middle seems to stick", _SLID)
+    sticks: float = number(0.09, "`even` of one whose middle seems to stick", _SLID)
     recent: float = number(
         0.12, "s, in which what is said to be a slip began", "four images at 30 Hz; " + _SLID
     )
@@ -208,6 +224,9 @@ class SlipSettings:
         0.2,
         "shear over normal force: what slips below it rolls, or is as smooth as nothing dry",
         _SLID,
+    )
+    doubtful: float = number(
+        0.25, "of the normal force, sd of the shear above which nothing is a sign of slip", _SLID
     )
     body_speed: float = number(
         3e-3, "m/s of a known body along the shear, over the rubber: less is no slip", _SLID

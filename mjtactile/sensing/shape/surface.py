@@ -31,7 +31,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import solve_banded
 
 from mjtactile.core import geometry
 from mjtactile.core.bspline import Cubic
@@ -84,6 +83,8 @@ class Spline:
 
     def height_sd(self, x: ArrayLike, y: ArrayLike) -> Array:
         """Standard deviation (N,) m of z at points `x`, `y` (N,) m."""
+        from scipy.linalg import solve_banded  # takes a while to import
+
         rows = self.fitter.rows(x, y)
         width = self.fitter.width
         half = solve_banded((width, 0), self.factor.T[: width + 1], rows.T)

@@ -27,11 +27,14 @@ _UP = 0.9
 _PLACES = (PREFIX, "table/")
 _TAKEN_TIME = 0.02  # s in which somebody who took the object stops it: within 8 mm at 0.4 m/s
 _HOLDS = 2  # fingers; what touches one alone is not held
+_FASTER = 2.0  # than its lift's speed no hand rises
+_FILLS_EVERY = 0.01  # s
 _STRONGEST_TURN = math.radians(60)
 
 
 class Happenings:
-    """The events of one grasp. `step` after each step of the world prepares the next one."""
+    """The events of one grasp. `step` after each stretch of the world's steps prepares the next
+    one, which ends when it is `due` again: while something happens that is after each step."""
 
     def __init__(self, world: HandWorld, events: Sequence[DrawnHappening], lift_height: float):
         model = world.model
@@ -40,6 +43,7 @@ class Happenings:
         self._up = _UP * lift_height
         self._bodies = moving_bodies(model, PREFIX)
         self._share = model.body_mass[self._bodies] / model.body_mass[self._bodies].sum()
+        self._lift_speed = world.rig.lift.speed
         self._begin_height = float(world.data.xpos[world.start.hand, 2])
         self._gravity = model.opt.gravity.copy()
         self._mass = model.body_mass[self._bodies].copy()
@@ -56,8 +60,7 @@ class Happenings:
         """Set masses, gravity, forces and places for the world's next step."""
         world = self._world
         if math.isnan(self.up_since):
-            risen = float(world.data.xpos[world.start.hand, 2]) - self._begin_height
-            if risen < self._up:
+            if self._risen() < self._up:
                 return
             self.up_since = world.time
         time = world.time - self.up_since
@@ -79,6 +82,26 @@ class Happenings:
                 force += self._pull(event, done)
         world.model.opt.gravity[:] = gravity
         world.data.xfrc_applied[self._bodies, :3] = self._share[:, None] * force
+
+    def due(self) -> float:
+        """s in the world's time at which `step` must be called again at the latest; what is filled
+        grows by less than a gram until then."""
+        world = self._world
+        if math.isnan(self.up_since):
+            missing = self._up - self._risen()
+            return world.time + missing / (_FASTER * self._lift_speed)
+        time = world.time - self.up_since
+        due = math.inf
+        for event in self._events:
+            goes_on = event.kind == "pull" or time < event.begin + event.last + world.timestep
+            if goes_on:
+                waits = _FILLS_EVERY if event.kind == "fill" else 0.0
+                due = min(due, max(event.begin, time + waits))
+        return self.up_since + due
+
+    def _risen(self) -> float:
+        """m by which the hand is higher than where it began."""
+        return float(self._world.data.xpos[self._world.start.hand, 2]) - self._begin_height
 
     def _fill(self, mass: float, done: float) -> None:
         """The object's mass is on its way to `mass` kg, evenly in time, wherever it is in it."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from copy import copy
 
 import mujoco
 import numpy as np
@@ -22,6 +23,7 @@ from mjtactile.film.live import HEAT_RATIO, LiveFilm
 from mjtactile.kernels import bound, words
 from mjtactile.sim.sensor import limits
 from mjtactile.sim.sensor.films import FEELER, bulge_stiffness, film_of, sticking_of
+from mjtactile.sim.sensor.gas import ChamberGas
 from mjtactile.sim.sensor.geoms import FeltGeoms
 from mjtactile.sim.sensor.mesh import MembraneMesh, onto_mesh
 from mjtactile.sim.sensor.pushes import HOLD, pushes_of
@@ -33,7 +35,7 @@ _PATIENCE = 25  # steps without a solution in a row
 _LATE = 2  # such steps that are not worth a word
 _NO_FLEX = -2
 # places in what the kernel remembers (kernels/film_hold.c), and is given
-_MEMORY = 67
+_MEMORY = 69
 _RADIUS = 10
 _BODY, _SLIDES, _NEAR, _STATUS, _LOST = 0, 11, 18, 19, 20
 _WRENCH, _MIDDLE, _STRAIN = slice(1, 7), slice(7, 10), slice(12, 15)
@@ -92,6 +94,7 @@ class FilmSensor(SheetSensor):
         self._pushing = np.zeros(1, np.int64)  # whether it did at the last look
         self._flat_volume = design.chamber_volume_flat
         self._bind()
+        self._gas_set_at = math.nan  # s, when the film was last told what its gas does
         self._gas.advance(self._volume, 0.0)
         self._look()
 
@@ -151,25 +154,34 @@ class FilmSensor(SheetSensor):
     def _come_to_now(self) -> None:
         self._look()
         self._breathe()
+        self.wake()
+
+    def wake(self) -> None:
+        """See the gas anew: its valve or its leak is another."""
+        self._gas_set_at = math.nan
 
     def _look(self) -> None:
-        """Bring film, gas and what sticks up to the present poses."""
+        """Bring film, gas and what sticks up to the present poses; of one moment the first look
+        alone does, so that nobody changes what happens by looking."""
         data = self._data
         mujoco.mj_kinematics(self._model, data)
         self._given[_TIME] = data.time
-        live = self._live
-        if self._gas.is_sealed:
-            if not live.settings[1]:
-                self._seal()
-            self._follow()
-            return
-        self._let_flow()
+        self._set_gas()
         self._follow()
-        self._breathe()
+
+    def _set_gas(self) -> None:
+        """Tell the film what its gas does from now on."""
+        if self._gas.is_sealed:
+            if not self._live.settings[1]:
+                self._breathe()
+                self._seal()
+        elif self._gas_set_at != self.time:
+            self._breathe()
+            self._let_flow()
+            self._gas_set_at = self.time
 
     def _seal(self) -> None:
         """From now on the gas stays in."""
-        self._breathe()
         gas = self._gas
         stiffness = gas.stiffness(self._timestep)
         absolute = gas.pressure_gauge + gas.ambient
@@ -182,10 +194,8 @@ class FilmSensor(SheetSensor):
         """Set what the film feels of a gas that flows, leaks or warms, or of an open valve."""
         gas = self._gas
         live = self._live
-        stiffness = gas.stiffness(self._timestep)
-        if stiffness > 0:
+        if gas.stiffness(self._timestep) > 0:
             self._seal()
-            live.settings[1] = 1.0
             return
         pressure = gas.supply_gauge if gas.is_open else gas.pressure_gauge
         self._given[_GAS] = 0.0
@@ -200,10 +210,26 @@ class FilmSensor(SheetSensor):
 
     def _breathe(self) -> None:
         """Take the gas to the film's present volume."""
-        self._volume = self._flat_volume + self._live.volume
-        time = self.time
-        self._gas.advance(self._volume, time - self._time)
-        self._time = time
+        self._volume = self.volume
+        self._gas.advance(self._volume, self.time - self._time)
+        self._time = self.time
+
+    @property
+    def pressure_gauge(self) -> float:
+        """Gauge pressure in the chamber, Pa, at the last look."""
+        if self._gas.is_sealed and self._live.settings[1]:
+            return self._live.pressure_gauge  # the film rests on p V^gamma
+        return super().pressure_gauge
+
+    def _gas_now(self) -> ChamberGas:
+        gas = copy(self._gas)
+        gas.advance(self.volume, self.time - self._time)
+        return gas
+
+    @property
+    def volume(self) -> float:
+        """Gas volume, m^3, at the last look."""
+        return self._flat_volume + self._live.volume
 
     # -- for a kernel that goes on by itself (`film_stepper`)
 
@@ -218,8 +244,7 @@ class FilmSensor(SheetSensor):
             return bool(self._live.settings[1])
         if gas.is_open or not gas.stiffness(self._timestep) > 0:
             return False
-        self._seal()
-        self._live.settings[1] = 1.0
+        self._set_gas()
         return True
 
     def follow_words(self) -> Array:
@@ -370,9 +395,10 @@ class FilmSensor(SheetSensor):
         live.x.reshape(3, -1)[:, self.mesh.interior] = displacements.reshape(-1, 3).T
         live.rest_on(pressure_gauge, False, 1.0)
         self._memory[:] = 0.0
-        self._volume = self.design.chamber_volume_flat + live.volume
+        self._volume = self.volume
         self._gas.seal(self._volume, pressure_gauge)
         self._time = self.time
+        self.wake()
         self._look()
 
     # -- its limits

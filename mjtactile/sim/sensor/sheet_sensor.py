@@ -11,6 +11,7 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
+from mjtactile.sim.sensor.gas import ChamberGas
 from mjtactile.sim.sensor.membrane import BODY
 from mjtactile.sim.sensor.mesh import MarkerInterpolator, MembraneMesh
 from mjtactile.sim.sensor.stretches import stretches_of
@@ -74,8 +75,9 @@ class SheetSensor(ABC):
         """Go on from where the sensor fell asleep; needed by hand only after a change of the
         model's own numbers."""
 
-    def _breathe(self) -> None:  # noqa: B027 a mesh does so at every step
-        """Take the gas to the sheet's present volume, where `update` has not."""
+    def _gas_now(self) -> ChamberGas:
+        """The gas at the sheet's present volume; to look at, for what looks changes nothing."""
+        return self._gas
 
     @property
     def time(self) -> float:
@@ -111,19 +113,16 @@ class SheetSensor(ABC):
     @property
     def pressure_gauge(self) -> float:
         """Gauge pressure in the chamber, Pa, at the last `update`."""
-        self._breathe()
-        return self._gas.pressure_gauge
+        return self._gas_now().pressure_gauge
 
     @property
     def temperature(self) -> float:
         """Temperature of the gas in the chamber, K, at the last `update`."""
-        self._breathe()
-        return self._gas.temperature
+        return self._gas_now().temperature
 
     @property
     def volume(self) -> float:
         """Gas volume, m^3, at the last `update`."""
-        self._breathe()
         return self._volume
 
     @property
@@ -155,7 +154,7 @@ class SheetSensor(ABC):
 
     def _empty(self) -> str | None:
         """What to say of a chamber without gas; None: it has some."""
-        if self._volume > 0:
+        if self.volume > 0:
             return None
         return f"sensor {self.prefix!r}: the chamber has no volume left"
 

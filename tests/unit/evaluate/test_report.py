@@ -147,7 +147,7 @@ def test_the_page_is_whole_and_says_what_the_lines_say():
     }
     page = Balanced(report.page(manifest, table, worst(table, 2), {}))
     eggs = sum(line["outcome"] == "dropped" and line["object"] == "egg" for line in table) // 2
-    assert "a<b holds 0.0 % of 300 episodes more often than gentle" in page.text
+    assert "a<b holds 0.0 points more than gentle in the same 300" in page.text
     assert re.search(rf"too heavy: it weighs [\d.]+ N{eggs}", page.text)  # alike reasons together
     assert (
         "stands out" in page.text

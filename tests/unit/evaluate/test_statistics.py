@@ -98,7 +98,7 @@ def test_errors_count_apart():
     assert pair["episodes"] == 2 and pair["only_second"] == 1
     text = table(summary)
     assert "| a | all | 1 of 3 | 6.1-79.2 % | 1 | 1 | 0 | 1 | 1.15 (1.30) |  |  |" in text
-    assert "b holds 50.0 % of 2 episodes more often than a" in text
+    assert "b holds 50.0 points more than a in the same 2 episodes" in text
     assert "1 ended alike): " in text
 
 

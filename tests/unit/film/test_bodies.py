@@ -275,3 +275,11 @@ def test_how_a_solution_ends_does_not_depend_on_what_memory_held():
     assert len({type(one) for one in nothing}) == 2  # some rest, some are refused
     assert ends(np.nan) == nothing
     assert ends(1e3) == nothing
+
+
+def test_a_hull_has_each_face_once():
+    """Qhull makes two triangles of each side of a cube."""
+    cube = 0.01 * np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
+    planes = Film("dense").obstacle("mesh", data=cube).pool.reshape(-1, 4)
+    assert len(planes) == 6
+    np.testing.assert_allclose(np.abs(planes).sum(axis=1), 1.01, rtol=1e-12)

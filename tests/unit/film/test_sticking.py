@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import cho_solve_banded
 
 from mjtactile import Film, InputError
 from mjtactile.film import Held, drag
@@ -53,6 +54,17 @@ def test_a_film_that_moves_holds_a_patch_nearly_as_stiffly():
         state = pressed(coarse, radius, depth)
         grip = sticking.grip(state.x, state.force)
         assert grip.stiffness[0, 0] == pytest.approx(along, rel=0.1)  # nodes 2 mm apart
+
+
+def test_the_compliance_is_the_inverse_of_the_stiffness():
+    """By SciPy, of a grid whose nodes are no whole number of those solved for together."""
+    film = Film("dense", grid=(10, 8), pressure_gauge=1000.0)
+    factor = film.stiffness_factor(film.rest)
+    in_plane = np.arange(factor.shape[1]) % 3 < 2
+    inverse = cho_solve_banded((factor, True), np.eye(factor.shape[1]))
+    ours = film.compliance(film.rest)
+    # the same sums in another order
+    np.testing.assert_allclose(ours, inverse[in_plane][:, in_plane], atol=1e-12 * ours.max())
 
 
 def test_two_bodies_are_two_patches(fine):

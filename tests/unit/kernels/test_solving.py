@@ -4,14 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.linalg import cho_solve
+from scipy.linalg import cho_solve, solve_triangular
+from scipy.special import lambertw
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.rubber import Law
 from mjtactile.core.types import Markers
+from mjtactile.kernels import kernel
 from mjtactile.sensing.force import sheet
 from mjtactile.sensing.force.inverse import InverseMembrane
 from mjtactile.sensing.force.sheet import Gas
+from mjtactile.sensing.law import SheetLaw
 from mjtactile.sensing.shape import surface
 from tests.numpy_chain import sheet as numpy_sheet
 from tests.numpy_chain import surface as numpy_surface
@@ -167,3 +170,25 @@ def test_tractions_from_markers(sensor):
         np.testing.assert_allclose(
             one.wrench_cov, other.wrench_cov, rtol=1e-5, atol=1e-9 * one.wrench_cov[0, 0]
         )
+
+
+def test_lower_factor():
+    """To rounding, of a well conditioned factor; what lies above its diagonal is not read."""
+    rng = np.random.default_rng(2)
+    factor = rng.normal(size=(40, 40)) + 20 * np.eye(40)
+    told = rng.normal(size=(40, 3))
+    found = told.copy()
+    kernel("solve_lower")(*found.shape, factor, found)
+    np.testing.assert_allclose(found, solve_triangular(factor, told, lower=True), atol=1e-14)
+
+
+@pytest.mark.parametrize("poisson", [0.01, 0.1, 0.3, 0.45, 0.49, 0.4999])
+def test_thickness_is_lamberts_function(poisson):
+    """To rounding, where Lambert's argument is a finite number; a stretch of 1 leaves 1."""
+    membrane = replace(load_sensor("dense").membrane, poisson=poisson)
+    half = poisson / (1 - 2 * poisson)
+    log_det = np.linspace(-1.0, 2.0, 301)
+    lambert = half * lambertw(np.exp(1 / half - log_det) / half).real
+    places = np.linspace(-3.0, 4.0, 7001)
+    q, _ = SheetLaw(membrane).table
+    np.testing.assert_allclose(np.interp(log_det, places, q) * np.exp(log_det), lambert, rtol=1e-9)

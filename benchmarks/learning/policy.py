@@ -1,0 +1,189 @@
+"""`mjtactile bench policy`: a policy learned from nothing, and what it holds afterwards.
+
+`examples/learn_to_grasp.py` learns for ten minutes with drawn touch; what it saved then grasps
+random things that it has not met, once with drawn touch and once with everything simulated. The
+page's own ten lines are run, too, for a few thousand decisions, and timed. Needs the extra `learn`.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjtactile.run.progress import Progress
+
+CHECKOUT = Path(__file__).parents[2]
+LEARNER = CHECKOUT / "examples" / "learn_to_grasp.py"
+PAGE = CHECKOUT / "docs" / "gym.md"
+LEVELS = {"-sheet,-chain": "drawn, as it learned", "auto": "everything simulated"}
+SECONDS, SECONDS_QUICK = 600, 40
+EPISODES, EPISODES_QUICK = 24, 2
+DECISIONS, DECISIONS_QUICK = 2048, 128  # of the ten lines; one update of the learner is 2048
+FIRST_SEED = 5000  # of the episodes that judge; the learner draws its seeds elsewhere
+SHOWN = 6  # times of the learner's that the table has
+ENDS = {
+    "held": "held",
+    "dropped": "dropped",
+    "crushed": "crushed",
+    "out of time": "out of time",
+    "error": "ended by a film that found no rest",
+}
+
+Say = Callable[[str], None]
+
+
+def run(out: Path, *, quick: bool = False, say: Say | None = None) -> dict[str, Any]:
+    """Learn, judge and time; a quarter of an hour on two cores.
+
+    Args:
+        out: Folder; the policy is kept in its policy.npz.
+        quick: Learn for a moment: to see that it works.
+        say: Told of what comes.
+
+    Returns:
+        "learned": rows of time, decisions and how the last hundred episodes ended; "judged": for
+        each level, `evaluate`'s numbers; "ten_lines": decisions a second of the page's.
+    """
+    say = say or Progress().message
+    saved = out / "policy.npz"
+    learned = _learn(saved, SECONDS_QUICK if quick else SECONDS, say)
+    judged = {}
+    for effects in LEVELS:
+        say(f"policy: episodes with --effects={effects}")
+        judged[effects] = _judge(saved, effects, EPISODES_QUICK if quick else EPISODES)
+    say("policy: the ten lines of docs/gym.md")
+    ten_lines = _time_page(out, DECISIONS_QUICK if quick else DECISIONS)
+    return {"learned": learned, "judged": judged, "ten_lines": ten_lines}
+
+
+def _learn(saved: Path, seconds: int, say: Say) -> list[dict[str, Any]]:
+    """What the example says while it learns."""
+    command = [sys.executable, str(LEARNER), str(saved), str(seconds)]
+    rows: list[dict[str, Any]] = []
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=_one_thread()) as learner:
+        assert learner.stdout is not None
+        for line in learner.stdout:
+            told = re.match(r"(\d+) s, (\d+) decisions", line)
+            if told:
+                rows.append({"seconds": int(told[1]), "decisions": int(told[2])})
+            elif line.strip().startswith("{"):
+                rows[-1]["ended"] = ast.literal_eval(line.strip())
+                say(f"policy: {rows[-1]}")
+    if learner.returncode:
+        raise RuntimeError(
+            f"{LEARNER.name} ended with {learner.returncode}: mjtactile[learn] lacks?"
+        )
+    return rows
+
+
+def _judge(saved: Path, effects: str, episodes: int) -> dict[str, Any]:
+    """Of random things that the policy has not met, without the noise that it learned by."""
+    folder = saved.parent / f"judged{effects.replace(',', '')}"
+    command = [sys.executable, "-m", "mjtactile", "evaluate", "--controller", "policy"]
+    command += ["--objects", "random", "--episodes", str(episodes), "--seed", str(FIRST_SEED)]
+    command += [f"--effects={effects}", "--worst", "0", "--out", str(folder), "--json"]
+    env = _one_thread() | {"MJTACTILE_POLICY": str(saved)}
+    ended = subprocess.run(command, capture_output=True, text=True, check=True, env=env)
+    return json.loads(ended.stdout)["controllers"]["policy"]
+
+
+def _time_page(out: Path, decisions: int) -> dict[str, float]:
+    """The lines that learn, out of the page, with fewer decisions."""
+    lines = ten_lines(PAGE.read_text(encoding="utf-8"))
+    meant = re.search(r"learn\(([\d_]+)\)", lines)
+    assert meant is not None
+    shorter = lines.replace(meant[0], f"learn({decisions})")
+    begin = time.perf_counter()
+    command = [sys.executable, "-c", shorter]
+    subprocess.run(command, check=True, cwd=out, env=_one_thread(), stdout=subprocess.DEVNULL)
+    spent = time.perf_counter() - begin
+    return {"decisions": decisions, "seconds": spent, "meant": int(meant[1])}
+
+
+def ten_lines(page: str) -> str:
+    """The page's lines that learn a policy.
+
+    Args:
+        page: docs/gym.md.
+
+    Returns:
+        The code of the first block that imports a learner.
+    """
+    blocks = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    return next(block for block in blocks if "stable_baselines3" in block)
+
+
+def _one_thread() -> dict[str, str]:
+    return dict(os.environ) | {"OPENBLAS_NUM_THREADS": "1"}
+
+
+# -- table
+
+
+def table(result: Mapping[str, Any]) -> str:
+    """What was learned, when; what was held then; and the ten lines' rate."""
+    rows = _some(result["learned"])
+    lines = [
+        f"{rows[-1]['decisions']:,} decisions of 0.27 s in {rows[-1]['seconds']} s, on two cores. "
+        "Of the last hundred episodes after".replace(",", " ", 1),
+        "",
+        "| | " + " | ".join(f"{row['seconds']} s" for row in rows) + " |",
+        "|---" * (len(rows) + 1) + "|",
+    ]
+    for outcome, words in ENDS.items():
+        counts = [str(row["ended"].get(outcome, 0)) for row in rows]
+        lines.append(f"| {words} | " + " | ".join(counts) + " |")
+    lines += [
+        "",
+        "with the noise that it learns by. Without it, on random things that it had not met "
+        f"(`--seed {FIRST_SEED}`), the policy then held",
+        "",
+        "| touch | held | 95 % interval | dropped / crushed / stopped / failed | largest force, "
+        "median (worst), N | grip over need, median |",
+        "|---|---|---|---|---|---|",
+    ]
+    lines += [_judged_row(LEVELS[level], judged) for level, judged in result["judged"].items()]
+    rate = result["ten_lines"]["decisions"] / result["ten_lines"]["seconds"]
+    whole = result["ten_lines"]["meant"] / rate / 60
+    lines += [
+        "",
+        f"The ten lines above, of one environment, make {rate:.0f} decisions a second "
+        f"({result['ten_lines']['decisions']} of them were timed, with their start): "
+        f"{whole:.0f} minutes.",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _some(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """A few of the rows, evenly in time, the last among them."""
+    chosen = np.unique(np.linspace(0, len(rows) - 1, SHOWN).round().astype(int))
+    return [rows[k] for k in chosen]
+
+
+def _judged_row(name: str, judged: Mapping[str, Any]) -> str:
+    low, high = judged["success_interval"]
+    ends = [judged["dropped"], judged["crushed"], judged["unsafe"], judged["error"]]
+    peak = judged["peak_N"]
+    typical, most, margin = (
+        "" if value is None else f"{value:.{digits}f}"
+        for value, digits in (
+            (peak["median"], 2),
+            (peak["most"], 2),
+            (judged["margin"]["median"], 1),
+        )
+    )
+    return (
+        f"| {name} | {judged['held']} of {judged['episodes']} "
+        f"| {100 * low:.0f}-{100 * high:.0f} % | {' / '.join(map(str, ends))} "
+        f"| {typical} ({most}) | {margin} |"
+    )

@@ -1,0 +1,22 @@
+/* How a film's sheet gives in the plane to forces in the plane while its heights are free. */
+#include <string.h>
+
+#include "band.h"
+
+/* Place among all unknowns, x, y and height of a node together, of one in the plane. */
+static long place_of(long in_plane) { return 3 * (in_plane / 2) + in_plane % 2; }
+
+int64_t film_compliance(int64_t columns, int64_t rows, const double *factor, int64_t roomy, double *room, double *compliance) {
+    const long inner = (columns - 2) * (rows - 2), all = 3 * inner, count = 2 * inner, width = 3 * rows - 1;
+    Lanes *x = (Lanes *)room;
+    if (roomy < LANES * all) return REFUSED;
+    for (long first = 0; first < count; first += LANES) {
+        const long lanes = count - first < LANES ? count - first : LANES;
+        memset(x, 0, all * sizeof *x);
+        for (long l = 0; l < lanes; l++) x[place_of(first + l)][l] = 1;
+        band_solve_lanes(all, width, factor, x, place_of(first));
+        for (long r = first; r < count; r++)
+            for (long l = 0; l < lanes; l++) compliance[r * count + first + l] = compliance[(first + l) * count + r] = x[place_of(r)][l];
+    }
+    return 0;
+}

@@ -1,0 +1,75 @@
+"""What looks at a press have in common, against normal distributions that are written out."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from mjtactile.sensing.body.common import Common
+from mjtactile.sensing.body.families import FAMILIES
+from mjtactile.sensing.body.fit import Prior
+
+BALL = FAMILIES["ball"]
+TOUCHING = 40  # nodes
+WRONG = np.hypot(0.03, 1.5 / TOUCHING)  # of a curvature in one look (equations F19)
+
+
+def look(k, J, place_precision=4.0):
+    """A fit whose markers have slopes J (n, 4) by x, y, z and curvature over their sd, exactly at
+    curvature k 1/m; what is believed of the place has no pull, what was of the curvature has."""
+    theta = np.array([0.1, -0.2, 0.3, k])
+    t = theta / BALL.sd
+    precision = np.diag([place_precision] * 3 + [0.7])
+    # the fit ends where the image's pull and the prior's are equal: the image alone has it at `own`
+    mean = t.copy()
+    mean[3] -= 0.2
+    own = t + np.linalg.solve(J.T @ J, precision @ (t - mean))
+    forces = np.zeros((10, 10))
+    forces.flat[:TOUCHING] = 1e-3
+    fit = SimpleNamespace(
+        family=BALL,
+        theta=theta,
+        prior=Prior(mean, precision),
+        curvature=J.T @ J,
+        misfit=0.8,
+        state=SimpleNamespace(contact_forces=forces),
+    )
+    return fit, own
+
+
+def marginal(J, own, place):
+    """Mean and variance of the curvature over its sd, of an image with slopes J whose numbers are
+    `own`, with the place believed at `place` and the curvature not at all: by the covariance of
+    all numbers."""
+    believed = np.diag([4.0, 4.0, 4.0, 0.0])
+    precision = J.T @ J + believed
+    mean = np.linalg.solve(precision, J.T @ J @ own + believed @ np.array([*place, 0.0]))
+    return mean[3], np.linalg.inv(precision)[3, 3]
+
+
+@pytest.mark.parametrize("k2", [100.0, 180.0])
+def test_looks_add_up_and_differ_as_normal_distributions_do(k2):
+    rng = np.random.default_rng(0)
+    common = Common.of(BALL)
+    means, variances = [], []
+    for k in (100.0, k2):
+        J = rng.normal(size=(81, 4)) * [2.0, 2.0, 5.0, 1.0]
+        fit, own = look(k, J)
+        mean, variance = marginal(J, own, fit.theta[:3] / BALL.sd[:3])
+        means.append(mean)
+        variances.append(variance + (WRONG * k / BALL.sd[3]) ** 2)
+        common = common.with_look(fit)
+    precision = sum(1 / v for v in variances)
+    both = sum(m / v for m, v in zip(means, variances, strict=True)) / precision
+    # exact but for the 1e-6 that stands for what is not seen
+    assert common.precision[0, 0] == pytest.approx(precision, rel=1e-4)
+    assert common.told[0] / common.precision[0, 0] == pytest.approx(both, rel=1e-4)
+    off = (means[1] - means[0]) ** 2 / sum(variances)
+    assert common.drift == pytest.approx(off, rel=1e-4)
+
+
+def test_one_look_does_not_drift():
+    fit, _ = look(100.0, np.random.default_rng(1).normal(size=(81, 4)))
+    assert Common.of(BALL).with_look(fit).drift == 0.0
