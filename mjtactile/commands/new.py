@@ -14,8 +14,9 @@ from mjtactile.core import resources
 
 SIMULATES = False
 DESCRIPTION = """\
-Write a copy of a shipped controller, sensor, object, scenario or rig file, with its comments,
-under your own name, and say what to run next. An existing file is never overwritten."""
+Write a copy of a shipped controller, sensor, object, scenario, task, variation or rig file, with
+its comments, under your own name, and say what to run next. An existing file is never
+overwritten."""
 EPILOG = """\
 examples:
   mjtactile new controller firm            firm.py, a copy of `gentle`
