@@ -220,32 +220,50 @@ def compare(suite: Suite, folder: Path) -> dict[str, Any]:
         folder: Of `run_suite`.
 
     Returns:
-        By task and controller: `held` of `episodes`, its interval, the medians of what was
-        measured, and "against": for each shipped controller the difference over the same episodes
+        Under "tasks" by task and controller, under "together" by controller, over all tasks: `held`
+        of `episodes`, its interval, the medians of what was measured, and "against": for each
+        shipped controller the difference over the same episodes
         (`mjtactile.evaluate.statistics.paired`; positive: the new one holds more).
 
     Raises:
         InputError: There is nothing, or it is of something else.
     """
     tasks: dict[str, Any] = {}
-    for task in suite.tasks:
+    numbered: dict[str, list[Line]] = {}
+    for place, task in enumerate(suite.tasks):
         lines = read(suite, folder, task)
         for controller in dict.fromkeys(line["controller"] for line in lines):
             mine = [line for line in lines if line["controller"] == controller]
-            summary = summarise(mine)["controllers"][controller]
-            tasks.setdefault(task, {})[controller] = {
-                "held": summary["held"],
-                "episodes": summary["episodes"] - summary["error"],
-                "interval": summary["success_interval"],
-                **{name: summary[name]["median"] for name in _MEASURES if name in summary},
-                "against": {
-                    other: paired(suite.lines(task, other), mine)
-                    for other in suite.results.get(task, {})
-                },
-            }
+            others = {name: suite.lines(task, name) for name in suite.results.get(task, {})}
+            tasks.setdefault(task, {})[controller] = _compared(controller, mine, others)
+            numbered.setdefault(controller, []).extend(_numbered(suite, place, mine))
     if not tasks:
         raise InputError(f"no results of {suite.name}", source=folder, field="--against")
-    return {"suite": suite.name, "judge": suite.judge, "tasks": tasks}
+    known: dict[str, list[Line]] = {}
+    for place, task in enumerate(suite.tasks):
+        for name in suite.results.get(task, {}):
+            known.setdefault(name, []).extend(_numbered(suite, place, suite.lines(task, name)))
+    together = {name: _compared(name, lines, known) for name, lines in numbered.items()}
+    return {"suite": suite.name, "judge": suite.judge, "tasks": tasks, "together": together}
+
+
+def _numbered(suite: Suite, place: int, lines: Sequence[Line]) -> list[Line]:
+    """The lines of the task at `place`, whose episodes are none of another's."""
+    return [{**line, "episode": line["episode"] * len(suite.tasks) + place} for line in lines]
+
+
+def _compared(
+    controller: str, mine: Sequence[Line], others: Mapping[str, Sequence[Line]]
+) -> dict[str, Any]:
+    """One controller's lines against those of others, by name."""
+    summary = summarise(mine)["controllers"][controller]
+    return {
+        "held": summary["held"],
+        "episodes": summary["episodes"] - summary["error"],
+        "interval": summary["success_interval"],
+        **{name: summary[name]["median"] for name in _MEASURES if name in summary},
+        "against": {name: paired(lines, mine) for name, lines in others.items()},
+    }
 
 
 def table(suite: Suite, result: Mapping[str, Any]) -> str:
@@ -257,7 +275,10 @@ def table(suite: Suite, result: Mapping[str, Any]) -> str:
         + " |",
         "|---" * (4 + len(others)) + "|",
     ]
-    for task, own in result["tasks"].items():
+    rows = dict(result["tasks"])
+    if len(rows) > 1:  # where single tasks settle nothing, all of them may
+        rows[f"all {len(rows)}"] = result["together"]
+    for task, own in rows.items():
         for controller, found in own.items():
             margin = found.get("margin")
             cells = [
@@ -268,6 +289,11 @@ def table(suite: Suite, result: Mapping[str, Any]) -> str:
                 *(_difference(found["against"].get(name)) for name in others),
             ]
             lines.append(f"| {' | '.join(cells)} |")
+    lines += [
+        "",
+        "Against: points of its episodes that it holds more, with 95 %, of so many that both came "
+        "to the end of.",
+    ]
     return "\n".join(lines) + "\n"
 
 

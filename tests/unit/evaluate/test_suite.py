@@ -78,6 +78,13 @@ def test_what_is_compared_met_the_same_episodes(new, tmp_path):
     mine = [{"episode": k, "outcome": "held"} for k in range(4)]
     assert pair == paired(known.lines("pour", OTHER), mine)
     assert "| pour | mine | 4 of 4 (51-100 %) | 3.0 | +50 (" in suite.table(known, found)
+    # the same number of another task is another episode: 3 of 5 are held by the new one alone
+    ran(new, tmp_path / "own", "shake", {MINE: ["held"]})
+    found = suite.compare(known, tmp_path / "own")
+    together = found["together"][MINE]
+    assert together["episodes"] == together["held"] == together["against"][OTHER]["episodes"] == 5
+    assert together["against"][OTHER]["difference"] == pytest.approx(0.6)
+    assert "| all 2 | mine | 5 of 5 (57-100 %) | 3.0 | +60 (" in suite.table(known, found)
 
 
 def test_nothing_is_compared_with_other_files_or_another_judge(new, tmp_path, monkeypatch):
