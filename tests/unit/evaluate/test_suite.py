@@ -84,7 +84,7 @@ def test_what_is_compared_met_the_same_episodes(new, tmp_path):
     together = found["together"][MINE]
     assert together["episodes"] == together["held"] == together["against"][OTHER]["episodes"] == 5
     assert together["against"][OTHER]["difference"] == pytest.approx(0.6)
-    assert "| all 2 | mine | 5 of 5 (57-100 %) | 3.0 | +60 (" in suite.table(known, found)
+    assert "| all 2 | mine | 5 of 5 (57-100 %) | 2.5 | +60 (" in suite.table(known, found)
 
 
 def test_nothing_is_compared_with_other_files_or_another_judge(new, tmp_path, monkeypatch):
