@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from copy import copy
 
 import mujoco
 import numpy as np
@@ -96,6 +95,9 @@ class FilmSensor(SheetSensor):
         self._bind()
         self._gas_set_at = math.nan  # s, when the film was last told what its gas does
         self._gas.advance(self._volume, 0.0)
+        self._gas_then = self._gas
+        self._moment: tuple[float, float] | None = None
+        """s and m^3, of what was last found of the gas."""
         self._look()
 
     def _bind(self) -> None:
@@ -159,6 +161,7 @@ class FilmSensor(SheetSensor):
     def wake(self) -> None:
         """See the gas anew: its valve or its leak is another."""
         self._gas_set_at = math.nan
+        self._moment = None
 
     def _look(self) -> None:
         """Bring film, gas and what sticks up to the present poses; of one moment the first look
@@ -213,6 +216,7 @@ class FilmSensor(SheetSensor):
         self._volume = self.volume
         self._gas.advance(self._volume, self.time - self._time)
         self._time = self.time
+        self._moment = None
 
     @property
     def pressure_gauge(self) -> float:
@@ -222,9 +226,11 @@ class FilmSensor(SheetSensor):
         return super().pressure_gauge
 
     def _gas_now(self) -> ChamberGas:
-        gas = copy(self._gas)
-        gas.advance(self.volume, self.time - self._time)
-        return gas
+        moment = self.time, self.volume
+        if self._moment != moment:
+            self._moment = moment
+            self._gas_then = self._gas.at(self.volume, self.time - self._time)
+        return self._gas_then
 
     @property
     def volume(self) -> float:
