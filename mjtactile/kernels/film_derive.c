@@ -221,7 +221,7 @@ int64_t film_derive(const double *numbers, const double *law, int64_t columns, i
     if (columns != f.columns || rows != f.rows || roomy < film_tangent_room(&f)) return REFUSED;
     (void)pooled;
     Tangent t = film_tangent_in(&f, room);
-    const Bodies base = {bodies, body, pool};
+    const Bodies base = {.count = bodies, .body = body, .pool = pool};
     const long count = f.count, nodes = columns * rows;
     film_pad(&f, 3, at, t.at), film_pad(&f, 1, pressed, t.pressed);
     const double *x = t.at, *force = t.pressed;
@@ -232,7 +232,7 @@ int64_t film_derive(const double *numbers, const double *law, int64_t columns, i
         const long many = changes - first < AT_ONCE ? changes - first : AT_ONCE;
         Change change[AT_ONCE];
         for (long a = 0; a < many; a++)
-            change[a] = (Change){{bodies, body + (1 + first + a) * bodies * FILM_BODY, pool}, steps[first + a]};
+            change[a] = (Change){{bodies, body + (1 + first + a) * bodies * FILM_BODY, pool, 0}, steps[first + a]};
         memset(t.found, 0, 4 * count * sizeof *t.found), memset(t.borne, 0, 3 * count * sizeof *t.borne), t.swells -= t.swells;
         for (int k = 1; k <= sweeps; k++) {
             for (long a = 0; a < many; a++) find_residuals(&f, change + a, (int)a, x, force, &t);

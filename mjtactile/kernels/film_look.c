@@ -53,10 +53,14 @@ static const FilmBody *body_of(const Bodies *bodies, long number) {
 static int lowest(const Film *f, const Bodies *bodies, double x, double y, double *height,
                   double slope[2]) {
     double found = INFINITY, at, by[2] = {0, 0};
+    const double *next = bodies->faces;
     for (long b = 0; b < bodies->count; b++) {
         const FilmBody *one = body_of(bodies, b);
+        const double *faces = next && one->kind == BODY_CONVEX ? next : 0;
+        if (faces) next += film_faces_of(one);
         if (square(x - one->p[0]) + square(y - one->p[1]) > square(one->reach + f->numbers.half_thickness)) continue;
-        if (film_body_height(f, one, bodies->pool, x, y, &at, by) || at >= found) continue;
+        const int off = faces ? film_faces_height(f, one, faces, x, y, &at, by) : film_body_height(f, one, bodies->pool, x, y, &at, by);
+        if (off || at >= found) continue;
         found = at, slope[0] = by[0], slope[1] = by[1];
     }
     *height = found;

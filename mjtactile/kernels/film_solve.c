@@ -421,9 +421,15 @@ int64_t film_solve(const double *numbers, const double *law, int64_t columns, in
     const long n = f.count, nodes = columns * rows;
     const RestHeights at_rest = film_heights_at(&f, (float *)kept);
     Work w = work_in(&f, &at_rest, kept + film_heights_size(&f), room);
+    long faced = 0;
+    for (long b = begin * bodies; b < end * bodies; b++) faced = (long)most(faced, film_faces_of((const FilmBody *)body + b));
+    faced *= bodies;
+    double *faces = faced ? malloc(faced * sizeof *faces) : 0;
+    if (faced && !faces) return NO_MEMORY;
     for (long e = begin; e < end; e++) {
         double *own_x = x + e * 3 * nodes, *own_force = force + e * nodes, *own_trend = trend + e * 4 * nodes, *own = found + e * FOUND;
-        const Bodies own_bodies = {bodies, body + e * bodies * FILM_BODY, pool};
+        const Bodies own_bodies = {bodies, body + e * bodies * FILM_BODY, pool, faces};
+        if (faces) film_faces(&own_bodies, faces);
         const Settings *set = (const Settings *)settings + e;
         memset(own, 0, FOUND * sizeof *own);
         film_pad(&f, 3, own_x, w.x), film_pad(&f, 1, own_force, w.force);
@@ -437,6 +443,7 @@ int64_t film_solve(const double *numbers, const double *law, int64_t columns, in
         if (status == CONVERGED) add_up(&f, w.x, w.force, own, &w.seen);
         hand_over(&f, 3, w.x, own_x, own_trend), hand_over(&f, 1, w.force, own_force, own_trend + 3 * nodes);
     }
+    free(faces);
     return 0;
 }
 

@@ -14,7 +14,16 @@ typedef struct { double gas, sealed, tolerance, most_steps, again, below_rim; } 
     held; again: from rest, in small steps, where a start from elsewhere ends nowhere; below_rim: m that bodies may be below the frame's
     rim, which bears them there */
 
-typedef struct { long count; const double *body, *pool; } Bodies;
+typedef struct { long count; const double *body, *pool, *faces; } Bodies; /* faces: see `film_faces`; 0: there are none */
+
+#define FILM_WAYS 3  /* that a plane can face: down, up and neither */
+#define FILM_SIDE 4  /* planes that are looked at side by side */
+/* What a solution keeps of hulls, whose poses stay, one after the other, in so many numbers of each body; and what `film_body_height`
+   says of one, by its own. */
+static inline long film_faces_stride(const FilmBody *body) { return (long)body->number + FILM_WAYS * (FILM_SIDE - 1); }
+static inline long film_faces_of(const FilmBody *body) { return body->kind == BODY_CONVEX ? FILM_SIDE + 3 * film_faces_stride(body) : 0; }
+void film_faces(const Bodies *bodies, double *faces);
+int film_faces_height(const Film *film, const FilmBody *body, const double *faces, double x, double y, double *height, double slope[2]);
 
 #define FILM_FLOORS 32   /* bodies at most of which it is known where they cannot be */
 #define FILM_TANGENTS 5  /* of each */

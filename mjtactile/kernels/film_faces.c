@@ -1,0 +1,85 @@
+/* A hull's planes as heights over the frame's plane, made once for all places: its lower side is the largest of those that face
+   down, and it is where that is below the least of those that face up, and within those that stand upright. */
+#include <math.h>
+
+#include "film_work.h"
+#include "small.h"
+
+#define UPRIGHT 1e-12 /* of a unit normal, along z */
+
+enum { DOWN, UP, NEITHER };
+
+/* Planes of one way: z = c + a x + b y, or inside where that is positive; lists of c, a and b. */
+typedef struct { long count; const double *c, *a, *b; } Planes;
+
+static const FilmBody *body_of(const Bodies *bodies, long number) { return (const FilmBody *)(bodies->body + number * FILM_BODY); }
+
+/* Which way a plane (n, d) of a body faces, and its three numbers in S. */
+static int plane_in_sensor(const FilmBody *b, const double *plane, double *numbers) {
+    double n[3];
+    for (int k = 0; k < 3; k++) n[k] = b->R[3 * k] * plane[0] + b->R[3 * k + 1] * plane[1] + b->R[3 * k + 2] * plane[2];
+    const double inside = plane[3] + n[0] * b->p[0] + n[1] * b->p[1] + n[2] * b->p[2];
+    const int way = n[2] < -UPRIGHT ? DOWN : n[2] > UPRIGHT ? UP : NEITHER;
+    const double over = way == NEITHER ? 1 : 1 / n[2];
+    numbers[0] = inside * over, numbers[1] = -n[0] * over, numbers[2] = -n[1] * over;
+    return way;
+}
+
+/* How many planes go each way, in whole fours, and then these. */
+static void make_faces(const FilmBody *b, const double *rows, double *out) {
+    const long count = (long)b->number, stride = film_faces_stride(b);
+    long filled = 0;
+    double numbers[3];
+    for (int way = 0; way < FILM_WAYS; way++) {
+        const long first = filled;
+        for (long i = 0; i < count; i++) {
+            if (plane_in_sensor(b, rows + 4 * i, numbers) != way) continue;
+            for (int k = 0; k < 3; k++) out[FILM_SIDE + k * stride + filled] = numbers[k];
+            filled++;
+        }
+        for (; (filled - first) % FILM_SIDE; filled++) /* the last is there again */
+            for (int k = 0; k < 3; k++) out[FILM_SIDE + k * stride + filled] = out[FILM_SIDE + k * stride + filled - 1];
+        out[way] = (double)(filled - first);
+    }
+}
+
+void film_faces(const Bodies *bodies, double *faces) {
+    for (long b = 0; b < bodies->count; b++) {
+        const FilmBody *one = body_of(bodies, b);
+        if (one->kind == BODY_CONVEX) make_faces(one, bodies->pool + (long)one->first, faces);
+        faces += film_faces_of(one);
+    }
+}
+
+/* The largest, or with `sign` -1 the negative least, of planes over a place, and which it is. */
+static double largest(Planes planes, double sign, double x, double y, long *which) {
+    double top[FILM_SIDE], at[FILM_SIDE];
+    for (int k = 0; k < FILM_SIDE; k++) top[k] = -INFINITY, at[k] = 0;
+    for (long first = 0; first < planes.count; first += FILM_SIDE)
+        for (int k = 0; k < FILM_SIDE; k++) {
+            const double own = sign * (planes.c[first + k] + planes.a[first + k] * x + planes.b[first + k] * y);
+            at[k] = own > top[k] ? (double)first : at[k];
+            top[k] = own > top[k] ? own : top[k];
+        }
+    int lane = 0;
+    for (int k = 1; k < FILM_SIDE; k++)
+        if (top[k] > top[lane]) lane = k;
+    *which = (long)at[lane] + lane;
+    return top[lane];
+}
+
+int film_faces_height(const Film *f, const FilmBody *b, const double *faces, double x, double y, double *height, double slope[2]) {
+    const long stride = film_faces_stride(b);
+    const double *c = faces + FILM_SIDE;
+    Planes planes[FILM_WAYS];
+    for (int way = 0; way < FILM_WAYS; way++) {
+        planes[way] = (Planes){(long)faces[way], c, c + stride, c + 2 * stride};
+        c += planes[way].count;
+    }
+    long lowest, other;
+    const double z = largest(planes[DOWN], 1, x, y, &lowest);
+    if (isinf(z) || z >= -largest(planes[UP], -1, x, y, &other) || largest(planes[NEITHER], -1, x, y, &other) > 0) return 1;
+    slope[0] = planes[DOWN].a[lowest], slope[1] = planes[DOWN].b[lowest];
+    *height = z - f->numbers.half_thickness * film_farther_along_z(slope);
+    return 0;
+}
