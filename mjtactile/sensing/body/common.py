@@ -114,7 +114,11 @@ def _alone(fit: Fit) -> tuple[Array, Array]:
 def _own_wrong(fit: Fit) -> Array:
     """Variance (m, m) of the kept numbers over their sd, that the film has wrong in one look, and
     otherwise in another: the more, the fewer of its nodes touch."""
-    family = fit.family
-    touching = int((fit.state.contact_forces > 0).sum()) / max(len(family.parts), 1)
-    share = np.hypot(family.share, _BY_NODE / max(touching, 1.0))
-    return np.diag((share * fit.theta / family.sd)[family.kept] ** 2)
+    share = np.hypot(fit.family.share, _BY_NODE / touching(fit))
+    return np.diag((share * fit.theta / fit.family.sd)[fit.family.kept] ** 2)
+
+
+def touching(fit: Fit) -> float:
+    """How many of the film's nodes touch a body; of several bodies, in the mean."""
+    nodes = int((fit.state.contact_forces > 0).sum())
+    return max(nodes / max(len(fit.family.parts), 1), 1.0)

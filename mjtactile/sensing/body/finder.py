@@ -126,7 +126,7 @@ class ShapeFinder:
         weighed = []
         for probability, found in press.bodies():
             whole = sum(areas(self.films.fine, found, s))
-            weighed.append((probability, whole, area_sd(found, whole, s.said_noise * scale, s)))
+            weighed.append((probability, whole, area_sd(found, whole, scale, s)))
         shape = words(self.films.fine, press.now, kind, probabilities, scale, interval(weighed), s)
         return replace(shape, motion=motion(press.track, press.now, slips=sliding))
 

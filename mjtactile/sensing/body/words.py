@@ -13,6 +13,7 @@ import numpy as np
 from mjtactile.core.types import SHAPES, Array, FeltShape
 from mjtactile.sensing.body.area import areas, nearest_part, shares
 from mjtactile.sensing.body.bodies import Hint, about, place_of, principal
+from mjtactile.sensing.body.common import touching
 from mjtactile.sensing.body.families import Family, kinds_of
 from mjtactile.sensing.body.fit import Fit
 from mjtactile.sensing.body.forward import Forward
@@ -56,13 +57,12 @@ def words(
 
 
 def said_cov(found: Fit, scale: float, s: BodySettings) -> Array:
-    """Covariance of a body's numbers, with what the film has wrong."""
-    shares = {"k": s.curvature_share, "radius": s.size_share, "half": s.size_share}
+    """Covariance of a body's numbers, with what film and simulated sheet have wrong: all curvatures
+    or sizes too large, or too small, the more the fewer nodes touch."""
+    by_node = {"k": s.curvature_by_node, "radius": s.size_by_node, "half": s.size_by_node}
     kinds = [name.split("_")[0] for name in found.family.names]
-    share = np.array([shares.get(kind, 0.0) for kind in kinds])
-    cov = found.cov_with(s.said_noise * scale) + np.diag((share * found.theta) ** 2)
-    told = np.array([s.curvature_said if kind == "k" else 1.0 for kind in kinds])
-    return cov * np.outer(told, told)
+    wrong = np.array([by_node.get(kind, 0.0) for kind in kinds]) / touching(found) * found.theta
+    return found.cov_with(scale) + np.outer(wrong, wrong)
 
 
 @dataclass(frozen=True)

@@ -58,9 +58,11 @@ class BodySettings:
         low=1.0,
     )
     area_sd: float = number(
-        0.045, "of the area of what is round, that the film does not know of", _PRESSED_SHAPES
+        0.035,
+        "of the area of what is round, that the film does not know of",
+        _CALIBRATED + "where 68 % are within it",
     )
-    area_face_sd: float = number(0.07, "the same of a face", _PRESSED_SHAPES)
+    area_face_sd: float = number(0.065, "the same of a face", _CALIBRATED + "the same")
     face_light: float = number(
         0.13,
         "of a face's area, that it is found too large by where the force is `face_load`",
@@ -73,21 +75,15 @@ class BodySettings:
     face_bounds: tuple[float, float] = number(
         (0.75, 1.4), "least and most of what the area is divided by for it", _PRESSED_SHAPES
     )
-    said_noise: float = number(
-        1.2,
-        "times the variance of a body's numbers that a fit says: images of a press err alike",
-        _PRESSED_SHAPES,
-        low=1.0,
+    curvature_by_node: float = number(
+        2.2,
+        "over the film's nodes that touch: share of a curvature that film and simulated sheet have "
+        "wrong, as sd",
+        _CALIBRATED + "where the likelihood of their errors is best",
     )
-    curvature_share: float = number(
-        0.025, "of a curvature, that the film has wrong, as sd", _PRESSED_SHAPES
+    size_by_node: float = number(
+        4.0, "the same of a face's radius or half side", _CALIBRATED + "the same"
     )
-    curvature_said: float = number(
-        0.8,
-        "times its sd: of a press that is followed, what images have wrong is less alike in them",
-        _PRESSED_SHAPES,
-    )
-    size_share: float = number(0.07, "the same of a face's radius or half side", _PRESSED_SHAPES)
     area_light: float = number(
         0.985,
         "area of a sheet of one tension over that of the film's, in a light touch",
