@@ -51,27 +51,31 @@ def borne(forward: Forward, press: Press, wrench: Array, noise: float, s: BodySe
     """
     found = press.now
     state = found.state
+    kinds = press.kinds(SHAPES)
+    blunt = kinds["smooth"] + kinds["face"]
     forces = state.contact_forces
     height = float((forces * state.heights).sum() / max(float(forces.sum()), 1e-9))
+    above = s.shear_above[1] + blunt * (s.shear_above[0] - s.shear_above[1])
     rows = np.zeros((3, 6))
     rows[0, 2] = rows[1, 3] = rows[2, 4] = 1.0
     # what shear does at that height is no part of it
-    rows[1, 1] = height
-    rows[2, 0] = -height
+    rows[1, 1] = height + above
+    rows[2, 0] = -(height + above)
     more = sticks(forward, state, s)
     load = more * rows @ state.wrench
     pointed = _pointed(found, noise, s)
-    sharp = press.kinds(SHAPES)
-    blunt = sharp["smooth"] + sharp["face"]
     untold = max(blunt, pointed)
     place = s.place_sd_sharp + untold * (s.place_sd - s.place_sd_sharp)
     model = _model(load, max(found.misfit, 1.0), pointed, place, below_frame(forward, state), s)
+    shear = wrench[:2] - more * state.wrench[:2]
+    model[[1, 2], [1, 2]] += (s.shear_above_share * above * shear[::-1]) ** 2
     by_numbers = more**2 * rows @ found.sums_cov_with(noise)[:6, :6] @ rows.T
     off = load - rows @ wrench
     doubt = 1 - float(press.probabilities[0])
     left = (max(found.misfit, 1.0) / s.misfit_most) ** 2
     cov = model + by_numbers + doubt * np.outer(off, off)
-    return Borne(load, cov, rows, max(1 - left, 0.0))
+    # a point catches the sheet where the film slides: what that does to shear, it does not explain
+    return Borne(load, cov, rows, max(1 - left, 0.0) * (1 - kinds["tip"]))
 
 
 def _pointed(found: Fit, noise: float, s: BodySettings) -> float:

@@ -20,7 +20,9 @@ from mjtactile.sensing.settings import DEFAULTS, DoubtSettings
 
 # Fx, Fy are shear, then the normal force, the torques that tilt, the one that spins
 AXES = np.array([0, 0, 1, 2, 2, 3])
-_SHARP = slice(2, 4)  # of the shares: `sharp` and `caught`
+_LATERAL = 1  # of the shares
+_SHARP = slice(2, 4)  # the same: `sharp` and `caught`
+_TILTS = AXES == 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +83,8 @@ class Doubt:
         return self._unit**2 * variance
 
     def of_sharpness(self, force: Array, excess: float) -> Array:
-        """The part of `variance` that is there since the splines do not follow what is sharp.
+        """The part of `variance` that is there since the splines do not follow what is sharp, and,
+        of shear and spin, since what is drawn towards each contact from all sides may not cancel.
 
         Args:
             force: (3, J) N of the nodes.
@@ -91,7 +94,9 @@ class Doubt:
             Of force, N^2, and torque, (N m)^2, about the origin of S, (6,).
         """
         loads = np.array(self._sharp_loads(force, excess))
-        return self._unit**2 * np.square(self._shares[_SHARP] * loads).sum(axis=0)
+        variance = np.square(self._shares[_SHARP] * loads).sum(axis=0)
+        drawn = np.square(self._shares[_LATERAL] * float(np.abs(force[:2]).sum()))
+        return self._unit**2 * (variance + np.where(_TILTS, 0.0, drawn))
 
     def _sharp_loads(self, force: Array, excess: float) -> list[list[float]]:
         excess = min(excess, self._sharp_most)

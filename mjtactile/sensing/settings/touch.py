@@ -117,12 +117,19 @@ class BodySettings:
         low=0.0,
     )
     place_sd: float = number(
-        4e-4, "m, of where it acts, times the root of that misfit", _PRESSED_SHAPES
+        2.5e-4, "m, of where it acts, times the root of that misfit", _CALIBRATED + "the same"
     )
     place_sd_sharp: float = number(
-        1e-4, "m, the same of edges and of several bodies", _PRESSED_SHAPES
+        4e-5, "m, the same of edges and of several bodies", _CALIBRATED + "the same"
     )
-    torque_sd: float = number(1.5e-5, "N m, of its torque", _PRESSED_SHAPES)
+    torque_sd: float = number(7e-6, "N m, of its torque", _CALIBRATED + "the same")
+    shear_above: tuple[float, float] = number(
+        (0.35e-3, 1.1e-3),
+        "m, over the height of the pressure, where shear acts on what is blunt and on what is not: "
+        "it draws the sheet up on one side, and pressure with it",
+        _CALIBRATED + "slope of the torque's error with the shear in drags",
+    )
+    shear_above_share: float = number(0.6, "of that, as sd", _CALIBRATED + "what it leaves")
     tip_curvature: float = number(
         190.0, "1/m; what is more curved both ways may be a corner", _PRESSED_SHAPES
     )

@@ -96,14 +96,19 @@ def test_what_is_sharp_counts_up_to_a_limit():
     assert felt == pytest.approx([0.05, 0.2, 0.2])
 
 
-def test_what_a_body_explains_is_the_part_by_sharpness_alone():
-    """Of what is doubted, what is left without `sharp` and `caught` is all but that."""
+def test_what_a_body_explains_is_sharpness_and_what_is_drawn_to_it_from_all_sides():
+    """Of what is doubted, what is left without `sharp` and `caught`, and of shear and spin without
+    `lateral`, is all but that."""
     felt = loaded([0.2, 0.0, -2.0], [-0.1, 0.3, 0.0], excess=5.0)
     shares = {name: getattr(DEFAULTS.doubt, name) for name in ("share", "lateral", "outside")}
     sharp = {"sharp": (0.1, 0.2, 0.3, 0.4), "caught": (0.4, 0.3, 0.2, 0.1)}
     doubt = Doubt(DENSE, NODES, replace(NOTHING, **shares, **sharp))
     left = doubt.variance(felt) - doubt.of_sharpness(felt.force, felt.excess)
-    assert left == pytest.approx(sd(felt, **shares) ** 2)
+    tilts = [2, 3, 4]  # and the normal force, of which `lateral` has nothing
+    assert left[tilts] == pytest.approx(sd(felt, **shares)[tilts] ** 2)
+    alone = {name: value for name, value in shares.items() if name != "lateral"}
+    others = [0, 1, 5]
+    assert left[others] == pytest.approx(sd(felt, **alone)[others] ** 2)
 
 
 def test_a_sheet_that_moves_sideways_drags():
