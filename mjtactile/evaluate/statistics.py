@@ -189,8 +189,9 @@ def table(summary: Mapping[str, Any]) -> str:
         "|---" * 11 + "|",
     ]
     for name, mine in summary["controllers"].items():
-        for label, group in (("all", mine), *mine["objects"].items()):
-            lines.append(_row(name, label, group))
+        lines.append(_row(name, "all", mine))
+        if len(mine["objects"]) > 1:
+            lines += [_row(name, label, group) for label, group in mine["objects"].items()]
     for pair in summary["paired"]:
         lines += ["", pair_text(pair)]
     if summary.get("missing"):
