@@ -283,3 +283,21 @@ def test_a_hull_has_each_face_once():
     planes = Film("dense").obstacle("mesh", data=cube).pool.reshape(-1, 4)
     assert len(planes) == 6
     np.testing.assert_allclose(np.abs(planes).sum(axis=1), 1.01, rtol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_hull_presses_as_its_triangles_do(film, seed):
+    """Triangles are asked everywhere, one by one; hulls by their faces, and only where their
+    tangents are not above the sheet."""
+    rng = np.random.default_rng(seed)
+    cloud = rng.normal(size=(30, 3)) * (6e-3, 5e-3, 4e-3)
+    hull = ConvexHull(cloud)
+    lowest = cloud[cloud[:, 2].argmin()]
+    place = (*rng.uniform(-4e-3, 4e-3, 2), 1.2e-3) - lowest
+    mesh = film.solve(film.obstacle("mesh", p_SO=place, data=cloud))
+    corners = cloud[hull.simplices]
+    triangles = film.solve(film.obstacle("triangles", p_SO=place, data=corners))
+    assert mesh.converged and -mesh.wrench[2] > 0.05
+    # both are at rest to 1e-6 m, of which a millinewton is the most
+    np.testing.assert_allclose(mesh.wrench[:3], triangles.wrench[:3], atol=1e-3)
+    np.testing.assert_array_equal(mesh.force > 0, triangles.force > 0)
