@@ -19,6 +19,7 @@ from mjtactile.kernels import kernel
 Shape = Callable[[Array], Obstacle | Sequence[Obstacle]]
 _STEP = 1e-8  # of a number, or of one: differences of bodies alone, which are closed forms
 POSE_STEP = 1e-8  # m, rad
+_LOOSE = 1e-6  # m, a tolerance that single precision is enough for
 _TURNS = np.array([
     [[0.0, 0, 0], [0, 0, -1], [0, 1, 0]],
     [[0.0, 0, 1], [0, 0, 0], [-1, 0, 0]],
@@ -36,6 +37,8 @@ class Resting(Protocol):
     _numbers: Array
     _law: Array
     _derive_room: Array
+    _room: Array
+    _kept: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,3 +163,37 @@ def derived(
         raise InputError("does not rest on these bodies, but elsewhere", field="state")
     picked = (by_found[:, place] for place in (PRESSURE, VOLUME, AREA))
     return FilmDerivatives(by_x, by_force, by_found[:, WRENCH], *picked)
+
+
+def answered(
+    film: Resting, state: FilmState, rows: Array, pool: Array | None, by: Array
+) -> tuple[Array, Array]:
+    """Say about how a film's heights and contact forces change: what a step of its solution would
+    have them do, without what moves in the plane, for a fifth of what `derived` costs.
+
+    Args:
+        film: Whose state it is.
+        state: At rest.
+        rows: (1 + n, k, NUMBERS) of bodies, as they are, and after each of n steps.
+        pool: What they have of planes, triangles and heights.
+        by: (n,) steps.
+
+    Returns:
+        (n, nx, ny) of the heights, m, and of the forces, N, over each step's unit: heights
+        within 5 to 10 % of the derivatives, forces 10 to 20 % more; of light touches on few nodes,
+        and of sharp rims, within 40 %. Where a body ends between nodes, and that end moves, nothing
+        of it is seen.
+
+    Raises:
+        InputError: The state is about to lose its balance.
+    """
+    by_z, by_force = (np.empty((len(by), *film.grid)) for _ in range(2))
+    settings = np.array([film._gas, film.sealed, _LOOSE, 1.0, 0.0, 0.0])
+    fixed = (film._numbers, film._law, *film.grid, film._kept.size, film._kept)
+    pooled = 0 if pool is None else pool.size
+    given = (rows.shape[1], len(by), rows, pooled, pool, by, state.x, state.force)
+    try:
+        kernel("film_answer")(*fixed, film._room.size, film._room, settings, *given, by_z, by_force)
+    except np.linalg.LinAlgError as error:
+        raise InputError("loses its balance here", field="state") from error
+    return by_z, by_force

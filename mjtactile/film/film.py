@@ -176,6 +176,7 @@ class Film:
         threads: int = 1,
         again: bool = True,
         into: FilmBatch | None = None,
+        most_steps: int = _MOST_STEPS,
     ) -> FilmBatch:
         """Where the films of several environments rest.
 
@@ -187,6 +188,7 @@ class Film:
                 many times as much.
             into: a batch of as many that is not wanted any more, which may be `batch`, to be
                 written over: new memory costs up to a fifth of a solution, and in threads more.
+            most_steps: after which what has found no rest is given up.
 
         Returns:
             The states, one after the other. What cannot be has a status, and raises nothing.
@@ -204,7 +206,7 @@ class Film:
                 asked.require_batch(field, given, (count, 3, *self.grid))
         made = new_batch(count, self.grid) if into is None or into.trend is None else into
         settings = np.tile(
-            [self._gas, self.sealed, TOLERANCE, _MOST_STEPS, bool(again), 0.0], (count, 1)
+            [self._gas, self.sealed, TOLERANCE, most_steps, bool(again), 0.0], (count, 1)
         )
         threads = asked.threads_among(threads, count)
         self._rooms += [np.empty_like(self._room) for _ in range(len(self._rooms), threads)]

@@ -11,11 +11,12 @@ import numpy as np
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, Touch
 from mjtactile.film import obstacle
-from mjtactile.sensing.body import fit
 from mjtactile.sensing.body.bodies import Hint, room_in
 from mjtactile.sensing.body.families import FAMILIES, Family
-from mjtactile.sensing.body.fit import Data, Prior
+from mjtactile.sensing.body.fit import Fit
 from mjtactile.sensing.body.forward import Forward
+from mjtactile.sensing.body.slopes import find_slopes
+from mjtactile.sensing.body.standing import Data, Prior, begin
 from mjtactile.sensing.body.words import said_cov
 from mjtactile.study.stand import Coming, Stand
 
@@ -145,14 +146,14 @@ class Reacher:
         data = self._data(Touch(0.0, 0.0, force, 0.0, True, markers=self.stand.see(pressed.state)))
         believed = Prior(theta / family.sd, np.eye(len(theta)))
         try:
-            at = fit.begin(self._forward, family, hint, theta, data, believed, pressed.state)
+            at = begin(self._forward, family, hint, theta, data, believed, pressed.state)
             if at is None:
                 return None
-            slopes = fit.find_slopes(self._forward, family, hint, at)
+            slopes = find_slopes(self._forward, family, hint, at)
         except InputError:  # a step of a number goes to the rim
             return None
-        J = data.root @ slopes.heights[data.ids]
-        found = fit.Fit(family, hint, at, believed, J.T @ J, slopes)
+        J = slopes.seen(data)
+        found = Fit(family, hint, at, believed, J.T @ J, slopes, force)
         return said_cov(found, self._settings.body.noise_least, self._settings.body)
 
     def _data(self, touch: Touch) -> Data:

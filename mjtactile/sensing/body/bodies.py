@@ -13,7 +13,8 @@ import numpy as np
 
 from mjtactile.core.sensor_parts import Frame
 from mjtactile.core.types import Array
-from mjtactile.film import Obstacle, obstacle
+from mjtactile.film import Obstacle
+from mjtactile.film.bodies import ready
 
 _FLAT = 0.2  # 1/m: what is less curved is as good as flat over a sensor
 _RIM_SLOPE = 2.0  # of the flank beyond a rim
@@ -72,7 +73,8 @@ def about(axis: int, angle: float) -> Array:
 
 def place_of(theta: Array, hint: Hint) -> Array:
     """The body's point that its first three numbers tell, (3,) m in S."""
-    return np.array([*(hint.place + 1e-3 * theta[:2]), hint.height + 1e-3 * theta[2]])
+    x, y, z = (1e-3 * theta[:3]).tolist()
+    return np.array([hint.place[0] + x, hint.place[1] + y, hint.height + z])
 
 
 def principal(theta: Array) -> tuple[float, float, float]:
@@ -84,14 +86,19 @@ def principal(theta: Array) -> tuple[float, float, float]:
     return middle + half, middle - half, direction % math.pi
 
 
+def _above(theta: Array, hint: Hint, up: float) -> tuple[float, float, float]:
+    """The place `up` m over that of the first three numbers."""
+    x, y, z = place_of(theta, hint).tolist()
+    return x, y, z + up
+
+
 def smooth(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
     """An ellipsoid whose lowest point and curvatures are given: a ball, a lying cylinder, a plane
     are exact."""
     most, least, direction = principal(theta)
     tall = 1 / max(most, _FLAT)
     sizes = (math.sqrt(tall / max(least, _FLAT)), math.sqrt(tall / max(most, _FLAT)), tall)
-    place = place_of(theta, hint) + (0, 0, tall)
-    return (obstacle("ellipsoid", sizes, place, about(2, direction)),)
+    return (ready("ellipsoid", sizes, _above(theta, hint, tall), about(2, direction)),)
 
 
 def smooth_starts(hint: Hint) -> tuple[Array, ...]:
@@ -106,8 +113,8 @@ def smooth_starts(hint: Hint) -> tuple[Array, ...]:
 
 
 def ball(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
-    radius = 1 / max(theta[3], _FLAT)
-    return (obstacle("sphere", (radius,), place_of(theta, hint) + (0, 0, radius)),)
+    radius = 1 / max(float(theta[3]), _FLAT)
+    return (ready("sphere", (radius,), _above(theta, hint, radius)),)
 
 
 def cylinder(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
@@ -119,7 +126,7 @@ def cylinder(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
     back, forth = ways(hint.frame, place, R[:, 0])
     middle = place + R[:, 0] * (forth - back) / 2 + R[:, 2] * radius
     turned = np.column_stack([R[:, 1], R[:, 2], R[:, 0]])
-    return (obstacle("cylinder", (radius, (back + forth) / 2), middle, turned),)
+    return (ready("cylinder", (radius, (back + forth) / 2), middle.tolist(), turned),)
 
 
 def _soft(off: Array, rounding: float) -> Array:
@@ -128,7 +135,10 @@ def _soft(off: Array, rounding: float) -> Array:
     A sharp rim's film depends on where its nodes are, in steps; one that is as round as half a
     spacing does not, and is found from any start.
     """
-    return _RIM_SLOPE / 2 * (off + np.sqrt(off**2 + rounding**2))
+    rise = np.sqrt(off * off + rounding**2)
+    rise += off
+    rise *= _RIM_SLOPE / 2
+    return rise
 
 
 def off_middle(theta: Array, hint: Hint) -> tuple[Array, Array, Array]:
@@ -139,25 +149,51 @@ def off_middle(theta: Array, hint: Hint) -> tuple[Array, Array, Array]:
     return x, y, place[2] + theta[3] * y - theta[4] * x
 
 
+def _off_lines(thetas: Array, hint: Hint) -> tuple[Array, Array, Array]:
+    """As `off_middle`, of bodies `thetas` (m, k): x (m, nx, 1), y (m, 1, ny), heights
+    (m, nx, ny)."""
+    place = 1e-3 * thetas[:, :3, None, None]
+    x = (hint.nodes[0][:, :1] - hint.place[0]) - place[:, 0]
+    y = (hint.nodes[1][:1] - hint.place[1]) - place[:, 1]
+    tilt_x, tilt_y = thetas[:, 3, None, None], thetas[:, 4, None, None]
+    return x, y, (hint.height + place[:, 2] + tilt_x * y) - tilt_y * x
+
+
+def _faces(heights: Array) -> list[tuple[Obstacle, ...]]:
+    return [(ready("heights", (), (0.0, 0.0, 0.0), heights=one),) for one in heights]
+
+
+def discs(thetas: Array, hint: Hint) -> list[tuple[Obstacle, ...]]:
+    """Of each of `thetas` (m, 6)."""
+    x, y, heights = _off_lines(thetas, hint)
+    off = np.sqrt(x**2 + y**2)
+    off -= 1e-3 * thetas[:, 5, None, None] + _RIM_OUT * hint.rounding
+    heights += _soft(off, hint.rounding)
+    return _faces(heights)
+
+
 def disc(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
-    x, y, face = off_middle(theta, hint)
-    off = np.hypot(x, y) - 1e-3 * theta[5] - _RIM_OUT * hint.rounding
-    return (obstacle("heights", data=face + _soft(off, hint.rounding)),)
+    return discs(theta[None], hint)[0]
+
+
+def blocks(thetas: Array, hint: Hint) -> list[tuple[Obstacle, ...]]:
+    """Of each of `thetas` (m, 8)."""
+    x, y, heights = _off_lines(thetas, hint)
+    c = np.cos(thetas[:, 5])[:, None, None]
+    s = np.sin(thetas[:, 5])[:, None, None]
+    for along, half in ((c * x + s * y, 6), (c * y - s * x, 7)):
+        off = np.abs(along)
+        off -= 1e-3 * thetas[:, half, None, None] + _RIM_OUT * hint.rounding
+        heights += _soft(off, hint.rounding)
+    return _faces(heights)
+
+
+def block(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
+    return blocks(theta[None], hint)[0]
 
 
 def disc_starts(hint: Hint) -> tuple[Array, ...]:
     return tuple(np.array([0, 0, 0, 0, 0, radius]) for radius in (3.2, 5.2))
-
-
-def block(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
-    x, y, face = off_middle(theta, hint)
-    c = math.cos(theta[5])
-    s = math.sin(theta[5])
-    flanks = np.zeros_like(x)
-    for along, half in ((c * x + s * y, theta[6]), (c * y - s * x, theta[7])):
-        off = np.abs(along) - 1e-3 * half - _RIM_OUT * hint.rounding
-        flanks += _soft(off, hint.rounding)
-    return (obstacle("heights", data=face + flanks),)
 
 
 def block_starts(hint: Hint) -> tuple[Array, ...]:

@@ -16,7 +16,8 @@ import numpy as np
 from mjtactile.core.types import Array
 from mjtactile.sensing.body.bodies import Hint
 from mjtactile.sensing.body.families import Family
-from mjtactile.sensing.body.fit import Fit, Prior
+from mjtactile.sensing.body.fit import Fit
+from mjtactile.sensing.body.standing import Prior
 
 
 @dataclass(frozen=True, eq=False)

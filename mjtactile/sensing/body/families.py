@@ -19,9 +19,11 @@ from mjtactile.sensing.body.bodies import (
     ball,
     block,
     block_starts,
+    blocks,
     cylinder,
     disc,
     disc_starts,
+    discs,
     lying_starts,
     off_middle,
     principal,
@@ -74,6 +76,13 @@ class Family:
         if self.parts:
             return several, (tuple(part.name for part in self.parts),)
         return _named, (self.name,)
+
+    def build_each(self, thetas: Array, hint: Hint) -> list[tuple[Obstacle, ...]]:
+        """The same as `build` of each of `thetas` (m, k), at once where that is faster."""
+        at_once = {"disc": discs, "block": blocks}.get(self.name)
+        if at_once is not None:
+            return at_once(thetas, hint)
+        return [self.build(theta, hint) for theta in thetas]
 
     @property
     def heights(self) -> list[int]:

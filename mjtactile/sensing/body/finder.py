@@ -14,12 +14,12 @@ from mjtactile.core.status import OK, Status, StatusCode
 from mjtactile.core.types import SHAPES, Array, Contact, FeltShape, Touch
 from mjtactile.sensing.body.area import area_sd, areas, interval
 from mjtactile.sensing.body.bodies import Hint, room_in
-from mjtactile.sensing.body.fit import Data
 from mjtactile.sensing.body.forward import Forward
 from mjtactile.sensing.body.fuse import Borne, borne
 from mjtactile.sensing.body.motion import RubberMotion, motion, tracked
 from mjtactile.sensing.body.press import Press, follow
 from mjtactile.sensing.body.search import Films
+from mjtactile.sensing.body.standing import Data
 from mjtactile.sensing.body.words import words
 from mjtactile.sensing.force.rest import InverseRest
 from mjtactile.sensing.settings import DEFAULTS, BodySettings, Settings
@@ -61,7 +61,7 @@ class ShapeFinder:
         self._frame = room_in(design.frame, _EDGE)
         s = settings.body
         fine = Forward(design, rest, s.spacing, gauge)
-        self.films = Films(fine, Forward(design, rest, s.spacing_coarse, gauge), fine.by_gas())
+        self.films = Films(fine, fine.by_gas())
 
     def find(self, touches: Sequence[Touch], p_rest: Array) -> FeltShape:
         """Say what touches.

@@ -6,121 +6,28 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mjtactile.core.types import Array, Touch
+from mjtactile.core.types import Array
 from mjtactile.film import FilmState
 from mjtactile.sensing.body.bodies import Hint
 from mjtactile.sensing.body.families import Family
-from mjtactile.sensing.body.forward import SUMS, Forward, converged
-from mjtactile.sensing.settings import BodySettings
+from mjtactile.sensing.body.forward import Forward
+from mjtactile.sensing.body.slopes import Slopes, find_slopes, learnt, quick_slopes
+from mjtactile.sensing.body.standing import At, Data, Prior, begin
+from mjtactile.sensing.body.stepping import Step, damped_step
 
-# rounds, after which a cost so many times the best is given up
-_TRIED = 4
-_HOPELESS = 3.0
-_SETTLED = 0.5  # of the cost: less does not tell one body from another
-_DAMPING = (1e-2, 1e-8, 1e3)  # first, least, most
-_WORN = 8.0  # steps of a derivative that a number may go before it is taken anew
-
-
-@dataclass(frozen=True, eq=False)
-class Data:
-    """What one image shows: the `heights` (n,) m of markers `ids` (n,) as a film would have them,
-    the whitening `root` (n, n) of their noise, and the normal `force` N that was felt."""
-
-    ids: NDArray[np.int64]
-    heights: Array
-    root: Array
-    force: float
-
-    def raised(self, by: Array) -> Data:
-        """As another film has them, whose markers at rest stand `by` (N,) m higher."""
-        return replace(self, heights=self.heights + by[self.ids])
-
-    @classmethod
-    def of(
-        cls, touch: Touch, raised: Array, by_gas: Array, s: BodySettings, drift: tuple[float, float]
-    ) -> Data:
-        """Of a touch with markers.
-
-        Args:
-            touch: What was felt.
-            raised: (N,) m by which the markers at rest stand over the film's.
-            by_gas: (N,) m, the markers' heights by a share of gas.
-            s: Settings.
-            drift: What may have changed since the rest was measured, as sd: share of gas, and m
-                that the camera has moved.
-        """
-        from scipy.linalg import solve_triangular  # takes a while to import
-
-        markers = touch.markers
-        assert markers is not None
-        gas = drift[0] * by_gas[markers.ids]
-        cov = np.diag(markers.cov_p[:, 2, 2] + s.film_sd**2) + drift[1] ** 2 + np.outer(gas, gas)
-        root = solve_triangular(np.linalg.cholesky(cov), np.eye(len(cov)), lower=True)
-        heights = markers.p_SM[:, 2] - raised[markers.ids]
-        return cls(markers.ids, heights, root, touch.force_normal)
-
-    def residual(self, heights: Array) -> Array:
-        """Whitened residual (n,) of markers predicted at `heights` (N,)."""
-        return self.root @ (heights[self.ids] - self.heights)
-
-
-@dataclass(frozen=True, eq=False)
-class Prior:
-    """What is believed of a family's numbers, over the family's own sd: `mean` (k,) and
-    `precision` (k, k)."""
-
-    mean: Array
-    precision: Array
-
-    @classmethod
-    def of(cls, family: Family, start: Array) -> Prior:
-        """Before any image, where a fit begins at `start` (k,): no direction is likelier than
-        another."""
-        turns = [name in ("direction", "angle") for name in family.names]
-        return cls(np.where(turns, start, family.mean) / family.sd, np.eye(len(family.sd)))
-
-    def cost(self, t: Array) -> float:
-        """Of numbers `t` (k,) over their sd."""
-        off = t - self.mean
-        return float(off @ self.precision @ off)
-
-
-@dataclass(frozen=True, eq=False)
-class Slopes:
-    """By each number over its sd: `heights` (N, k) m of the markers and `sums` (8, k) of the film
-    (`forward.SUMS`); found where the numbers were `theta` (k,)."""
-
-    heights: Array
-    sums: Array
-    theta: Array
-
-    def learnt(self, moved: Array, heights: Array, sums: Array) -> Slopes:
-        """Broyden's: those nearest these that explain that numbers `moved` (k,) over their sd
-        changed heights and sums so."""
-        along = moved / max(float(moved @ moved), 1e-12)
-        return replace(
-            self,
-            heights=self.heights + np.outer(heights - self.heights @ moved, along),
-            sums=self.sums + np.outer(sums - self.sums @ moved, along),
-        )
-
-    def worn(self, family: Family, theta: Array) -> bool:
-        """Whether the numbers have gone so far that they are to be found anew."""
-        return bool((np.abs(theta - self.theta) > _WORN * family.steps).any())
-
-
-@dataclass(frozen=True, eq=False)
-class At:
-    """Where a fit stands: the numbers `theta`, the film on them, its markers' `heights` (N,) m, the
-    whitened `residual`, and the `cost`."""
-
-    theta: Array
-    state: FilmState
-    heights: Array
-    residual: Array
-    cost: float
+_DAMPING = (1e-2, 1e-8, 1e2)  # first, least, most
+_GOOD = 0.4  # of what a step promised: the next is damped less
+_POLISHED = 2  # times, with exact slopes,
+_POLISHING = 2  # of so many films
+_POLISH = 0.05
+# Of the cost over its noise: what does not tell one body from another; a step that promises so much
+# wants fresh slopes; how far behind the best a body is not followed any more
+_SETTLED = 0.25
+_FAR = 4.0
+_BEHIND = 30.0
+_PROMISED = 1.5  # times what a step promises, that may come of all that follow
+_ALIKE = 0.1  # of how much more is left than of the best: less does not matter
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +42,7 @@ class Fit:
         curvature: (k, k) of half the sum of squares of the whitened markers, by the numbers over
             their sd.
         slopes: Of heights and sums.
+        felt: N, the normal force of the nodal estimate in its image.
     """
 
     family: Family
@@ -143,6 +51,7 @@ class Fit:
     prior: Prior
     curvature: Array
     slopes: Slopes
+    felt: float
 
     @property
     def theta(self) -> Array:
@@ -188,46 +97,28 @@ class Fit:
         return -0.5 * (cost + float(spread - known))
 
 
-def begin(
-    forward: Forward,
-    family: Family,
-    hint: Hint,
-    theta: Array,
-    data: Data,
-    prior: Prior,
-    state: FilmState | None,
-) -> At | None:
-    """The film on a body of numbers `theta`, from `state`; None: it finds no rest.
+@dataclass(frozen=True)
+class _Enough:
+    """Of a fit's cost: what more is worth no step, from where on slopes are to be fresh, and the
+    best's own, with the most by which a body may be behind it."""
 
-    Args:
-        forward: The film.
-        family: The family.
-        hint: What its numbers count from.
-        theta: Its numbers.
-        data: The image.
-        prior: What is believed.
-        state: The film before.
+    settled: float
+    far: float
+    known: float
+    behind: float
 
-    Returns:
-        Where a fit may begin.
-    """
-    theta = np.clip(theta, family.low, family.high)
-    batch = forward.solve([family.build(theta, hint)], state)
-    if not converged(batch):
-        return None
-    heights = forward.heights(batch.x)[0]
-    residual = data.residual(heights)
-    cost = float(residual @ residual) + prior.cost(theta / family.sd)
-    return At(theta, batch[0], heights, residual, cost)
+    @classmethod
+    def of(cls, settled: float, known: float, noise: float, count: int) -> _Enough:
+        if np.isinf(known):
+            return cls(settled * noise, _FAR * noise, known, known)
+        noise = max(noise, known / count)
+        return cls(2 * settled * noise, _FAR * noise, known, known + _BEHIND * noise)
 
-
-def _step(J: Array, at: At, sd: Array, prior: Prior, damping: float) -> tuple[Array, float]:
-    """One damped Gauss-Newton step from `at`, in sd, and by how much it should lower the cost."""
-    gradient = J.T @ at.residual + prior.precision @ (at.theta / sd - prior.mean)
-    normal = J.T @ J
-    H = normal + prior.precision + damping * np.diag(np.diag(normal) + 1e-3)
-    step = -np.linalg.solve(H, gradient)
-    return step, float(-(gradient @ step))
+    def is_reached(self, cost: float, step: Step) -> bool:
+        """Whether a fit ends that leaves a cost, and would go on by such a step."""
+        settled = max(self.settled, _ALIKE * (cost - self.known))
+        could = cost - _PROMISED * step.promised
+        return step.promised < settled or (not step.cut and could > self.behind)
 
 
 def refine(
@@ -241,7 +132,9 @@ def refine(
     slopes: Slopes | None = None,
     rounds: int = 10,
     known: float = np.inf,
-) -> Fit | None:
+    noise: float,
+    settled: float = _SETTLED,
+) -> Fit:
     """The body of `family` that explains the markers best, from `at`.
 
     Args:
@@ -253,67 +146,82 @@ def refine(
         prior: What is believed.
         slopes: Found nearby, for an image before (None: they are found here); where they are of no
             use any more, or have gone too far, they are found anew.
-        rounds: At most so many.
+        rounds: Films on other bodies, at most.
         known: The sum of squares that another family reached: what stays far above is given up.
+        noise: Of the markers' variances, what even the best leaves.
+        settled: Of the cost over its noise, what more is worth no step.
 
     Returns:
-        The body; None where no film rests nearby.
+        The body; its slopes need not be exact.
     """
     sd = family.sd
+    enough = _Enough.of(settled, known, noise, len(at.residual))
     damping = _DAMPING[0] if slopes is None else _DAMPING[1]
-    fresh = slopes is None or slopes.worn(family, at.theta)
-    if slopes is None or fresh:
-        slopes = find_slopes(forward, family, hint, at)
-    for count in range(rounds):
-        is_hopeless = at.cost > _HOPELESS * (known + len(at.residual))
-        if count >= _TRIED and is_hopeless:
+    fresh = slopes is not None and slopes.theta is at.theta
+    if slopes is None or slopes.worn(family, at.theta):
+        fresh = True
+        slopes = quick_slopes(forward, family, hint, at)
+    while rounds > 0:
+        step = damped_step(slopes.seen(data), at, family, prior, damping)
+        if step.promised > enough.far and not fresh:
+            slopes = quick_slopes(forward, family, hint, at)
+            fresh = True
+            continue
+        if enough.is_reached(at.cost, step):
             break
-        step, promised = _step(data.root @ slopes.heights[data.ids], at, sd, prior, damping)
-        if promised < _SETTLED:
-            break
-        new = begin(forward, family, hint, at.theta + step * sd, data, prior, at.state)
+        new = begin(forward, family, hint, at.theta + step.by * sd, data, prior, at.state)
+        rounds -= 1
         if new is None or new.cost > at.cost:
-            if damping > _DAMPING[2]:
-                break
-            if fresh:
-                damping = max(10 * damping, 1e-2)
-            else:
-                slopes = find_slopes(forward, family, hint, at)
+            if not fresh:
+                slopes = quick_slopes(forward, family, hint, at)
                 fresh = True
+            elif damping > _DAMPING[2]:
+                break
+            else:
+                damping = max(10 * damping, _DAMPING[0])
             continue
         gained = at.cost - new.cost
+        good = gained > _GOOD * step.promised
+        damping = max(damping / 10, _DAMPING[1]) if good else 3 * damping
         fresh = slopes.worn(family, new.theta)
-        slopes = find_slopes(forward, family, hint, new) if fresh else _learnt(slopes, sd, at, new)
+        slopes = quick_slopes(forward, family, hint, new) if fresh else learnt(slopes, sd, at, new)
         at = new
-        damping = max(damping / 10, _DAMPING[1])
-        if gained < _SETTLED:
+        if gained < enough.settled:
             break
-    J = data.root @ slopes.heights[data.ids]
-    return Fit(family, hint, at, prior, J.T @ J, slopes)
+    J = slopes.seen(data)
+    return Fit(family, hint, at, prior, J.T @ J, slopes, data.force)
 
 
-def _learnt(slopes: Slopes, sd: Array, at: At, new: At) -> Slopes:
-    """Slopes that say of the step from `at` to `new` what came of it."""
-    moved = (new.theta - at.theta) / sd
-    sums = new.state.found[SUMS] - at.state.found[SUMS]
-    return slopes.learnt(moved, new.heights - at.heights, sums)
-
-
-def find_slopes(forward: Forward, family: Family, hint: Hint, at: At) -> Slopes:
-    """Slopes at a body, by differences of films that start from the one on it.
+def exactly(forward: Forward, fit: Fit, data: Data, noise: float) -> Fit:
+    """A fit with exact slopes, for what is said of it; they lead it on to where quick ones do not.
 
     Args:
         forward: The film.
-        family: The family.
-        hint: What its numbers count from.
-        at: Where.
+        fit: Of an image.
+        data: The image.
+        noise: As for `refine`.
 
     Returns:
-        The slopes; nothing of a number by which no film rests.
+        The same, where its slopes are exact.
     """
-    steps = np.where(at.theta + family.steps > family.high, -family.steps, family.steps)
-    batch = forward.solve([family.build(one, hint) for one in at.theta + np.diag(steps)], at.state)
-    over = (batch.converged / (steps / family.sd))[:, None]
-    heights = (forward.heights(batch.x) - at.heights) * over
-    sums = (batch.found[:, SUMS] - at.state.found[SUMS]) * over
-    return Slopes(heights.T, np.where(over == 0, 0.0, sums).T, at.theta)
+    for _ in range(_POLISHED):
+        if fit.slopes.exact:
+            return fit
+        slopes = find_slopes(forward, fit.family, fit.hint, fit.at)
+        fit = refine(
+            forward,
+            fit.family,
+            fit.hint,
+            fit.at,
+            data,
+            fit.prior,
+            slopes=slopes,
+            rounds=_POLISHING,
+            noise=noise,
+            settled=_POLISH,
+        )
+    if fit.slopes.exact:
+        return fit
+    slopes = find_slopes(forward, fit.family, fit.hint, fit.at)
+    J = slopes.seen(data)
+    return replace(fit, curvature=J.T @ J, slopes=slopes)

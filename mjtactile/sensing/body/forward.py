@@ -10,10 +10,13 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
 from mjtactile.film import Film, FilmState, Obstacle
+from mjtactile.film.bodies import NUMBERS, pooled
+from mjtactile.film.derivatives import answered, derived
 from mjtactile.film.places import carried
 from mjtactile.film.state import AREA, FOUND, PRESSURE, STATUS, FilmBatch
 from mjtactile.sensing.force.rest import InverseRest
 
+_STEPS = 20  # of 50 films that come to rest 49 have; those that never do take all
 _MORE = 0.02  # of the pressure, for its derivative
 SUMS = np.array([*range(6), PRESSURE, AREA])
 """Of what the film adds up, that is followed: wrench (N, N m), pressure (Pa), area (m^2)."""
@@ -77,11 +80,34 @@ class Forward:
         return higher / rise * absolute / (1 + yields)
 
     def heights(self, x: Array) -> Array:
-        """Heights (n, N) m of the markers, of films with nodes displaced by `x` (n, 3, nx, ny)."""
+        """Heights (n, N) m of the markers, of films with nodes displaced by `x` (n, 3, nx, ny), of
+        which the last along the second axis counts."""
         if self._by_node is not None:
-            return x[:, 2].reshape(len(x), -1) @ self._by_node.T
-        rows = self._across @ x[:, 2]
-        return (rows * self._along).sum(axis=2)
+            return x[:, -1].reshape(len(x), -1) @ self._by_node.T
+        rows = self._across @ x[:, -1]
+        return np.einsum("nmj,mj->nm", rows, self._along)
+
+    def answers(
+        self, state: FilmState, bodies: Sequence[Sequence[Obstacle]], steps: Array
+    ) -> tuple[Array, Array]:
+        """About how markers' heights (n, N) m and the normal force (n,) N change from a state on
+        the first of `bodies` to those that are each of `steps` (n,) further
+        (`film.derivatives.answered`)."""
+        by_z, by_force = answered(self.film, state, *self._rows(bodies), steps)
+        return self.heights(by_z[:, None]), by_force.sum(axis=(1, 2))
+
+    def derivatives(
+        self, state: FilmState, bodies: Sequence[Sequence[Obstacle]], steps: Array
+    ) -> tuple[Array, Array]:
+        """The same exactly, and of all that is added up (n, 8) (SUMS)."""
+        by = derived(self.film, state, *self._rows(bodies), steps)
+        sums = np.column_stack([by.wrench, by.pressure_gauge, by.area])
+        return self.heights(by.displacements), sums
+
+    def _rows(self, bodies: Sequence[Sequence[Obstacle]]) -> tuple[Array, Array | None]:
+        """(m, k, NUMBERS) of them, and their pool."""
+        rows, pool = pooled([body for one in bodies for body in one], self.film.grid)
+        return rows.reshape(len(bodies), -1, NUMBERS), pool
 
     def solve(
         self, bodies: Sequence[Sequence[Obstacle]], start: FilmState | None = None
@@ -98,7 +124,7 @@ class Forward:
             np.repeat(start.force[None], count, axis=0),
             found,
         )
-        return self.film.solve_batch(bodies, batch, again=False)
+        return self.film.solve_batch(bodies, batch, again=False, most_steps=_STEPS)
 
 
 def converged(batch: FilmBatch) -> bool:

@@ -9,20 +9,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mjtactile.core.types import Array
+from mjtactile.film import FilmState
 from mjtactile.sensing.body.area import FACES
 from mjtactile.sensing.body.bodies import Hint
 from mjtactile.sensing.body.common import Common
 from mjtactile.sensing.body.families import FAMILIES, Family, kinds_of, several
-from mjtactile.sensing.body.fit import Data, Fit, Prior, begin, refine
+from mjtactile.sensing.body.fit import Fit, exactly, refine
+from mjtactile.sensing.body.forward import Forward
 from mjtactile.sensing.body.motion import Track
-from mjtactile.sensing.body.search import Films, approach, search
+from mjtactile.sensing.body.search import Films, approach, beside, search
+from mjtactile.sensing.body.standing import Data, Prior, begin, standing
 from mjtactile.sensing.settings import BodySettings
 
 _LOST = 1e3  # of the log of evidence: a family of which no body can be there
 _FOLLOWED = 3  # rounds of a fit that is followed
 _LOOKED = 5  # the same, at a look
 _WORSE = 1.5  # times as much is left as when all families were looked for: they are again,
-_BAD = 0.5  # of the misfit that is too much: with so much they are looked for at each look
+_DEEPER = 1.5  # power of the force, with which what the film has wrong grows as a press goes on
 _BETTER = 0.8  # and what explains so much more than what is followed is taken in its place
 _STUCK = 1.15  # times the misfit of another family: it is begun with anew
 _LEVEL = ("tilt_x", "tilt_y", "lean")
@@ -56,6 +59,10 @@ class Looked:
     common: Common
     share: float
 
+    def exactly(self, forward: Forward, data: Data, noise: float) -> Looked:
+        """With the body's exact slopes."""
+        return replace(self, fit=exactly(forward, self.fit, data, noise))
+
     def with_noise(self, noise: float) -> Candidate:
         """As a candidate, where the markers' variances are `noise` times what is believed."""
         log = self.image_log + self.share * self.fit.log_evidence_with(noise)
@@ -73,7 +80,8 @@ class Press:
         force: N, felt at the last look.
         images: Since the last look.
         parts: Places where it was touched then.
-        doubted: Mean square misfit when all families were looked for.
+        doubted: Mean square misfit when all families were looked for, or at a look since then: much
+            more is too much.
         track: Where the body stood in the last images.
         left: Families that were given up, as they were then.
     """
@@ -133,20 +141,23 @@ def follow(
     else:
         looked = _follow(films, press, hint, data)
     if looked is None:
-        return _first(films, hint, data, s)
+        return _first(films, hint, data, s, press.now.state) or _first(films, hint, data, s)
     misfit = looked.now.misfit
-    worse = misfit > max(_WORSE * press.doubted, s.misfit_asks)
-    if worse or (looked.images == 0 and misfit > _BAD * s.misfit_most):
-        other = _first(films, hint, data, s)
+    worse = misfit > max(_WORSE * looked.doubted, s.misfit_asks)
+    if worse or (looked.images == 0 and misfit > s.misfit_most):
+        other = _first(films, hint, data, s, looked.now.state)
         if other is not None and other.now.misfit < _BETTER * misfit:
-            return _with_past(press, looked, other, hint, data, s)
+            return _with_past(films, press, looked, other, hint, data, s)
         return replace(looked, doubted=misfit)
-    return looked
+    usual = min(max(press.doubted, misfit), looked.doubted)
+    return replace(looked, doubted=usual)
 
 
-def _first(films: Films, hint: Hint, data: Data, s: BodySettings) -> Press | None:
-    """All families, from nothing."""
-    found = search(films, _ONE, hint, data, s.noise_least)
+def _first(
+    films: Films, hint: Hint, data: Data, s: BodySettings, near: FilmState | None = None
+) -> Press | None:
+    """All families, from nothing but the film `near` it, where there is one."""
+    found = search(films, _ONE, hint, data, s.noise_least, near)
     least = min((one.misfit for one in found), default=math.inf)
     if len(hint.parts) > 1 and least > s.misfit_one:
         balls = several(["ball"] * len(hint.parts))
@@ -158,12 +169,12 @@ def _first(films: Films, hint: Hint, data: Data, s: BodySettings) -> Press | Non
         Looked(one, -s.log_body * max(len(one.family.parts) - 1, 0), Common.of(one.family), 1.0)
         for one in found
     ]
-    looked = _weighed(given, hint, data, s)
+    looked = _weighed(films, given, hint, data, s)
     return None if looked is None else replace(looked, doubted=looked.now.misfit)
 
 
 def _with_past(
-    past: Press, looked: Press, other: Press, hint: Hint, data: Data, s: BodySettings
+    films: Films, past: Press, looked: Press, other: Press, hint: Hint, data: Data, s: BodySettings
 ) -> Press:
     """What was `looked` at and what was found from nothing, `other`, with all that the press has
     told of their families before this image; of one that was not there, that it would have
@@ -180,7 +191,7 @@ def _with_past(
             found.append(Looked(fit, before, Common.of(fit.family), s.log_again))
         else:
             found.append(Looked(fit, one.image_log, one.common, s.log_again))
-    weighed = _weighed(found, hint, data, s, past)
+    weighed = _weighed(films, found, hint, data, s, past)
     assert weighed is not None
     return replace(weighed, doubted=weighed.now.misfit)
 
@@ -196,7 +207,7 @@ def _other_parts(films: Films, best: Fit, data: Data, s: BodySettings) -> list[F
             if names[place] == name:
                 continue
             names[place] = name
-            found = _with_part(films, best, several(names), place, data)
+            found = _with_part(films, best, several(names), place, data, noise)
             if found is None:
                 continue
             tried.append(found)
@@ -205,7 +216,9 @@ def _other_parts(films: Films, best: Fit, data: Data, s: BodySettings) -> list[F
     return tried
 
 
-def _with_part(films: Films, fit: Fit, family: Family, place: int, data: Data) -> Fit | None:
+def _with_part(
+    films: Films, fit: Fit, family: Family, place: int, data: Data, noise: float
+) -> Fit | None:
     """Of several bodies one is of another family: the likeliest of its starts."""
     part = family.parts[place]
     own = fit.hint.parts[place]
@@ -219,9 +232,9 @@ def _with_part(films: Films, fit: Fit, family: Family, place: int, data: Data) -
         at = begin(films.fine, family, fit.hint, theta, data, prior, fit.state)
         if at is None:
             continue
-        body = refine(films.fine, family, fit.hint, at, data, prior, rounds=_LOOKED)
-        if body is not None:
-            found.append(body)
+        found.append(
+            refine(films.fine, family, fit.hint, at, data, prior, rounds=_LOOKED, noise=noise)
+        )
     return min(found, key=lambda one: one.chi2, default=None)
 
 
@@ -230,18 +243,28 @@ def _look(films: Films, press: Press, hint: Hint, data: Data, s: BodySettings) -
     found: list[Looked] = []
     for number, one in enumerate(press.candidates):
         start = press.now if number == 0 else one.fit
-        body = _next(films, one, start, press.noise, hint, data, _LOOKED)
-        least = min((each.fit.misfit for each in found), default=press.noise)
+        best = min((each.fit for each in found), key=lambda fit: fit.chi2, default=None)
+        known = math.inf if best is None else best.chi2
+        body = _next(films, one, start, press.noise, hint, data, _LOOKED, known)
+        least = press.noise if best is None else best.misfit
         if body is None or body.misfit > _STUCK * least:
-            body = _again(films, one, body, press.noise, hint, data)
+            near = (best or press.now).state
+            body = _again(films, one, body, press.noise, hint, data, known, near)
         if body is not None:
             found.append(Looked(body, one.image_log, one.common, s.log_again))
-    looked = _weighed(found, hint, data, s, press)
-    return None if looked is None else replace(looked, doubted=press.doubted)
+    looked = _weighed(films, found, hint, data, s, press)
+    if looked is None:
+        return None
+    return replace(looked, doubted=press.doubted * max(data.force / press.force, 1.0) ** _DEEPER)
 
 
 def _weighed(
-    found: list[Looked], hint: Hint, data: Data, s: BodySettings, past: Press | None = None
+    films: Films,
+    found: list[Looked],
+    hint: Hint,
+    data: Data,
+    s: BodySettings,
+    past: Press | None = None,
 ) -> Press | None:
     """Bodies of an image, weighed; those that are given up, with those that were in the `past`, are
     remembered.
@@ -253,13 +276,15 @@ def _weighed(
     if not found:
         return None
     noise = max(s.noise_least, min(one.fit.misfit for one in found))
-    weighed = [one.with_noise(noise) for one in found]
-    weighed.sort(key=lambda one: -one.log)
-    kept = [one for one in weighed if one.log > weighed[0].log - s.log_lost]
+    roughly = [one.with_noise(noise) for one in found]
+    least = max(one.log for one in roughly) - s.log_lost
+    likely = [one for one, rough in zip(found, roughly, strict=True) if rough.log > least]
+    kept = [one.exactly(films.fine, data, noise).with_noise(noise) for one in likely]
+    kept.sort(key=lambda one: -one.log)
     spoken = _spoken(kept, noise)
-    lost = [one for one in weighed if one not in kept]
+    lost = [rough for rough in roughly if not rough.log > least]
     if past is not None:
-        seen = {one.family.name for one in weighed}
+        seen = {one.family.name for one in roughly}
         before = (*past.left, *past.candidates)
         lost += [one for one in before if one.family.name not in seen]
     kept.remove(spoken)
@@ -290,14 +315,23 @@ def _follow(films: Films, press: Press, hint: Hint, data: Data) -> Press | None:
     body = _next(films, press.candidates[0], press.now, press.noise, hint, data, _FOLLOWED)
     if body is None:
         return None
+    body = exactly(films.fine, body, data, press.noise)
     return replace(press, now=body, images=press.images + 1)
 
 
 def _next(
-    films: Films, one: Candidate, newest: Fit, noise: float, hint: Hint, data: Data, rounds: int
+    films: Films,
+    one: Candidate,
+    newest: Fit,
+    noise: float,
+    hint: Hint,
+    data: Data,
+    rounds: int,
+    known: float = math.inf,
 ) -> Fit | None:
     """A family's body, believed as the looks before have it, from where it was in the newest image
-    and about as deep as the force says."""
+    and as much deeper as the force has grown; given up where it stays far behind `known`, what
+    another leaves."""
     family = one.family
     hint = _matched(newest.hint, hint)
     prior = one.common.prior(one.fit, noise, hint)
@@ -306,44 +340,87 @@ def _next(
     heights = family.heights
     by = -newest.slopes.sums[2, heights].sum() / family.sd[heights[0]]  # N/mm, all of them
     if by < 0:
-        theta[heights] += np.clip((data.force - newest.state.force_normal) / by, -1.0, 1.0)
+        theta[heights] += np.clip((data.force - newest.felt) / by, -1.0, 1.0)
     at = begin(films.fine, family, hint, theta, data, prior, newest.state)
     # on flat faces a film now and then goes to and fro from one start, and not from another
     at = at or begin(films.fine, family, hint, stays, data, prior, newest.state)
     at = at or begin(films.fine, family, hint, theta, data, prior, None)
     if at is None:
         return None
-    return refine(films.fine, family, hint, at, data, prior, slopes=newest.slopes, rounds=rounds)
+    return refine(
+        films.fine,
+        family,
+        hint,
+        at,
+        data,
+        prior,
+        slopes=newest.slopes,
+        rounds=rounds,
+        known=known,
+        noise=noise,
+    )
 
 
 def _again(
-    films: Films, one: Candidate, stuck: Fit | None, noise: float, hint: Hint, data: Data
+    films: Films,
+    one: Candidate,
+    stuck: Fit | None,
+    noise: float,
+    hint: Hint,
+    data: Data,
+    known: float,
+    near: FilmState,
 ) -> Fit | None:
-    """The same, or what is found anew, where that explains more: on flat faces fits end before they
-    have come to the end, and what is round has been thought sharp while few nodes touched it."""
+    """The same, or what is found anew beside the film `near` it, where that explains more: on flat
+    faces fits end before they have come to the end, and what is round has been thought sharp while
+    few nodes touched it."""
     if one.family.name in FACES or one.family.parts:
-        other = _from_middle(films, one, noise, hint, data)
+        other = _from_middle(films, one, noise, hint, data, known, near)
     else:
-        other = _from_nothing(films, one, noise, hint, data)
+        other = _from_nothing(films, one, noise, hint, data, known, near)
     if other is None or (stuck is not None and stuck.chi2 < other.chi2):
         return stuck
     return other
 
 
-def _from_nothing(films: Films, one: Candidate, noise: float, hint: Hint, data: Data) -> Fit | None:
+def _from_nothing(
+    films: Films,
+    one: Candidate,
+    noise: float,
+    hint: Hint,
+    data: Data,
+    known: float,
+    near: FilmState,
+) -> Fit | None:
     """From all its starts; believed as the looks before have it once it is there."""
-    found = search(films, (one.family,), hint, data, noise)
+    found = search(films, (one.family,), hint, data, noise, near, known)
     if not found:
         return None
     prior = one.common.prior(replace(one.fit, at=found[0].at, hint=hint), noise, hint)
-    at = begin(films.fine, one.family, hint, found[0].theta, data, prior, found[0].state)
-    if at is None:
-        return None
-    slopes = found[0].slopes
-    return refine(films.fine, one.family, hint, at, data, prior, slopes=slopes, rounds=_FOLLOWED)
+    at = standing(films.fine, one.family, found[0].theta, data, prior, found[0].state)
+    return refine(
+        films.fine,
+        one.family,
+        hint,
+        at,
+        data,
+        prior,
+        slopes=found[0].slopes,
+        rounds=_FOLLOWED,
+        known=known,
+        noise=noise,
+    )
 
 
-def _from_middle(films: Films, one: Candidate, noise: float, hint: Hint, data: Data) -> Fit | None:
+def _from_middle(
+    films: Films,
+    one: Candidate,
+    noise: float,
+    hint: Hint,
+    data: Data,
+    known: float,
+    near: FilmState,
+) -> Fit | None:
     """From the middle of the touch."""
     family = one.family
     hint = _matched(one.fit.hint, hint)
@@ -351,10 +428,13 @@ def _from_middle(films: Films, one: Candidate, noise: float, hint: Hint, data: D
     theta = prior.mean * family.sd
     middle = [n for n, name in enumerate(family.names) if name in ("x", "y", "z", *_LEVEL)]
     theta[middle] = 0.0
-    at = approach(films.fine, family, hint, theta, data, prior)
+    at = beside(films.fine, family, hint, theta, data, prior, near)
+    at = at or approach(films.fine, family, hint, theta, data, prior)
     if at is None:
         return None
-    return refine(films.fine, family, hint, at, data, prior, rounds=_LOOKED)
+    return refine(
+        films.fine, family, hint, at, data, prior, rounds=_LOOKED, known=known, noise=noise
+    )
 
 
 def _matched(old: Hint, new: Hint) -> Hint:

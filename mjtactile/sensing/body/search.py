@@ -1,5 +1,5 @@
-"""Where a family's fit begins, when nothing is known yet: from its starts, on a coarse film
-first."""
+"""Bodies of which nothing is known yet: a ball is pressed in until it feels the force, and other
+families begin where what is found already is."""
 
 from __future__ import annotations
 
@@ -11,31 +11,37 @@ import numpy as np
 
 from mjtactile.core.types import Array
 from mjtactile.film import FilmState
-from mjtactile.sensing.body.bodies import Hint
+from mjtactile.sensing.body.bodies import Hint, principal
 from mjtactile.sensing.body.families import Family
-from mjtactile.sensing.body.fit import At, Data, Fit, Prior, begin, refine
+from mjtactile.sensing.body.fit import Fit, refine
 from mjtactile.sensing.body.forward import Forward, converged
+from mjtactile.sensing.body.standing import At, Data, Prior, begin, standing
 
 _APPROACH = (1.2, 0.7, 0.3, 0.0)  # mm above the start: the film is pressed in steps
 _FORCE_STEPS = 3
 _FORCE_NEAR = 0.1  # of the force that is felt
 _STIFFNESS = (0.05, 0.12, 2.0)  # N/mm of a touch: least, first, most
 _HOPELESS = 120.0  # of the sum of squares over the noise: a family so far behind is not looked for
-_COARSE_ROUNDS = 4
+_FIRST_CURVATURE = 80.0  # 1/m
+_ORDER = {"ball": 0, "smooth": 1, "cylinder": 2}  # others later
 
 
 @dataclass(frozen=True, eq=False)
 class Films:
-    """Two films of one sensor, `fine`, and `coarse` for what is looked for first, and by how much
-    markers' heights (N,) m go up with a share of gas."""
+    """The film of one sensor, and by how much markers' heights (N,) m go up with a share of gas."""
 
     fine: Forward
-    coarse: Forward
     by_gas: Array
 
 
 def search(
-    films: Films, families: Sequence[Family], hint: Hint, data: Data, noise: float
+    films: Films,
+    families: Sequence[Family],
+    hint: Hint,
+    data: Data,
+    noise: float,
+    near: FilmState | None = None,
+    known: float = math.inf,
 ) -> list[Fit]:
     """Each family's body, of which nothing is known yet.
 
@@ -45,50 +51,155 @@ def search(
         hint: Where it was touched.
         data: The image.
         noise: Of the markers' variances, what even the best leaves.
+        near: The film on another body, of the image before: what finds no rest from there is not
+            looked for from farther; None: there is none.
+        known: The sum of squares that a family leaves which is not among these.
 
     Returns:
         The bodies, without those of families that explain far less than others, or in which no
         film rests.
     """
-    there = hint.on(films.coarse.nodes, hint.rounding * films.coarse.spacing / films.fine.spacing)
-    coarse = data.raised(films.coarse.rest_heights - films.fine.rest_heights)
-    rough = [_roughly(films.coarse, family, there, coarse) for family in families]
-    costs = [math.inf if one is None else one.chi2 for one in rough]
-    least = min(costs)
-    if math.isinf(least):
-        return []
-    noise = max(noise, least / len(data.heights))
-    order = np.argsort(costs)
     found: list[Fit] = []
-    known = math.inf
-    for k in order:
-        one = rough[k]
-        if one is None or costs[k] > least + _HOPELESS * noise:
-            continue
-        prior = Prior.of(families[k], one.theta)
-        at = approach(films.fine, families[k], hint, one.theta, data, prior)
-        if at is None:
-            continue
-        body = refine(films.fine, families[k], hint, at, data, prior, known=known)
-        if body is not None:
-            found.append(body)
-            known = min(known, body.chi2)
-    return found
+    for family in sorted(families, key=lambda one: _ORDER.get(one.name, len(_ORDER))):
+        one = _begun(films.fine, family, hint, data, found, noise, near, known)
+        if one is not None:
+            found.append(one)
+    if not found:
+        return []
+    found = _bent_alike(films.fine, hint, data, found, noise)
+    least = min(one.chi2 for one in found)
+    noise = max(noise, least / len(data.heights))
+    return [one for one in found if one.chi2 <= least + _HOPELESS * noise]
 
 
-def _roughly(forward: Forward, family: Family, hint: Hint, data: Data) -> Fit | None:
-    """From the start that explains most after the body is pressed in as far as it feels the
-    force."""
+def _bent_alike(
+    forward: Forward, hint: Hint, data: Data, found: list[Fit], noise: float
+) -> list[Fit]:
+    """The same, but a smooth body that explains less than the lying cylinder, which is one,
+    begun there."""
+    by_name = {one.family.name: one for one in found}
+    smooth, line = (by_name.get(name) for name in ("smooth", "cylinder"))
+    if smooth is None or line is None or line.chi2 > smooth.chi2:
+        return found
+    most, direction = line.theta[3:5]
+    across = np.array([math.sin(direction), -math.cos(direction)])
+    bent = most * np.outer(across, across)
+    theta = np.array([*line.theta[:3], bent[0, 0], bent[0, 1], bent[1, 1]])
+    at = begin(forward, smooth.family, hint, theta, data, smooth.prior, line.state)
+    if at is None or at.cost > smooth.at.cost:
+        return found
+    least = min(one.chi2 for one in found)
+    other = refine(forward, smooth.family, hint, at, data, smooth.prior, known=least, noise=noise)
+    return [other if one is smooth else one for one in found]
+
+
+def _begun(
+    forward: Forward,
+    family: Family,
+    hint: Hint,
+    data: Data,
+    known: Sequence[Fit],
+    noise: float,
+    near: FilmState | None,
+    least: float,
+) -> Fit | None:
+    """From the start that explains most where it feels the force."""
     reached = []
-    for start in family.starts(hint):
+    state = min(known, key=lambda one: one.chi2).state if known else near
+    for start in _starts(forward, family, hint, known):
         prior = Prior.of(family, start)
-        at = approach(forward, family, hint, start, data, prior)
+        at = beside(forward, family, hint, start, data, prior, state)
+        if at is None and (near is None or family.parts):
+            at = approach(forward, family, hint, start, data, prior)
         if at is not None:
             reached.append((at, prior))
     if not reached:
         return None
-    best, prior = min(reached, key=lambda one: one[0].cost)
-    return refine(forward, family, hint, best, data, prior, rounds=_COARSE_ROUNDS)
+    reached.sort(key=lambda one: one[0].cost)
+    if not family.parts:
+        del reached[1:]  # of several bodies each start may end elsewhere
+    least = min([least, *(one.chi2 for one in known)])
+    fits = [
+        refine(forward, family, hint, at, data, prior, known=least, noise=noise)
+        for at, prior in reached
+    ]
+    return min(fits, key=lambda one: one.at.cost)
+
+
+def _starts(forward: Forward, family: Family, hint: Hint, known: Sequence[Fit]) -> Sequence[Array]:
+    """A family's own, where the best body that is known already presses; what is a simpler case
+    of another, or another of it, begins as that is."""
+    if family.parts:
+        return family.starts(hint)
+    by_name = {one.family.name: one.theta for one in known}
+    if family.name == "ball":
+        return (np.array([0.0, 0.0, 0.0, _FIRST_CURVATURE]),)
+    if family.name == "smooth" and "ball" in by_name:
+        theta = by_name["ball"]
+        return (np.array([*theta[:4], 0.0, theta[3]]),)
+    if family.name == "cylinder" and "smooth" in by_name:
+        theta = by_name["smooth"]
+        most, _, direction = principal(theta)
+        return (np.array([*theta[:3], most, direction, 0.0]),)
+    starts = family.starts(hint)
+    if known:
+        force, x, y = _pressing(forward, min(known, key=lambda one: one.chi2).state)
+        middle = np.array([force @ x, force @ y]) / force.sum()
+        for start in starts:
+            start[:2] = 1e3 * (middle - hint.place)
+    return starts
+
+
+def _pressing(forward: Forward, state: FilmState) -> tuple[Array, Array, Array]:
+    """Of nodes that touch: force (n,) N, and places x and y (n,) m."""
+    touching = state.force > 0
+    x, y = (
+        nodes[touching] + moved[touching]
+        for nodes, moved in zip(forward.nodes, state.x[:2], strict=True)
+    )
+    return state.force[touching], x, y
+
+
+def beside(
+    forward: Forward,
+    family: Family,
+    hint: Hint,
+    start: Array,
+    data: Data,
+    prior: Prior,
+    state: FilmState | None,
+) -> At | None:
+    """Put a body in the place of another: as high as that one's contact does no work on the change,
+    and then as the force says.
+
+    Args:
+        forward: The film.
+        family: The family.
+        hint: What its numbers count from.
+        start: Its numbers, but for its height.
+        data: The image.
+        prior: What is believed.
+        state: The film on the other; None: there is none.
+
+    Returns:
+        Where a fit may begin; None: no film rests there.
+    """
+    if state is None or family.parts or not (state.force > 0).any():
+        return None
+    force, x, y = _pressing(forward, state)
+    theta = np.clip(start, family.low, family.high)
+    heights = forward.film.heights_of(family.build(theta, hint), np.column_stack([x, y]))
+    there = np.isfinite(heights)
+    if not there.any():
+        return None
+    off = (force * (state.x[2][state.force > 0] - heights))[there].sum() / force[there].sum()
+    theta[2] += 1e3 * off
+    theta = np.clip(theta, family.low, family.high)
+    batch = forward.solve([family.build(theta, hint)], state)
+    if not converged(batch):
+        return None
+    reached = (theta, batch[0], batch[0].force_normal)
+    return _to_force(forward, family, hint, reached, data, prior)
 
 
 def approach(
@@ -155,4 +266,4 @@ def _to_force(
         force = state.force_normal
         if abs(down) > 1e-6:
             stiffness = float(np.clip((force - before) / down, _STIFFNESS[0], _STIFFNESS[2]))
-    return begin(forward, family, hint, theta, data, prior, state)
+    return standing(forward, family, theta, data, prior, state)

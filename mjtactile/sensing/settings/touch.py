@@ -47,7 +47,6 @@ class BodySettings:
     """What the body is that touches (sensing/body)."""
 
     spacing: float = number(1.3e-3, "m, between the film's nodes", _PRESSED_SHAPES)
-    spacing_coarse: float = number(1.8e-3, "m, of the film that looks first", _PRESSED_SHAPES)
     film_sd: float = number(
         16e-6, "m, of a marker's height that the film does not know of", "bench film"
     )

@@ -157,7 +157,7 @@ def fine_film():
 
 
 def test_a_press_is_followed_for_some_films_an_image(sensor, fine_film, monkeypatch):
-    """As deep as before it takes a handful of films; the first image takes hundreds."""
+    """As deep as before it takes a handful of films; the first image, with all families, tens."""
     radius = 8e-3
     touches = [
         pressed(sensor, fine_film, fine_film.obstacle("sphere", (radius,), (0, 0, z + radius)), n)
@@ -178,9 +178,9 @@ def test_a_press_is_followed_for_some_films_an_image(sensor, fine_film, monkeypa
         counts.append(0)
         found = finder.follow(touch, press, p_rest)
         press = found.press
-    assert counts[0] > 100
-    # one of the guess and one or two of the steps; at most once the four slopes of a ball anew
-    assert max(counts[2:]) <= 3 + 4 + 1
+    assert 10 < counts[0] < 80
+    # one of the guess, one or two of the steps, and two at most with slopes found anew
+    assert max(counts[2:]) <= 5
     assert found.shape.kind == "smooth"
     assert found.shape.radius_sd < 0.15 * radius
     assert found.shape.radius == pytest.approx(radius, abs=3 * found.shape.radius_sd)
