@@ -114,11 +114,12 @@ class _Enough:
         noise = max(noise, known / count)
         return cls(2 * settled * noise, _FAR * noise, known, known + _BEHIND * noise)
 
-    def is_reached(self, cost: float, step: Step) -> bool:
-        """Whether a fit ends that leaves a cost, and would go on by such a step."""
+    def is_reached(self, cost: float, step: Step, damping: float) -> bool:
+        """Whether a fit ends that leaves a cost, and would go on by such a step; a short or much
+        damped one says little of what could be."""
         settled = max(self.settled, _ALIKE * (cost - self.known))
-        could = cost - _PROMISED * step.promised
-        return step.promised < settled or (not step.cut and could > self.behind)
+        whole = not step.cut and damping <= _DAMPING[0]
+        return step.promised < settled or (whole and cost - _PROMISED * step.promised > self.behind)
 
 
 def refine(
@@ -130,7 +131,7 @@ def refine(
     prior: Prior,
     *,
     slopes: Slopes | None = None,
-    rounds: int = 10,
+    rounds: int = 14,
     known: float = np.inf,
     noise: float,
     settled: float = _SETTLED,
@@ -167,7 +168,7 @@ def refine(
             slopes = quick_slopes(forward, family, hint, at)
             fresh = True
             continue
-        if enough.is_reached(at.cost, step):
+        if enough.is_reached(at.cost, step, damping):
             break
         new = begin(forward, family, hint, at.theta + step.by * sd, data, prior, at.state)
         rounds -= 1

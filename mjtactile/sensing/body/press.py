@@ -25,7 +25,7 @@ _LOST = 1e3  # of the log of evidence: a family of which no body can be there
 _FOLLOWED = 3  # rounds of a fit that is followed
 _LOOKED = 5  # the same, at a look
 _WORSE = 1.5  # times as much is left as when all families were looked for: they are again,
-_DEEPER = 1.5  # power of the force, with which what the film has wrong grows as a press goes on
+_BAD = 0.5  # of the misfit that is too much: with so much they are looked for at each look
 _BETTER = 0.8  # and what explains so much more than what is followed is taken in its place
 _STUCK = 1.15  # times the misfit of another family: it is begun with anew
 _LEVEL = ("tilt_x", "tilt_y", "lean")
@@ -80,8 +80,7 @@ class Press:
         force: N, felt at the last look.
         images: Since the last look.
         parts: Places where it was touched then.
-        doubted: Mean square misfit when all families were looked for, or at a look since then: much
-            more is too much.
+        doubted: Mean square misfit when all families were looked for.
         track: Where the body stood in the last images.
         left: Families that were given up, as they were then.
     """
@@ -141,23 +140,26 @@ def follow(
     else:
         looked = _follow(films, press, hint, data)
     if looked is None:
-        return _first(films, hint, data, s, press.now.state) or _first(films, hint, data, s)
+        return _first(films, hint, data, s)
     misfit = looked.now.misfit
-    worse = misfit > max(_WORSE * looked.doubted, s.misfit_asks)
-    if worse or (looked.images == 0 and misfit > s.misfit_most):
-        other = _first(films, hint, data, s, looked.now.state)
+    worse = misfit > max(_WORSE * press.doubted, s.misfit_asks)
+    if worse or (looked.images == 0 and misfit > _BAD * s.misfit_most):
+        other = _first(films, hint, data, s, looked.now)
         if other is not None and other.now.misfit < _BETTER * misfit:
             return _with_past(films, press, looked, other, hint, data, s)
         return replace(looked, doubted=misfit)
-    usual = min(max(press.doubted, misfit), looked.doubted)
-    return replace(looked, doubted=usual)
+    return looked
 
 
 def _first(
-    films: Films, hint: Hint, data: Data, s: BodySettings, near: FilmState | None = None
+    films: Films, hint: Hint, data: Data, s: BodySettings, but: Fit | None = None
 ) -> Press | None:
-    """All families, from nothing but the film `near` it, where there is one."""
-    found = search(films, _ONE, hint, data, s.noise_least, near)
+    """All families, from nothing, or from the film on a body that is not believed any more; what
+    explains no more than that one is given up."""
+    if but is None:
+        found = search(films, _ONE, hint, data, s.noise_least)
+    else:
+        found = search(films, _ONE, hint, data, s.noise_least, but.state, but.chi2)
     least = min((one.misfit for one in found), default=math.inf)
     if len(hint.parts) > 1 and least > s.misfit_one:
         balls = several(["ball"] * len(hint.parts))
@@ -253,9 +255,7 @@ def _look(films: Films, press: Press, hint: Hint, data: Data, s: BodySettings) -
         if body is not None:
             found.append(Looked(body, one.image_log, one.common, s.log_again))
     looked = _weighed(films, found, hint, data, s, press)
-    if looked is None:
-        return None
-    return replace(looked, doubted=press.doubted * max(data.force / press.force, 1.0) ** _DEEPER)
+    return None if looked is None else replace(looked, doubted=press.doubted)
 
 
 def _weighed(

@@ -11,6 +11,7 @@ import numpy as np
 
 from mjtactile.core.types import Array
 from mjtactile.film import FilmState
+from mjtactile.film.state import AREA
 from mjtactile.sensing.body.bodies import Hint, principal
 from mjtactile.sensing.body.families import Family
 from mjtactile.sensing.body.fit import Fit, refine
@@ -18,6 +19,7 @@ from mjtactile.sensing.body.forward import Forward, converged
 from mjtactile.sensing.body.standing import At, Data, Prior, begin, standing
 
 _APPROACH = (1.2, 0.7, 0.3, 0.0)  # mm above the start: the film is pressed in steps
+_WIDE = (0.75, 1.05)  # times what a contact's area has, of a disc that presses there
 _FORCE_STEPS = 3
 _FORCE_NEAR = 0.1  # of the force that is felt
 _STIFFNESS = (0.05, 0.12, 2.0)  # N/mm of a touch: least, first, most
@@ -106,7 +108,7 @@ def _begun(
     """From the start that explains most where it feels the force."""
     reached = []
     state = min(known, key=lambda one: one.chi2).state if known else near
-    for start in _starts(forward, family, hint, known):
+    for start in _starts(family, hint, known, _Pressed.of(forward, state)):
         prior = Prior.of(family, start)
         at = beside(forward, family, hint, start, data, prior, state)
         if at is None and (near is None or family.parts):
@@ -126,9 +128,11 @@ def _begun(
     return min(fits, key=lambda one: one.at.cost)
 
 
-def _starts(forward: Forward, family: Family, hint: Hint, known: Sequence[Fit]) -> Sequence[Array]:
-    """A family's own, where the best body that is known already presses; what is a simpler case
-    of another, or another of it, begins as that is."""
+def _starts(
+    family: Family, hint: Hint, known: Sequence[Fit], pressed: _Pressed | None
+) -> Sequence[Array]:
+    """A family's own, where another body presses, and about as wide as that contact is; what is a
+    simpler case of another, or another of it, begins as that is."""
     if family.parts:
         return family.starts(hint)
     by_name = {one.family.name: one.theta for one in known}
@@ -141,13 +145,44 @@ def _starts(forward: Forward, family: Family, hint: Hint, known: Sequence[Fit]) 
         theta = by_name["smooth"]
         most, _, direction = principal(theta)
         return (np.array([*theta[:3], most, direction, 0.0]),)
-    starts = family.starts(hint)
-    if known:
-        force, x, y = _pressing(forward, min(known, key=lambda one: one.chi2).state)
-        middle = np.array([force @ x, force @ y]) / force.sum()
-        for start in starts:
-            start[:2] = 1e3 * (middle - hint.place)
-    return starts
+    if pressed is None:
+        return family.starts(hint)
+    x, y = 1e3 * (pressed.middle - hint.place)
+    radius = 1e3 * math.sqrt(pressed.area / math.pi)
+    if family.name == "disc":
+        return tuple(np.array([x, y, 0, 0, 0, share * radius]) for share in _WIDE)
+    if family.name == "block":
+        half = math.sqrt(math.pi) / 2 * radius
+        turned = hint.angle + math.pi / 4
+        return (
+            np.array([x, y, 0, 0, 0, pressed.angle, *1e3 * pressed.halves]),
+            np.array([x, y, 0, 0, 0, turned, half, half]),
+        )
+    return tuple(np.array([x, y, *start[2:]]) for start in family.starts(hint))
+
+
+@dataclass(frozen=True, eq=False)
+class _Pressed:
+    """Where a film bears on a body: `middle` (2,) m and `area` m^2; `angle` rad of its longer axis
+    and half sides (2,) m of the rectangle that spreads as its forces do."""
+
+    middle: Array
+    area: float
+    angle: float
+    halves: Array
+
+    @classmethod
+    def of(cls, forward: Forward, state: FilmState | None) -> _Pressed | None:
+        """By a film at rest; None where nothing touches."""
+        if state is None or not (state.force > 0).any():
+            return None
+        force, x, y = _pressing(forward, state)
+        share = force / force.sum()
+        middle = np.array([share @ x, share @ y])
+        off = np.array([x - middle[0], y - middle[1]])
+        spread, axes = np.linalg.eigh((off * share) @ off.T)
+        wide = np.sqrt(3 * np.maximum(spread[::-1], forward.spacing**2 / 3))
+        return cls(middle, float(state.found[AREA]), math.atan2(axes[1, 1], axes[0, 1]), wide)
 
 
 def _pressing(forward: Forward, state: FilmState) -> tuple[Array, Array, Array]:
