@@ -469,7 +469,7 @@ int64_t film_answer(const double *numbers, const double *law, int64_t columns, i
     (void)pooled;
     const long n = f.count, nodes = columns * rows;
     const RestHeights at_rest = film_heights_at(&f, (float *)kept);
-    const Bodies base = {bodies, body, pool};
+    const Bodies base = {bodies, body, pool, 0};
     Work w = work_in(&f, &at_rest, kept + film_heights_size(&f), room);
     Seen *s = &w.seen;
     film_pad(&f, 3, x, w.x), film_pad(&f, 1, force, w.force);
@@ -478,7 +478,7 @@ int64_t film_answer(const double *numbers, const double *law, int64_t columns, i
     double *was = w.fine.elastic;
     for (long k = 0; k < n; k++) was[k] = s->obstacle[k] - s->lower[k];
     for (long a = 0; a < changes; a++) {
-        const Bodies changed = {bodies, body + (1 + a) * bodies * FILM_BODY, pool};
+        const Bodies changed = {bodies, body + (1 + a) * bodies * FILM_BODY, pool, 0};
         look(&f, &changed, 0, 0, &w);
         for (long k = 0; k < n; k++) {
             const double rise = (s->obstacle[k] - s->lower[k] - was[k]) / steps[a];
