@@ -61,7 +61,8 @@ class Trial:
         What sticks carries its load with the looser grip, too, and a higher friction is tried;
         what slips is dragged by friction alone, which follows the grip. A hold shows as much
         friction as was in use (Coulomb: shear <= mu normal force), whatever was meant to be: what
-        is light uses little of it at the least grip that there is.
+        is light uses little of it at the least grip that there is. Where all fingers say that they
+        slip, that was all that there is.
 
         Args:
             touch: What is felt now.
@@ -88,7 +89,9 @@ class Trial:
         shown = _last(drag) / _last(press)
         passed = max(self.passed, min(shown, self.friction))
         if shown < _SHOWN * self.friction or self.friction >= _MOST:
-            return replace(ended, passed=passed, friction=max(passed, self.first), over=True)
+            slides = all(one.slip is not None and one.slip.state == "slipping" for one in touch)
+            believed = passed if slides else max(passed, self.first)
+            return replace(ended, passed=passed, friction=believed, slipped=slides, over=True)
         return replace(ended, passed=passed, friction=min(_MOST, _STEP * self.friction))
 
 
