@@ -54,7 +54,12 @@ class MarkerSight:
     def see(self, state: ChainState, image: Image) -> tuple[Markers, ChainState]:
         """The markers of one image in S, and the state that expects them there; see
         `Chain.see`."""
-        ellipses, tracks = self._ellipses(state, image)
+        return self._identified(state, *self._ellipses(state.tracks, image))
+
+    def _identified(
+        self, state: ChainState, ellipses: Ellipses, tracks: tracking.Tracks | None
+    ) -> tuple[Markers, ChainState]:
+        """The markers of the ellipses in one image, and the state that expects them there."""
         if self.known is not None:
             ellipses, state = self.known.look(state, ellipses)
         poses = estimate_poses(ellipses, self.camera, self.design.markers.radius)
@@ -76,13 +81,16 @@ class MarkerSight:
             blend=self._blend.after(state.blend, markers),
         )
 
-    def _ellipses(self, state: ChainState, image: Image) -> tuple[Ellipses, tracking.Tracks | None]:
-        """The markers' ellipses in the image, and what finds them in the next."""
+    def _ellipses(
+        self, tracks: tracking.Tracks | None, image: Image
+    ) -> tuple[Ellipses, tracking.Tracks | None]:
+        """The markers' ellipses in the image, followed by `tracks`, and what finds them in the
+        next."""
         if isinstance(image, Sighting) and image.ellipses is not None:
             return image.ellipses, None
         return tracking.follow(
             image,
-            state.tracks,
+            tracks,
             self._circles,
             min_radius_px=self._smallest_px,
             max_radius_px=self._largest_px,
@@ -112,26 +120,19 @@ class MarkerSight:
         Raises:
             DeviceError: The picture is overexposed, or too few are seen.
         """
-        self._require_levels(image, what)
-        markers, _ = self.see(replace(state, expected=expected, reference=None), image)
+        ellipses, tracks = self._ellipses(None, image)  # searched, not followed
+        self._require_levels(image, ellipses, what)
+        afresh = replace(state, expected=expected, reference=None)
+        markers, _ = self._identified(afresh, ellipses, tracks)
         self.require(markers, what)
         return markers
 
-    def _require_levels(self, image: Image, what: str) -> None:
+    def _require_levels(self, image: Image, ellipses: Ellipses, what: str) -> None:
         """Raise DeviceError for a picture that is white around most circles: how large they are
         changes with the light then."""
         if isinstance(image, Sighting):
             return
-        settings = self.settings
-        ellipses, _ = tracking.follow(
-            image,
-            None,
-            self._circles,
-            min_radius_px=self._smallest_px,
-            max_radius_px=self._largest_px,
-            settings=settings,
-        )
-        if is_overexposed(grey_image(image), ellipses, "dark", settings.locate):
+        if is_overexposed(grey_image(image), ellipses, "dark", self.settings.locate):
             raise DeviceError(
                 f"sensor {self.design.name}: {what}: the picture is overexposed, white around "
                 "most markers; less light, exposure or gain"
