@@ -9,6 +9,7 @@ shut down.
 from __future__ import annotations
 
 import contextlib
+import gc
 import json
 import os
 import runpy
@@ -114,6 +115,7 @@ def run(grace: float) -> None:
     """What a child does first and last: watch its parent, before anything that takes time, then run
     its module."""
     end_with_parent(grace)
+    gc.set_threshold(100_000)  # imports make much and leave nothing: as `cli` has it
     sys.argv = sys.argv[1:]
     runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
 

@@ -332,7 +332,7 @@ class InverseMembrane(LoadedSheet):
             lag,
         )
         cov = self._posterior(shape, positions)
-        cov[np.diag_indices(6)] += self._doubt.variance(felt)
+        cov.flat[:: len(cov) + 1] += self._doubt.variance(felt)
         return Traction(self.x, self.y, nodal, wrench, cov, shape.pressure_gauge, method="inverse")
 
     def sharpness(self, shape: Shape) -> Array:
@@ -388,5 +388,5 @@ def _innovation(half: Array, drift: Array) -> Array:
     """Lower factor (r, r) of the whitened markers' covariance, as tractions, drift and their own
     noise predict it."""
     cov = half @ half.T + drift @ drift.T
-    cov[np.diag_indices_from(cov)] += 1.0
+    cov.flat[:: len(cov) + 1] += 1.0
     return np.linalg.cholesky(cov)

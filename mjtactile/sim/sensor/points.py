@@ -118,6 +118,7 @@ class ContactPoints:
         self._shapes, self._round, self._cores = sharp_geoms(
             model, body_id, mesh, float(self._sizes[0])
         )
+        self._geoms = np.array(list(self._shapes), np.int64)
         self._every = EVERY
         self._eased = np.zeros(len(vertex_geom_ids))  # loads, as what is thin bears them
         self._radius = float(model.geom_size[self._first, 0])
@@ -153,6 +154,8 @@ class ContactPoints:
             self._upright = self._normals(p_SV)
             if self._still:
                 return
+        if not near and self._still and not self._goal.any():
+            return  # all spheres are at home, and stay there
         if self._rested(time) > _RESTED:  # what touches stays where it does
             kept = self._touching() & ~blunt
             goal = np.where(kept[:, None], self._goal, goal)
@@ -203,7 +206,8 @@ class ContactPoints:
         goals = _no_goals(len(self._places))
         loads = None
         vertices = p_SV[self._interior]
-        for geom, entry in self._shapes.items():
+        for geom in self._about(vertices):
+            entry = self._shapes[geom]
             close = self._close_to(geom, vertices)
             if not len(close):
                 continue
@@ -240,6 +244,28 @@ class ContactPoints:
                 back = self._stand_back(geom, entry, cells.of(rows), at, bearing, touching)
                 goals.back[touching] = -(self._sizes[touching] * back)[:, None] * axes[2]
         return goals
+
+    def _about(self, vertices: Array) -> list[int]:
+        """Those geoms that may be close to one of the `vertices` (k, 3) m in S: which a ball around
+        all of them tells, at a fifth of the price."""
+        data = self._data
+        low = vertices.min(axis=0)
+        high = vertices.max(axis=0)
+        middle = (low + high) / 2
+        radius = float(np.linalg.norm(high - low)) / 2
+        size = float(self._sizes[0])
+        places = self._in_sensor(data.geom_xpos[self._geoms])
+        apart = np.linalg.norm(places - middle, axis=1) - self._model.geom_rbound[self._geoms]
+        found = self._geoms[apart < radius + size].tolist()
+        if not found:
+            return found
+        p_W = data.xpos[self._body] + data.xmat[self._body].reshape(3, 3) @ middle
+        reach = radius + 2 * size  # as `_is_far` has it
+        return [
+            geom
+            for geom in found
+            if features.box_distances(self._model, data, geom, p_W[None])[0] <= reach
+        ]
 
     def _close_to(self, geom: int, vertices: Array) -> NDArray[np.int64]:
         """Numbers of those of the `vertices` (k, 3) m in S that a geom may be near; none where all
