@@ -5,9 +5,13 @@ from __future__ import annotations
 
 import contextlib
 import math
+import mmap
+import os
 import pickle
 import socket
 import struct
+import tempfile
+from collections.abc import Sequence
 from typing import Any
 
 from mjtactile.core import pace, process
@@ -15,6 +19,10 @@ from mjtactile.core.errors import DeviceError
 
 _TAKES = 10.0  # s in which a process takes a question
 _NUMBER = struct.Struct("<Q")
+# bytes of memory that a process shares with its parent: two images of 1280 x 960 pixels and more.
+# Through a socket, which holds a fifth of a megabyte, both ends would take turns.
+_ROOM = 1 << 22
+_EVEN = 64  # bytes at a multiple of which an array begins there
 
 
 class WorkerProcess:
@@ -27,13 +35,19 @@ class WorkerProcess:
 
     def __init__(self, module: str, does: str) -> None:
         ours, its = socket.socketpair()
-        self._channel = Channel(ours, _TAKES)
         self._does = does
         self._due = 0
         self._is_late = False
         with its, contextlib.ExitStack() as unless_it_starts:
             unless_it_starts.callback(ours.close)
-            self._process = process.start(module, its.fileno(), descriptors=(its.fileno(),))
+            file = _shared_file(_ROOM)
+            try:
+                self._channel = Channel(ours, _TAKES, lent=mmap.mmap(file, _ROOM))
+                self._process = process.start(
+                    module, f"{its.fileno()},{file}", descriptors=(its.fileno(), file)
+                )
+            finally:
+                os.close(file)
             unless_it_starts.pop_all()
 
     def begin(self, *question: Any) -> None:
@@ -70,32 +84,70 @@ class WorkerProcess:
         )
 
 
-class Channel:
-    """Values over a socket. Arrays are not pickled but follow as they are, and arrive read-only.
-    The other end takes what it is sent within `takes` s (None: when it likes)."""
+def _shared_file(size: int) -> int:
+    """Descriptor of a file of `size` bytes without a name, in memory where the system has such."""
+    if hasattr(os, "memfd_create"):
+        file = os.memfd_create("mjtactile")
+    else:
+        with tempfile.TemporaryFile() as named:
+            file = os.dup(named.fileno())
+    os.ftruncate(file, size)
+    return file
 
-    def __init__(self, end: socket.socket, takes: float | None = None) -> None:
+
+class Channel:
+    """Values over a socket. Arrays are not pickled but follow as they are, or lie in memory that
+    was `lent` to the other end, where there is room; they arrive read-only. The other end takes
+    what it is sent within `takes` s (None: when it likes); who lends asks no more before it has an
+    answer."""
+
+    def __init__(
+        self,
+        end: socket.socket,
+        takes: float | None = None,
+        *,
+        lent: mmap.mmap | None = None,
+        given: mmap.mmap | None = None,
+    ) -> None:
         self._end = end
         self._takes = takes
+        self._lent = lent
+        self._given = given
         self._filled = 0
         # for the size of a message, then for all the rest of it
         self._room = bytearray(_NUMBER.size)
         self._sized = False
 
     @classmethod
-    def of(cls, descriptor: str) -> Channel:
+    def of(cls, descriptors: str) -> Channel:
         """The end that a process was started with."""
-        return cls(socket.socket(fileno=int(descriptor)))
+        end, file = map(int, descriptors.split(","))
+        given = mmap.mmap(file, _ROOM, access=mmap.ACCESS_READ)
+        os.close(file)
+        return cls(socket.socket(fileno=end), given=given)
 
     def send(self, *value: Any) -> None:
         """Raises OSError, also when the other end does not take it."""
-        arrays: list[pickle.PickleBuffer] = []
-        parts: list[Any] = [pickle.dumps(value, protocol=5, buffer_callback=arrays.append)]
-        parts += [array.raw() for array in arrays]
-        sizes = [memoryview(part).nbytes for part in parts]
-        head = struct.pack(f"<{1 + len(sizes)}Q", len(sizes), *sizes)
+        buffers: list[pickle.PickleBuffer] = []
+        pickled = pickle.dumps(value, protocol=5, buffer_callback=buffers.append)
+        arrays = [buffer.raw() for buffer in buffers]
+        sizes = [len(pickled), *(array.nbytes for array in arrays)]
+        is_lent = self._lend(arrays)
+        head = struct.pack(f"<{2 + len(sizes)}Q", is_lent, len(sizes), *sizes)
+        parts = [head, pickled, *([] if is_lent else arrays)]
+        length = sum(memoryview(part).nbytes for part in parts)
         self._end.settimeout(None if self._takes is None else pace.wall(self._takes))
-        self._end.sendall(b"".join([_NUMBER.pack(len(head) + sum(sizes)), head, *parts]))
+        self._end.sendall(b"".join([_NUMBER.pack(length), *parts]))
+
+    def _lend(self, arrays: Sequence[memoryview]) -> bool:
+        """Put the arrays into the memory that the other end sees, if there is any and they fit."""
+        if self._lent is None or sum(map(_even, (a.nbytes for a in arrays))) > len(self._lent):
+            return False
+        start = 0
+        for array in arrays:
+            self._lent[start : start + array.nbytes] = array
+            start += _even(array.nbytes)
+        return True
 
     def receive(self, patience: float | None) -> tuple[Any, ...] | None:
         """What was sent; None if it is not all there within `patience` s (None: wait), and then it
@@ -121,18 +173,32 @@ class Channel:
         self._room = bytearray(_NUMBER.size)
         self._filled = 0
         self._sized = False
-        return _value(whole)
+        return _value(whole, self._given)
 
     def close(self) -> None:
         self._end.close()
+        if self._lent is not None:
+            self._lent.close()
 
 
-def _value(whole: memoryview) -> tuple[Any, ...]:
-    """What a message holds; its arrays stay where they are."""
-    count = _NUMBER.unpack_from(whole)[0]
-    parts = []
-    start = _NUMBER.size * (1 + count)
-    for (size,) in _NUMBER.iter_unpack(whole[_NUMBER.size : start]):
-        parts.append(whole[start : start + size])
-        start += size
-    return pickle.loads(parts[0], buffers=parts[1:])
+def _value(whole: memoryview, given: mmap.mmap | None) -> tuple[Any, ...]:
+    """What a message holds; its arrays stay where they are, but for those that lie in memory which
+    is the sender's: they are copied."""
+    is_lent, count = struct.unpack_from("<2Q", whole)
+    start = _NUMBER.size * (2 + count)
+    sizes = struct.unpack_from(f"<{count}Q", whole, 2 * _NUMBER.size)
+    pickled = whole[start : start + sizes[0]]
+    start += sizes[0]
+    source: memoryview | mmap.mmap = whole
+    if is_lent:
+        assert given is not None
+        source, start = given, 0
+    arrays = []
+    for size in sizes[1:]:
+        arrays.append(source[start : start + size])
+        start += _even(size) if is_lent else size
+    return pickle.loads(pickled, buffers=arrays)
+
+
+def _even(size: int) -> int:
+    return -(-size // _EVEN) * _EVEN

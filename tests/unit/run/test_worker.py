@@ -1,0 +1,48 @@
+"""What goes to a process beside a run, and comes back."""
+
+import mmap
+import socket
+
+import numpy as np
+import pytest
+
+from mjtactile.run.worker import Channel
+
+ROOM = 1 << 12
+RNG = np.random.default_rng(0)
+
+
+@pytest.fixture
+def ends():
+    """Both ends of a channel, of which the first lends the other one a page of memory."""
+    ours, its = socket.socketpair()
+    with ours, its, mmap.mmap(-1, ROOM) as memory:
+        yield Channel(ours, lent=memory), Channel(its, given=memory)
+
+
+@pytest.mark.parametrize("count", [0, 1, 3, ROOM // 8, ROOM // 8 + 1])
+def test_arrays_arrive_as_they_were_whether_they_fit_or_not(ends, count):
+    one, other = ends
+    numbers = RNG.normal(size=count)
+    odd = RNG.integers(0, 256, (1, 1, 1), np.uint8)  # the next one begins at an even place
+    one.send("seen", [odd, numbers], {"time": 0.5})
+    word, (first, second), said = other.receive(1.0)
+    assert (word, said) == ("seen", {"time": 0.5})
+    np.testing.assert_array_equal(first, odd)
+    np.testing.assert_array_equal(second, numbers)
+    assert not second.flags.writeable or not count
+
+
+def test_what_was_received_stays_when_more_is_sent(ends):
+    one, other = ends
+    one.send(np.zeros(9))
+    (kept,) = other.receive(1.0)
+    one.send(np.ones(9))
+    other.receive(1.0)
+    np.testing.assert_array_equal(kept, np.zeros(9))
+
+
+def test_an_answer_needs_no_memory(ends):
+    one, other = ends
+    other.send(np.arange(20000))
+    np.testing.assert_array_equal(one.receive(1.0)[0], np.arange(20000))
