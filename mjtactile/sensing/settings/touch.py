@@ -228,7 +228,7 @@ class SlipSettings:
         _SLID,
     )
     doubtful: float = number(
-        0.25, "of the normal force, sd of the shear above which nothing is a sign of slip", _SLID
+        0.25, "of the normal force, sd of the shear above which a way along it is no slip", _SLID
     )
     body_speed: float = number(
         3e-3, "m/s of a known body along the shear, over the rubber: less is no slip", _SLID

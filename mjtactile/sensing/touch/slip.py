@@ -89,7 +89,7 @@ def judge(
     shear_sd: float = 0.0,
 ) -> tuple[Slip, SlipHistory | None]:
     """Slip state of the strongest patch at `time` s, and the history for the next image (None: the
-    touch has ended). Shear that is known to `shear_sd` N only may be no sign of anything."""
+    touch has ended). Along a shear that is known to `shear_sd` N only nothing may go."""
     if not patches:
         return Slip("none", np.zeros(2), 0.0, 1.0), None
     normal, shear = split(patches[0].force, mean_normal(estimator, shape))
@@ -104,10 +104,10 @@ def judge(
     asked = s.evidence if uneven < s.sticks else s.evidence_uneven
     is_even = is_known and uneven < s.even
     rolls = is_known and uneven > s.rolls  # its middle sticks, wherever the whole goes
-    goes = not rolls and way > s.least_way and evidence(now, normal, s) > asked
-    is_felt = shear_sd < s.doubtful * normal
-    slips = is_felt and load > s.least_load and (is_even or goes)
-    if not slips and is_felt and _turns(now.samples, s):
+    is_felt = shear_sd < s.doubtful * normal  # else nobody knows along what it should go
+    goes = is_felt and not rolls and way > s.least_way and evidence(now, normal, s) > asked
+    slips = load > s.least_load and (is_even or goes)
+    if not slips and _turns(now.samples, s):
         slips = True
         load = used_around
     if slips and now.distance == 0:
