@@ -180,3 +180,15 @@ def onto_mesh(film: Film, mesh: MembraneMesh) -> Array | None:
     frame = np.setdiff1d(np.arange(len(mesh.p_SV)), mesh.interior)
     by_node[frame] = 0.0
     return by_node
+
+
+def normals_of(p_SV: Array, triangles: NDArray[np.int64]) -> Array:
+    """Outward unit normals (n, 3) of a sheet at its vertices `p_SV` (n, 3): of the `triangles`
+    (m, 3) around each, by their areas."""
+    a, b, c = (p_SV[triangles[:, i]] for i in range(3))
+    faces = np.cross(b - a, c - a)
+    corners = triangles.ravel()
+    sums = np.stack(
+        [np.bincount(corners, np.repeat(faces[:, i], 3), len(p_SV)) for i in range(3)], axis=1
+    )
+    return sums / np.linalg.norm(sums, axis=1, keepdims=True)

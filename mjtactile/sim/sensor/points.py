@@ -37,7 +37,7 @@ from mjtactile.sim.sensor.cells import (
     lie,
     stand_back,
 )
-from mjtactile.sim.sensor.mesh import MembraneMesh
+from mjtactile.sim.sensor.mesh import MembraneMesh, normals_of
 from mjtactile.sim.sensor.sharp import KINDS, sharp_geoms
 from mjtactile.sim.sensor.spread import depth_under_end
 
@@ -249,10 +249,8 @@ class ContactPoints:
         """Those geoms that may be close to one of the `vertices` (k, 3) m in S: which a ball around
         all of them tells, at a fifth of the price."""
         data = self._data
-        low = vertices.min(axis=0)
-        high = vertices.max(axis=0)
-        middle = (low + high) / 2
-        radius = float(np.linalg.norm(high - low)) / 2
+        middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+        radius = float(np.linalg.norm(np.ptp(vertices, axis=0))) / 2
         size = float(self._sizes[0])
         places = self._in_sensor(data.geom_xpos[self._geoms])
         apart = np.linalg.norm(places - middle, axis=1) - self._model.geom_rbound[self._geoms]
@@ -375,19 +373,8 @@ class ContactPoints:
         return Cells(vertices @ turn + shift, axes @ turn, sizes)
 
     def _normals(self, p_SV: Array) -> Array:
-        """Outward unit normals (k, 3) of the sheet at the vertices: of the triangles around each,
-        by their areas."""
-        a, b, c = (p_SV[self._triangles[:, i]] for i in range(3))
-        faces = np.cross(b - a, c - a)
-        sums = np.stack(
-            [
-                np.bincount(self._triangles.ravel(), np.repeat(faces[:, i], 3), len(p_SV))
-                for i in range(3)
-            ],
-            axis=1,
-        )
-        normals = sums[self._interior]
-        return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        """Outward unit normals (k, 3) of the sheet at the vertices."""
+        return normals_of(p_SV, self._triangles)[self._interior]
 
     def _loads(self, tensions: Callable[[], Array], pressure_gauge: float) -> Array:
         """Contact forces on the vertices beyond what the gas carries, over 2 pi times tension and
