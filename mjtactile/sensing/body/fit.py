@@ -193,7 +193,7 @@ def refine(
     return Fit(family, hint, at, prior, J.T @ J, slopes, data.force)
 
 
-def exactly(forward: Forward, fit: Fit, data: Data, noise: float) -> Fit:
+def exactly(forward: Forward, fit: Fit, data: Data, noise: float, times: int = _POLISHED) -> Fit:
     """A fit with exact slopes, for what is said of it; they lead it on to where quick ones do not.
 
     Args:
@@ -201,11 +201,12 @@ def exactly(forward: Forward, fit: Fit, data: Data, noise: float) -> Fit:
         fit: Of an image.
         data: The image.
         noise: As for `refine`.
+        times: That they may lead it on.
 
     Returns:
         The same, where its slopes are exact.
     """
-    for _ in range(_POLISHED):
+    for _ in range(times):
         if fit.slopes.exact:
             return fit
         slopes = find_slopes(forward, fit.family, fit.hint, fit.at)

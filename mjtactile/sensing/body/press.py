@@ -315,7 +315,7 @@ def _follow(films: Films, press: Press, hint: Hint, data: Data) -> Press | None:
     body = _next(films, press.candidates[0], press.now, press.noise, hint, data, _FOLLOWED)
     if body is None:
         return None
-    body = exactly(films.fine, body, data, press.noise)
+    body = exactly(films.fine, body, data, press.noise, times=0)
     return replace(press, now=body, images=press.images + 1)
 
 
