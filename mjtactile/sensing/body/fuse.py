@@ -74,8 +74,10 @@ def borne(forward: Forward, press: Press, wrench: Array, noise: float, s: BodySe
     doubt = 1 - float(press.probabilities[0])
     left = (max(found.misfit, 1.0) / s.misfit_most) ** 2
     cov = model + by_numbers + doubt * np.outer(off, off)
-    # a point catches the sheet where the film slides: what that does to shear, it does not explain
-    return Borne(load, cov, rows, max(1 - left, 0.0) * (1 - kinds["tip"]))
+    # a point catches the sheet where the film slides; of what is blunt nothing is sharp, and where
+    # markers say that something is, it may be a point that was taken for it
+    explains = kinds["edge"] + kinds["several"]
+    return Borne(load, cov, rows, max(1 - left, 0.0) * explains)
 
 
 def _pointed(found: Fit, noise: float, s: BodySettings) -> float:

@@ -116,7 +116,7 @@ class BodySettings:
         low=0.0,
     )
     place_sd: float = number(
-        2.5e-4, "m, of where it acts, times the root of that misfit", _CALIBRATED + "the same"
+        4e-4, "m, of where it acts, times the root of that misfit", _PRESSED_SHAPES
     )
     place_sd_sharp: float = number(
         4e-5, "m, the same of edges and of several bodies", _CALIBRATED + "the same"
