@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 
 from mjtactile.core.types import Array, Touch
 from mjtactile.film import FilmState
@@ -45,6 +44,8 @@ class Data:
             drift: What may have changed since the rest was measured, as sd: share of gas, and m
                 that the camera has moved.
         """
+        from scipy.linalg import solve_triangular  # takes a while to import
+
         markers = touch.markers
         assert markers is not None
         gas = drift[0] * by_gas[markers.ids]
