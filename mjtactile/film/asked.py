@@ -11,7 +11,22 @@ from mjtactile.core.errors import InputError
 from mjtactile.film.bodies import Obstacle
 from mjtactile.film.state import FilmBatch, FilmState
 
+_LEAST_NODES = 5
+_MOST_NODES = 400
 _MOST_GAUGE = 1e6  # Pa
+
+
+def grid(counts: Any) -> tuple[int, int]:
+    """Numbers of nodes along x and y. Raises InputError."""
+    try:
+        found = tuple(int(count) for count in counts)
+    except (TypeError, ValueError):
+        found = ()
+    if len(found) != 2 or not all(_LEAST_NODES <= count <= _MOST_NODES for count in found):
+        raise InputError(
+            f"{counts} must be two numbers of nodes, {_LEAST_NODES} to {_MOST_NODES}", field="grid"
+        )
+    return found[0], found[1]
 
 
 def environments(obstacles: Any) -> list[Collection[Obstacle]]:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
-from mjtactile.film import asked, bodies
+from mjtactile.film import asked, bodies, stiffness
 from mjtactile.film.batch import at_once, new_batch
 from mjtactile.film.bodies import Obstacle
 from mjtactile.film.cutting import cut_by
@@ -28,14 +28,12 @@ from mjtactile.film.inflating import inflate
 from mjtactile.film.law import law_numbers, tension_slope
 from mjtactile.film.state import FOUND, FilmBatch, FilmState, Pressing, judged
 from mjtactile.film.sticking import StuckPatch, patches_of
-from mjtactile.kernels import band_stride, bound, kernel
+from mjtactile.kernels import bound, kernel
 
 TOLERANCE = 5e-7  # m, of what is left of the displacements
 _MOST_STEPS = 40
-_LEAST_NODES, _MOST_NODES = 5, 400
-_MIXED_AREA = (
-    1.05  # area ratio at which the tension's slope is taken; steps depend on it, results do not
-)
+_MIXED_AREA = 1.05
+"""Area ratio at which the tension's slope is taken; steps depend on it, results do not."""
 
 
 class Film:
@@ -66,7 +64,7 @@ class Film:
             InputError: a grid or a pressure that is none, or with which the sheet finds no rest.
         """
         self.design = design = load_sensor(design)
-        self.grid = _grid(grid)
+        self.grid = asked.grid(grid)
         frame, chamber, sheet = design.frame, design.chamber, design.membrane
         self.pressure_gauge = asked.pressure(
             chamber.supply_gauge if pressure_gauge is None else pressure_gauge
@@ -337,33 +335,7 @@ class Film:
             The Cholesky factor's lower band (width + 1, 3 inner nodes), as SciPy has it; x, y and
             height of a node in turn.
         """
-        width = 3 * self.grid[1] - 1
-        return np.ascontiguousarray(self._stiffness_band(state)[:, : width + 1].T)
-
-    def compliance(self, state: FilmState) -> Array:
-        """How the sheet gives in the plane, its heights free, over gas that stays at its pressure.
-
-        Args:
-            state: At rest.
-
-        Returns:
-            (2 inner, 2 inner) m/N, displacements by forces; x and y of each inner node in turn.
-        """
-        band = self._stiffness_band(state)
-        count = 2 * len(band) // 3
-        room = np.empty(8 * len(band))
-        found = np.empty((count, count))
-        kernel("film_compliance")(*self.grid, band, room.size, room, found)
-        return found
-
-    def _stiffness_band(self, state: FilmState) -> Array:
-        """The factor by columns, as kernels/band.h has it."""
-        columns, rows = self.grid
-        band = np.empty((3 * (columns - 2) * (rows - 2), band_stride(3 * rows - 1)))
-        fixed = (self._numbers, self._law, *self.grid)
-        given = (state.x, state.pressure_gauge, self._room.size, self._room)
-        kernel("film_stiffness")(*fixed, *given, band)
-        return band
+        return stiffness.factor_of(self, state)
 
     def heights_of(self, obstacles: Obstacle | Sequence[Obstacle], places: ArrayLike) -> Array:
         """Find how high obstacles leave the sheet's middle.
@@ -396,15 +368,3 @@ class Film:
         kept = (self._kept.size, self._kept)
         law = (self._numbers, self._law, *self.grid)
         return (*law, *kept, self._rest, room.size, room)
-
-
-def _grid(grid: tuple[int, int]) -> tuple[int, int]:
-    try:
-        counts = tuple(int(count) for count in grid)
-    except (TypeError, ValueError):
-        counts = ()
-    if len(counts) != 2 or not all(_LEAST_NODES <= count <= _MOST_NODES for count in counts):
-        raise InputError(
-            f"{grid} must be two numbers of nodes, {_LEAST_NODES} to {_MOST_NODES}", field="grid"
-        )
-    return counts[0], counts[1]

@@ -18,6 +18,7 @@ from mjtactile.film import bodies
 from mjtactile.film.film import Film
 from mjtactile.film.fineness import doubt_of_rows
 from mjtactile.film.state import AREA, FOUND, PRESSURE, STATUS, TENSION, VOLUME, WRENCH, FilmStatus
+from mjtactile.film.stiffness import compliance_of
 from mjtactile.kernels import bound, kernel
 
 _TOLERANCE = 1e-6  # m, of what is left of the displacements
@@ -179,7 +180,7 @@ class Sticking:
     @cached_property
     def compliance(self) -> Array:
         """(2 inner, 2 inner) m/N; x and y of each node in turn."""
-        return self.film.compliance(self.film.rest)
+        return compliance_of(self.film, self.film.rest)
 
     def grip(self, x: Array, force: Array) -> Grip:
         """Say how the nodes that touch are held when they move as one body.

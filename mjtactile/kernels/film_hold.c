@@ -19,7 +19,7 @@
 #define SHARE 0.75      /* of stiffness times step that damps a free body; every step is stable from 0.5 on, where a heavy one swings on */
 enum { JOINT_FREE, JOINT_BALL, JOINT_SLIDE, JOINT_HINGE };
 
-/* What is remembered, all of it doubles; film_sensor.py knows the places. */
+/* What is remembered, all of it doubles; film_memory.py knows the places. */
 typedef struct {
     double body;                    /* that touches, plus one; 0: nothing does */
     double wrench[6];               /* of it on the film about the origin of S */

@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
 from mjtactile.film import FilmStatus
-from mjtactile.film.live import HEAT_RATIO, LiveFilm
+from mjtactile.film.live import LiveFilm
 from mjtactile.kernels import bound, words
 from mjtactile.sim.sensor import limits
+from mjtactile.sim.sensor.film_gas import FilmGas
+from mjtactile.sim.sensor.film_memory import FilmMemory
 from mjtactile.sim.sensor.films import FEELER, bulge_stiffness, film_of, sticking_of
 from mjtactile.sim.sensor.gas import ChamberGas
 from mjtactile.sim.sensor.geoms import FeltGeoms
@@ -29,18 +31,12 @@ from mjtactile.sim.sensor.pushes import HOLD, pushes_of
 from mjtactile.sim.sensor.sheet_sensor import SheetSensor
 from mjtactile.sim.sensor.switches import Effect
 
-_FLAT = 1.0  # Pa, below which the sheet lies flat
 _PATIENCE = 25  # steps without a solution in a row
 _LATE = 2  # such steps that are not worth a word
 _NO_FLEX = -2
-# places in what the kernel remembers (kernels/film_hold.c), and is given
-_MEMORY = 69
-_RADIUS = 10
-_BODY, _SLIDES, _NEAR, _STATUS, _LOST = 0, 11, 18, 19, 20
-_WRENCH, _MIDDLE, _STRAIN = slice(1, 7), slice(7, 10), slice(12, 15)
-_SOLVED_GAS = slice(57, 59)
-_SLID = 66
-_GAS, _TIME = 2, 6
+# places in what the kernel is given (kernels/film_hold.c)
+_GAS = 2
+_TIME = 6
 
 
 class FilmSensor(SheetSensor):
@@ -83,7 +79,7 @@ class FilmSensor(SheetSensor):
                 reach,
             ]
         )
-        self._memory = np.zeros(_MEMORY)
+        self._memory = FilmMemory()
         self._touched = np.zeros((2, *film.grid), np.uint8)
         self._before = np.zeros((6, *film.grid))
         self._pushes = pushes_of(model, data)
@@ -91,13 +87,11 @@ class FilmSensor(SheetSensor):
         self._force = np.zeros(model.nv)
         self._hold = np.zeros(HOLD)
         self._pushing = np.zeros(1, np.int64)  # whether it did at the last look
-        self._flat_volume = design.chamber_volume_flat
         self._bind()
-        self._gas_set_at = math.nan  # s, when the film was last told what its gas does
-        self._gas.advance(self._volume, 0.0)
-        self._gas_then = self._gas
-        self._moment: tuple[float, float] | None = None
-        """s and m^3, of what was last found of the gas."""
+        stiffness = self._given[_GAS : _GAS + 1]
+        self._breath = FilmGas(
+            self._gas, self._live, self._memory, stiffness, self._timestep, self.time
+        )
         self._look()
 
     def _bind(self) -> None:
@@ -119,14 +113,14 @@ class FilmSensor(SheetSensor):
             geoms.ids,
             geoms.bodies,
             geoms.bounds,
-            self._memory,
+            self._memory.numbers,
             self._touched,
             self._before,
         )
         self._find_push = bound(
             "film_push",
             self._given,
-            self._memory,
+            self._memory.numbers,
             self.body_id,
             model.nbody,
             model.body_parentid,
@@ -155,13 +149,12 @@ class FilmSensor(SheetSensor):
 
     def _come_to_now(self) -> None:
         self._look()
-        self._breathe()
+        self._breath.breathe(self.time)
         self.wake()
 
     def wake(self) -> None:
         """See the gas anew: its valve or its leak is another."""
-        self._gas_set_at = math.nan
-        self._moment = None
+        self._breath.wake()
 
     def _look(self) -> None:
         """Bring film, gas and what sticks up to the present poses; of one moment the first look
@@ -169,73 +162,42 @@ class FilmSensor(SheetSensor):
         data = self._data
         mujoco.mj_kinematics(self._model, data)
         self._given[_TIME] = data.time
-        self._set_gas()
+        self._breath.tell(self.time)
         self._follow()
 
-    def _set_gas(self) -> None:
-        """Tell the film what its gas does from now on."""
-        if self._gas.is_sealed:
-            if not self._live.settings[1]:
-                self._breathe()
-                self._seal()
-        elif self._gas_set_at != self.time:
-            self._breathe()
-            self._let_flow()
-            self._gas_set_at = self.time
+    # -- the chamber
 
-    def _seal(self) -> None:
-        """From now on the gas stays in."""
-        gas = self._gas
-        stiffness = gas.stiffness(self._timestep)
-        absolute = gas.pressure_gauge + gas.ambient
-        exponent = stiffness * self._volume / absolute
-        self._given[_GAS] = stiffness
-        self._live.numbers[HEAT_RATIO] = exponent
-        self._live.settings[:2] = absolute * self._volume**exponent, True
-
-    def _let_flow(self) -> None:
-        """Set what the film feels of a gas that flows, leaks or warms, or of an open valve."""
-        gas = self._gas
-        live = self._live
-        if gas.stiffness(self._timestep) > 0:
-            self._seal()
-            return
-        pressure = gas.supply_gauge if gas.is_open else gas.pressure_gauge
-        self._given[_GAS] = 0.0
-        if live.settings[1] == 0 and live.settings[0] == pressure:
-            return
-        if abs(pressure) < _FLAT and not self.is_touched:
-            live.lie_flat()
-            self._memory[_SOLVED_GAS] = pressure, 0.0
-        elif live.go_to_pressure(pressure) != FilmStatus.CONVERGED:
-            self._memory[_LOST] += 1
-        live.settings[:2] = pressure, 0.0
-
-    def _breathe(self) -> None:
-        """Take the gas to the film's present volume."""
-        self._volume = self.volume
-        self._gas.advance(self._volume, self.time - self._time)
-        self._time = self.time
-        self._moment = None
+    def _gas_now(self) -> ChamberGas:
+        return self._breath.at(self.time)
 
     @property
     def pressure_gauge(self) -> float:
         """Gauge pressure in the chamber, Pa, at the last look."""
-        if self._gas.is_sealed and self._live.settings[1]:
-            return self._live.pressure_gauge  # the film rests on p V^gamma
-        return super().pressure_gauge
-
-    def _gas_now(self) -> ChamberGas:
-        moment = self.time, self.volume
-        if self._moment != moment:
-            self._moment = moment
-            self._gas_then = self._gas.at(self.volume, self.time - self._time)
-        return self._gas_then
+        return self._breath.pressure_gauge(self.time)
 
     @property
     def volume(self) -> float:
         """Gas volume, m^3, at the last look."""
-        return self._flat_volume + self._live.volume
+        return self._breath.volume
+
+    @property
+    def gas_time(self) -> float:
+        return self.time
+
+    def close_valve(self) -> None:
+        """Trap the gas that is in the chamber now."""
+        super().close_valve()
+        self._breath.close()
+
+    def inflate(self, displacements: Array, pressure_gauge: float) -> None:
+        """Be at rest with these displacements (3 k,) m, sealed at `pressure_gauge` Pa."""
+        live = self._live
+        live.lie_flat()
+        live.x.reshape(3, -1)[:, self.mesh.interior] = displacements.reshape(-1, 3).T
+        live.rest_on(pressure_gauge, False, 1.0)
+        self._memory.forget()
+        self._breath.trap(pressure_gauge, self.time)
+        self._look()
 
     # -- for a kernel that goes on by itself (`film_stepper`)
 
@@ -245,13 +207,7 @@ class FilmSensor(SheetSensor):
         Returns:
             Whether that can be: not while the valve is open.
         """
-        gas = self._gas
-        if gas.is_sealed:
-            return bool(self._live.settings[1])
-        if gas.is_open or not gas.stiffness(self._timestep) > 0:
-            return False
-        self._set_gas()
-        return True
+        return self._breath.hold(self.time)
 
     def follow_words(self) -> Array:
         """(34,) What `film_follow` is called with, and where it says whether it pushed."""
@@ -270,18 +226,18 @@ class FilmSensor(SheetSensor):
     @property
     def is_asleep(self) -> bool:
         """Whether nothing is near, so that nothing is computed."""
-        return not self.is_touched and not self._memory[_NEAR]
+        return not self.is_touched and not self._memory.near
 
     @property
     def is_touched(self) -> bool:
         """Whether anything touches the film."""
-        return self._memory[_BODY] > 0
+        return self._memory.is_touched
 
     @property
     def wrench(self) -> Array:
         """(6,) N and N m about the origin of S that the world exerts on the film, at the last
         look."""
-        return self._memory[_WRENCH].copy()
+        return self._memory.wrench
 
     @property
     def contact_area(self) -> float:
@@ -296,12 +252,12 @@ class FilmSensor(SheetSensor):
     @property
     def slid(self) -> float:
         """m that what touches has slid over the film since it touched."""
-        return float(self._memory[_SLID])
+        return self._memory.slid
 
     @property
     def slides(self) -> bool:
         """Whether what touches is at friction's limit."""
-        return bool(self._memory[_SLIDES])
+        return self._memory.slides
 
     def look(self) -> Array:
         """The wrench of this very moment: what `wrench` is after the next `update`."""
@@ -311,13 +267,13 @@ class FilmSensor(SheetSensor):
     @property
     def middle(self) -> Array:
         """(3,) m in S, where what touches presses on the whole."""
-        return self._memory[_MIDDLE].copy()
+        return self._memory.middle
 
     @property
     def radius(self) -> float:
         """m, the mean distance of what presses from that, in the frame's plane; 0: nothing
         does."""
-        return float(self._memory[_RADIUS])
+        return self._memory.radius
 
     def contact_forces(self) -> tuple[Array, Array]:
         """Forces (n, 3) N on the film at its nodes that touch, and their places (n, 3) m in S;
@@ -347,7 +303,7 @@ class FilmSensor(SheetSensor):
     def _positions(self) -> Callable[[], Array]:
         """What gives `p_SV` of the last look."""
         x = self._live.x.copy()
-        strain = self._memory[_STRAIN].copy()
+        strain = self._memory.strain
         held = None
         if self.is_touched and strain.any():
             held = np.where(self._touched[0], self._live.force + 1e-9, 0.0)
@@ -385,40 +341,18 @@ class FilmSensor(SheetSensor):
         blur."""
         return self.marker_poses()
 
-    @property
-    def gas_time(self) -> float:
-        return self.time
-
-    def close_valve(self) -> None:
-        """Trap the gas that is in the chamber now."""
-        super().close_valve()
-        self._live.settings[1] = 0.0
-
-    def inflate(self, displacements: Array, pressure_gauge: float) -> None:
-        """Be at rest with these displacements (3 k,) m, sealed at `pressure_gauge` Pa."""
-        live = self._live
-        live.lie_flat()
-        live.x.reshape(3, -1)[:, self.mesh.interior] = displacements.reshape(-1, 3).T
-        live.rest_on(pressure_gauge, False, 1.0)
-        self._memory[:] = 0.0
-        self._volume = self.volume
-        self._gas.seal(self._volume, pressure_gauge)
-        self._time = self.time
-        self.wake()
-        self._look()
-
     # -- its limits
 
     def flags(self) -> limits.Flags:
         """What makes the present numbers less good than they look."""
         flags: limits.Flags = {}
-        lost = int(self._memory[_LOST])
+        lost = self._memory.lost
         if lost > _LATE:
             flags["film"] = f"the film found no rest for {lost} steps: {self._reason()}"
-        if self._memory[_NEAR]:
+        if self._memory.near:
             narrow = self._live.doubt() if self.is_touched else 0.0
             flags |= limits.film_flags(self._live.below_rim(), narrow)
-        if self._memory[_NEAR] > 1:
+        if self._memory.near > 1:
             flags["bodies"] = (
                 "several bodies are near one film, which takes all that touches it for one of "
                 "them; leave the sheet on"
@@ -427,14 +361,15 @@ class FilmSensor(SheetSensor):
 
     def failure(self) -> str | None:
         """Say why this sensor's state is outside what the film describes, or None."""
-        if self._memory[_LOST]:
-            pushed = self._memory[_STATUS] == FilmStatus.ON_THE_GLASS
-            if pushed or self._memory[_LOST] >= _PATIENCE:
+        lost = self._memory.lost
+        if lost:
+            pushed = self._memory.status == FilmStatus.ON_THE_GLASS
+            if pushed or lost >= _PATIENCE:
                 return f"sensor {self.prefix!r}: {self._reason()}; leave the sheet on"
         return self._empty()
 
     def _reason(self) -> str:
-        return _REASONS.get(FilmStatus(int(self._memory[_STATUS])), "its pressure jumps")
+        return _REASONS.get(self._memory.status, "its pressure jumps")
 
 
 _REASONS = {

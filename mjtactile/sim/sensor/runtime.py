@@ -115,6 +115,9 @@ class TactileSensor(SheetSensor):
         self._flat = mesh.p_SV[mesh.interior].ravel()
         self._moved = np.empty_like(self._flat)
         self._geometry = make_geometry(mesh, design.chamber_volume_flat, effects)
+        # what the gas was last advanced to
+        self._volume = design.chamber_volume_flat
+        self._time = self.time
 
     def update(self) -> None:
         """Bring gas volume, pressure and stiffness up to the present state; call before every
@@ -254,6 +257,11 @@ class TactileSensor(SheetSensor):
         return np.bincount(triangles, np.repeat(mean, 3), count) / np.bincount(
             triangles, minlength=count
         )
+
+    @property
+    def volume(self) -> float:
+        """Gas volume, m^3, at the last `update`."""
+        return self._volume
 
     @property
     def gas_time(self) -> float:

@@ -56,8 +56,6 @@ class SheetSensor(ABC):
         """The sensor's frame, glass and camera block."""
         self._markers = MarkerInterpolator(mesh, design.markers.p_SM)
         self._gas = make_gas(design.chamber, effects)
-        self._volume = design.chamber_volume_flat
-        self._time = float(data.time)
         self.sleepy = True
         """Whether the sensor may fall asleep while nothing is near it and nothing moves
         (sleep.py)."""
@@ -121,9 +119,9 @@ class SheetSensor(ABC):
         return self._gas_now().temperature
 
     @property
+    @abstractmethod
     def volume(self) -> float:
         """Gas volume, m^3, at the last `update`."""
-        return self._volume
 
     @property
     def valve_is_open(self) -> bool:

@@ -1,0 +1,63 @@
+"""How stiff a film's sheet is where a state is, over a gas that stays at its pressure."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from mjtactile.core.types import Array
+from mjtactile.film.state import FilmState
+from mjtactile.kernels import band_stride, kernel
+
+
+class Sheet(Protocol):
+    """Of a `Film`, what its stiffness wants."""
+
+    grid: tuple[int, int]
+    _numbers: Array
+    _law: Array
+    _room: Array
+
+
+def factor_of(film: Sheet, state: FilmState) -> Array:
+    """Factor a sheet's stiffness.
+
+    Args:
+        film: Whose state it is.
+        state: At rest.
+
+    Returns:
+        The Cholesky factor's lower band (width + 1, 3 inner nodes), as SciPy has it; x, y and
+        height of a node in turn.
+    """
+    width = 3 * film.grid[1] - 1
+    return np.ascontiguousarray(_band(film, state)[:, : width + 1].T)
+
+
+def compliance_of(film: Sheet, state: FilmState) -> Array:
+    """How a sheet gives in the plane while its heights are free.
+
+    Args:
+        film: Whose state it is.
+        state: At rest.
+
+    Returns:
+        (2 inner, 2 inner) m/N, displacements by forces; x and y of each inner node in turn.
+    """
+    band = _band(film, state)
+    count = 2 * len(band) // 3
+    room = np.empty(8 * len(band))
+    found = np.empty((count, count))
+    kernel("film_compliance")(*film.grid, band, room.size, room, found)
+    return found
+
+
+def _band(film: Sheet, state: FilmState) -> Array:
+    """The factor by columns, as kernels/band.h has it."""
+    columns, rows = film.grid
+    band = np.empty((3 * (columns - 2) * (rows - 2), band_stride(3 * rows - 1)))
+    fixed = (film._numbers, film._law, *film.grid)
+    given = (state.x, state.pressure_gauge, film._room.size, film._room)
+    kernel("film_stiffness")(*fixed, *given, band)
+    return band
