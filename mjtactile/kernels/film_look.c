@@ -3,14 +3,12 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "film_lowest.h"
 #include "film_work.h"
 #include "small.h"
 
 #define CORRECTION (1 / 24.) /* of curvature times spacing^2, by which the grid makes a smooth body too high */
 #define THIN 5              /* places looked at on each side of a node for what is thinner than the spacing */
-#define BEHIND 1.5          /* spacings */
-#define BEHIND_UNSEEN 0.2
-#define BEHIND_TIP 0.65     /* a cone of 45 degrees, whose force is a third too small at worst, is up to 0.6; steeper ones slip aside */
 #define LEAN_OVER 0.3      /* spacings */
 #define HALF_A_CELL 0.55    /* of a spacing: nodes have moved apart */
 #define NEAREST_EDGE 0.95   /* of a spacing */
@@ -44,28 +42,6 @@ void film_unpad(const Film *f, long fields, const double *from, double *to) {
 }
 
 /* -- bodies ------------------------------------------------------------------------------------------------------------ */
-
-static const FilmBody *body_of(const Bodies *bodies, long number) {
-    return (const FilmBody *)(bodies->body + number * FILM_BODY);
-}
-
-/* Lowest height, and its slopes, of all bodies over a place; 1 where there is none. */
-static int lowest(const Film *f, const Bodies *bodies, double x, double y, double *height,
-                  double slope[2]) {
-    double found = INFINITY, at, by[2] = {0, 0};
-    const double *next = bodies->faces;
-    for (long b = 0; b < bodies->count; b++) {
-        const FilmBody *one = body_of(bodies, b);
-        const double *faces = next && one->kind == BODY_CONVEX ? next : 0;
-        if (faces) next += film_faces_of(one);
-        if (square(x - one->p[0]) + square(y - one->p[1]) > square(one->reach + f->numbers.half_thickness)) continue;
-        const int off = faces ? film_faces_height(f, one, faces, x, y, &at, by) : film_body_height(f, one, bodies->pool, x, y, &at, by);
-        if (off || at >= found) continue;
-        found = at, slope[0] = by[0], slope[1] = by[1];
-    }
-    *height = found;
-    return isinf(found);
-}
 
 static int any_thin(const Film *f, const Bodies *bodies) {
     for (long b = 0; b < bodies->count; b++)
@@ -376,68 +352,6 @@ int against_the_frame(const Film *f, const Settings *set, const Seen *seen) {
             if (h[k] - f->numbers.half_thickness <= -f->numbers.depth) return ON_THE_GLASS;
         }
     return CONVERGED;
-}
-
-/* Whether a body is behind the sheet, by more than so many spacings, over a place in the cell of node `k`, where the sheet is flat
-   and no body is below `floor`. */
-static int is_behind(const Film *f, const Bodies *bodies, const double *x, const Seen *seen, long k, const double at[2], double floor,
-                     double behind) {
-    const long corners[4] = {k, k + 1, k + f->line, k + f->line + 1};
-    const double spacing = most(f->dx, f->dy);
-    double height, slope[2], z = 0;
-    int touches = 0;
-    for (int c = 0; c < 4; c++) z += x[2 * f->count + corners[c]] / 4, touches |= seen->touching[corners[c]];
-    if (z - floor <= BEHIND_UNSEEN * spacing) return 0;
-    if (f->whole && f->whole[k / f->line * f->rows + k % f->line] == 0) return 0; /* the rim is asked instead */
-    for (long i = -1; i <= 2 && !touches; i++)
-        for (long j = -1; j <= 2; j++) {
-            const long near = k + i * f->line + j;
-            touches |= near >= 0 && near < f->count && seen->touching[near];
-        }
-    const double much = (touches ? behind : BEHIND_UNSEEN) * spacing;
-    if (z - floor <= much || lowest(f, bodies, at[0], at[1], &height, slope)) return 0;
-    return z - height > much;
-}
-
-/* At the middles of the cells. */
-static int goes_through_a_cell(const Film *f, const Bodies *bodies, const double *x, const Seen *seen) {
-    const long first = seen->box[2], last = (long)least(seen->box[3], f->rows - 1);
-    double at_x[FILM_MOST_LINE], at_y[FILM_MOST_LINE], floor[FILM_MOST_LINE];
-    for (long i = seen->box[0]; i < least(seen->box[1], f->columns - 1); i++) {
-        for (long j = first; j < last; j++) {
-            const double *x0 = x + i * f->line + j, *x1 = x0 + f->line, *y0 = x0 + f->count, *y1 = x1 + f->count;
-            at_x[j] = ((double)i + 0.5) * f->dx - f->numbers.length_x / 2 + (x0[0] + x0[1] + x1[0] + x1[1]) / 4;
-            at_y[j] = ((double)j + 0.5) * f->dy - f->numbers.length_y / 2 + (y0[0] + y0[1] + y1[0] + y1[1]) / 4;
-        }
-        floor_at(seen, last - first, at_x + first, at_y + first, floor + first);
-        for (long j = first; j < last; j++) {
-            const double at[2] = {at_x[j], at_y[j]};
-            if (is_behind(f, bodies, x, seen, i * f->line + j, at, floor[j], BEHIND)) return 1;
-        }
-    }
-    return 0;
-}
-
-/* At the bodies' own ends. */
-static int goes_through_at_an_end(const Film *f, const Bodies *bodies, const double *x, const Seen *seen) {
-    for (long b = 0; b < bodies->count; b++) {
-        const FilmBody *one = body_of(bodies, b);
-        const double half = one->kind == BODY_CAPSULE || one->kind == BODY_CYLINDER ? one->sizes[1] : 0;
-        for (int end = half > 0 ? -1 : 1; end <= 1; end++) {
-            const double at[2] = {one->p[0] + end * half * one->R[2], one->p[1] + end * half * one->R[5]};
-            const double i = floor((at[0] + f->numbers.length_x / 2) / f->dx), j = floor((at[1] + f->numbers.length_y / 2) / f->dy);
-            if (i < 0 || j < 0 || i > f->columns - 2 || j > f->rows - 2) continue;
-            const double tip = BEHIND_TIP + f->numbers.half_thickness / most(f->dx, f->dy), behind = one->kind == BODY_CONE ? tip : BEHIND;
-            double below;
-            floor_at(seen, 1, at, at + 1, &below);
-            if (is_behind(f, bodies, x, seen, (long)i * f->line + (long)j, at, below, behind)) return 1;
-        }
-    }
-    return 0;
-}
-
-int goes_through(const Film *f, const Bodies *bodies, const double *x, const Seen *seen) {
-    return goes_through_a_cell(f, bodies, x, seen) || goes_through_at_an_end(f, bodies, x, seen);
 }
 
 void gas_of(const Film *f, const Settings *set, double bulge, double *pressure, double *stiffness) {

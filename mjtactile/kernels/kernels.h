@@ -262,7 +262,7 @@ int64_t film_share(const double *numbers /* 19 */, const double *law /* 11 */, i
                    const double *from_found /* environments, 14 or NULL */, double *x /* environments, 3, columns, rows */,
                    double *force /* environments, columns, rows */, double *trend /* environments, 4, columns, rows */,
                    double *found /* environments, 14 */);
-/* sim/sensor/film_sensor.py: a film in a scene that moves. `given` and `memory`: see film_hold.c. From the poses of MuJoCo's bodies and
+/* sim/sensor/film_sensor.py: a film in a scene that moves. `given` and `memory`: see film_hold.h. From the poses of MuJoCo's bodies and
    geoms: `body` in the frame of the body `carrier`, the film at rest on them as film_solve has it (or, where they hardly went, as
    a spring), what sticks and slides. `touched`: nodes in the grip, and at the last solution; `before`: x and y then, and room. */
 int64_t film_follow(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
@@ -275,7 +275,7 @@ int64_t film_follow(const double *numbers /* 19 */, const double *law /* 11 */, 
                     int64_t ngeom, const double *geom_xpos /* ngeom, 3 */, const double *geom_xmat /* ngeom, 9 */,
                     const int64_t *geom /* geoms */, const int64_t *body_of /* geoms */, const double *bounds /* geoms, 7 */,
                     double *memory /* 69 */, uint8_t *touched /* 2, columns, rows */, double *before /* 6, columns, rows */);
-/* Out: what that pushes by MuJoCo's degrees of freedom, and how a free body is held (see film_hold.c); returns whether it does. */
+/* Out: what that pushes by MuJoCo's degrees of freedom, and how a free body is held (see film_push.c); returns whether it does. */
 int64_t film_push(const double *given /* 8 */, const double *memory /* 69 */, int64_t carrier, int64_t nbody,
                   const int32_t *parent /* nbody */, const int32_t *joints /* nbody */, const int32_t *first /* nbody */, int64_t njnt,
                   const int32_t *type /* njnt */, const int32_t *dof /* njnt */, const double *anchor /* njnt, 3 */,

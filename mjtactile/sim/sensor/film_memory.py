@@ -7,7 +7,7 @@ import numpy as np
 from mjtactile.core.types import Array
 from mjtactile.film import FilmStatus
 
-# places, as kernels/film_hold.c has them
+# places, as kernels/film_hold.h has them
 _COUNT = 69
 _BODY = 0
 _WRENCH = slice(1, 7)

@@ -34,7 +34,7 @@ from mjtactile.sim.sensor.switches import Effect
 _PATIENCE = 25  # steps without a solution in a row
 _LATE = 2  # such steps that are not worth a word
 _NO_FLEX = -2
-# places in what the kernel is given (kernels/film_hold.c)
+# places in what the kernel is given (kernels/film_hold.h)
 _GAS = 2
 _TIME = 6
 

@@ -1,0 +1,30 @@
+/* The lowest of all bodies over a place. */
+#ifndef MJTACTILE_FILM_LOWEST_H
+#define MJTACTILE_FILM_LOWEST_H
+#include <math.h>
+
+#include "film_work.h"
+#include "small.h"
+
+static inline const FilmBody *body_of(const Bodies *bodies, long number) {
+    return (const FilmBody *)(bodies->body + number * FILM_BODY);
+}
+
+/* Lowest height, and its slopes, of all bodies over a place; 1 where there is none. */
+static inline int lowest(const Film *f, const Bodies *bodies, double x, double y, double *height, double slope[2]) {
+    double found = INFINITY, at, by[2] = {0, 0};
+    const double *next = bodies->faces;
+    for (long b = 0; b < bodies->count; b++) {
+        const FilmBody *one = body_of(bodies, b);
+        const double *faces = next && one->kind == BODY_CONVEX ? next : 0;
+        if (faces) next += film_faces_of(one);
+        if (square(x - one->p[0]) + square(y - one->p[1]) > square(one->reach + f->numbers.half_thickness)) continue;
+        const int off = faces ? film_faces_height(f, one, faces, x, y, &at, by) : film_body_height(f, one, bodies->pool, x, y, &at, by);
+        if (off || at >= found) continue;
+        found = at, slope[0] = by[0], slope[1] = by[1];
+    }
+    *height = found;
+    return isinf(found);
+}
+
+#endif

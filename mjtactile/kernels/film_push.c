@@ -1,0 +1,126 @@
+/* What films push in a scene that moves, by MuJoCo's degrees of freedom, and how they hold bodies that are free.
+   Frame S unless a name says W. */
+#include <math.h>
+#include <string.h>
+
+#include "film_hold.h"
+#include "kernels.h"
+#include "small.h"
+
+#define TILT 0.25       /* of stiffness times radius^2: a disc on an even bed */
+#define SHARE 0.75      /* of stiffness times step that damps a free body; every step is stable from 0.5 on, where a heavy one swings on */
+enum { JOINT_FREE, JOINT_BALL, JOINT_SLIDE, JOINT_HINGE };
+
+/* The generalized force of a force and a torque, W, at `at` on a body, added to `out`. */
+static void apply(long body, double sign, const double *F, const double *T, const double *at, const int32_t *parent, const int32_t *joints,
+                  const int32_t *first, const int32_t *type, const int32_t *dof, const double *anchor, const double *axis,
+                  const double *xpos, const double *xmat, double *out) {
+    for (; body > 0; body = parent[body])
+        for (long j = first[body]; j < first[body] + joints[body]; j++) {
+            double arm[3], turn[3], local[3];
+            const double *from = type[j] == JOINT_FREE ? xpos + 3 * body : anchor + 3 * j;
+            for (int i = 0; i < 3; i++) arm[i] = at[i] - from[i];
+            across(arm, F, turn);
+            for (int i = 0; i < 3; i++) turn[i] += T[i];
+            double *here = out + dof[j];
+            if (type[j] == JOINT_FREE)
+                for (int i = 0; i < 3; i++) *here++ += sign * F[i];
+            if (type[j] <= JOINT_BALL) {
+                into(xmat + 9 * body, turn, local);
+                for (int i = 0; i < 3; i++) here[i] += sign * local[i];
+            } else {
+                const double *v = type[j] == JOINT_SLIDE ? F : turn, *a = axis + 3 * j;
+                *here += sign * (a[0] * v[0] + a[1] * v[1] + a[2] * v[2]);
+            }
+        }
+}
+
+/* How stiffly what touches is held, by the degrees of freedom of the free joint that carries it: G^T K G, and their velocity
+   against the film. `R_SB`, `p_SB`: of that joint's body, with which what touches is taken to go. */
+static void hold_of(const Given *g, const Memory *m, long dof, const double *R_SB, const double *p_SB, double *hold, const double *R) {
+    double G[36] = {0}, K[6] = {0, 0, m->normal, 0, 0, 0}, r[3], off[3], swing[3], moved[3];
+    const double tilt = TILT * m->normal * square(most(m->radius, g->spacing / 4));
+    K[3] = K[4] = tilt, K[5] = tilt;
+    if (!m->slides && m->gripped > 0) K[0] = m->grip[0], K[1] = m->grip[4], K[5] = m->grip[8];
+    for (int i = 0; i < 3; i++) r[i] = m->middle[i] - p_SB[i], off[i] = p_SB[i] - m->p[i];
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) G[6 * i + j] = R[3 * j + i], G[6 * (3 + i) + 3 + j] = R_SB[3 * i + j];
+    for (int j = 0; j < 3; j++) { /* v = v_o + w x r, w = R_SB w_B */
+        const double w[3] = {R_SB[j], R_SB[3 + j], R_SB[6 + j]};
+        double v[3];
+        across(w, r, v);
+        for (int i = 0; i < 3; i++) G[6 * i + 3 + j] = v[i];
+    }
+    hold[0] = (double)(dof + 1);
+    for (int a = 0; a < 6; a++)
+        for (int b = 0; b < 6; b++) {
+            double sum = 0;
+            for (int k = 0; k < 6; k++) sum += G[6 * k + a] * K[k] * G[6 * k + b];
+            hold[1 + 6 * a + b] = sum;
+        }
+    across(m->moved + 3, off, swing);
+    for (int i = 0; i < 3; i++) moved[i] = m->moved[i] + swing[i];
+    outof(R, moved, hold + 37), into(R_SB, m->moved + 3, hold + 40);
+    for (int i = 0; i < 6; i++) hold[37 + i] /= g->step;
+}
+
+int64_t film_push(const double *given, const double *memory, int64_t carrier, int64_t nbody,
+                  const int32_t *parent, const int32_t *joints, const int32_t *first, int64_t njnt, const int32_t *type,
+                  const int32_t *dof, const double *anchor, const double *axis, const double *xpos, const double *xmat, int64_t nv,
+                  double *push, double *hold) {
+    const Given *g = (const Given *)given;
+    const Memory *m = (const Memory *)memory;
+    (void)nbody, (void)njnt;
+    memset(push, 0, nv * sizeof *push), hold[0] = 0;
+    if (!m->body) return 0;
+    const long body = (long)m->body - 1;
+    const double *R = xmat + 9 * carrier;
+    double F[3], T[3], at[3], turn[3], local[3];
+    across(m->middle, m->wrench, turn);
+    for (int i = 0; i < 3; i++) local[i] = m->wrench[3 + i] - turn[i];
+    outof(R, m->wrench, F), outof(R, local, T), outof(R, m->middle, at);
+    for (int i = 0; i < 3; i++) at[i] += xpos[3 * carrier + i];
+    apply(carrier, 1, F, T, at, parent, joints, first, type, dof, anchor, axis, xpos, xmat, push);
+    apply(body, -1, F, T, at, parent, joints, first, type, dof, anchor, axis, xpos, xmat, push);
+    long carried = body; /* by a free joint: its own, or that of a body which it is jointed to */
+    while (carried > 0 && !(joints[carried] == 1 && type[first[carried]] == JOINT_FREE)) carried = parent[carried];
+    if (carried <= 0) return 1;
+    double R_SB[9], p_SB[3], apart[3];
+    times(R, xmat + 9 * carried, 1, R_SB);
+    for (int i = 0; i < 3; i++) apart[i] = xpos[3 * carried + i] - xpos[3 * carrier + i];
+    into(R, apart, p_SB);
+    hold_of(g, m, dof[first[carried]], R_SB, p_SB, hold, R);
+    return 1;
+}
+
+/* All films' pushes (films, nv) and holds (films, 43) into `applied` and `damping` (nv). */
+int64_t film_add(int64_t nv, int64_t films, const double *pushes, const double *holds, double step, const double *inertia,
+                 const double *velocity, double *base, double *left, double *applied, const double *undamped, double *damping) {
+    if (memcmp(applied, left, nv * sizeof *left)) memcpy(base, applied, nv * sizeof *base); /* somebody else wrote */
+    memcpy(applied, base, nv * sizeof *base);
+    memcpy(damping, undamped, nv * sizeof *damping);
+    for (long k = 0; k < films; k++)
+        for (long i = 0; i < nv; i++) applied[i] += pushes[k * nv + i];
+    for (long k = 0; k < films; k++) {
+        const long dof = (long)holds[43 * k] - 1;
+        long first = 1, count = 0;
+        double K[36] = {0}, against[6] = {0};
+        for (long l = 0; l < films; l++) {
+            if ((long)holds[43 * l] - 1 != dof) continue;
+            if (l < k) first = 0;
+            count++;
+            for (int i = 0; i < 36; i++) K[i] += holds[43 * l + 1 + i];
+            for (int i = 0; i < 6; i++) against[i] += holds[43 * l + 37 + i];
+        }
+        if (dof < 0 || !first) continue;
+        for (int a = 0; a < 6; a++) { /* at least the stiffness, by Gershgorin in coordinates with an inertia of one */
+            double sum = 0;
+            for (int b = 0; b < 6; b++) sum += fabs(K[6 * a + b]) / sqrt(inertia[dof + b]);
+            sum *= SHARE * step * sqrt(inertia[dof + a]);
+            damping[dof + a] += sum;
+            applied[dof + a] += sum * (velocity[dof + a] - against[a] / (double)count);
+        }
+    }
+    memcpy(left, applied, nv * sizeof *left);
+    return 0;
+}

@@ -1,0 +1,44 @@
+/* How stiff a film's sheet is: at rest, as all its solutions take it, and where a state is. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "band.h"
+#include "film_step.h"
+#include "kernels.h"
+
+/* The sheet's stiffness at `x`, less that of a gas, in memory of its own, to be freed by `block[0]`; 1: there is none left. */
+static int stiffness_at(const Film *f, const double *x, double pressure, Stencil *stencil) {
+    float *room = malloc(film_stencil_size(f) * sizeof *room);
+    if (!room) return 1;
+    *stencil = film_stencil_in(f, &room);
+    film_stencil(f, x, pressure, stencil);
+    return 0;
+}
+
+int64_t film_keep(const double *numbers, const double *law, int64_t columns, int64_t rows, const double *x, int64_t roomy, double *room,
+                  int64_t keeping, float *kept) {
+    const Film f = film_of(numbers, law);
+    if (columns != f.columns || rows != f.rows || f.line > FILM_MOST_LINE || keeping < film_kept(numbers)) return REFUSED;
+    if (roomy < film_room_of(&f)) return REFUSED;
+    RestHeights rest = film_heights_at(&f, kept);
+    Work w = film_work_in(&f, &rest, kept, room);
+    Stencil stencil;
+    film_pad(&f, 3, x, w.x);
+    if (film_heights_rest(&f, w.x, &w.fine, &rest)) return NOT_DEFINITE;
+    if (stiffness_at(&f, w.x, 0, &stencil)) return NO_MEMORY;
+    const int code = film_plane_factor(&f, &stencil, kept + film_heights_size(&f));
+    free(stencil.block[0]);
+    return code ? NOT_DEFINITE : 0;
+}
+
+int64_t film_stiffness(const double *numbers, const double *law, int64_t columns, int64_t rows, const double *x, double pressure,
+                       int64_t roomy, double *room, double *factor) {
+    const Film f = film_of(numbers, law);
+    if (columns != f.columns || rows != f.rows || roomy < 3 * f.count + LANES) return REFUSED;
+    Stencil stencil;
+    film_pad(&f, 3, x, room), memset(room + 3 * f.count, 0, LANES * sizeof *room);
+    if (stiffness_at(&f, room, pressure, &stencil)) return NO_MEMORY;
+    film_stencil_band(&f, &stencil, factor);
+    free(stencil.block[0]);
+    return band_cholesky(3 * f.inner, FILM_WIDTH(&f), factor) ? NOT_DEFINITE : 0;
+}
