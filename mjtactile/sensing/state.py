@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Array, FiducialsSeen, Surface
-from mjtactile.sensing.body.press import Press
+from mjtactile.sensing.body.candidates import Press
 from mjtactile.sensing.force import zero
 from mjtactile.sensing.force.camera import CameraSeen
 from mjtactile.sensing.force.drift import CameraBelief

@@ -14,10 +14,11 @@ from mjtactile.core.status import OK, Status, StatusCode
 from mjtactile.core.types import SHAPES, Array, Contact, FeltShape, Touch
 from mjtactile.sensing.body.area import area_sd, areas, interval
 from mjtactile.sensing.body.bodies import Hint, room_in
+from mjtactile.sensing.body.candidates import Press
 from mjtactile.sensing.body.forward import Forward
 from mjtactile.sensing.body.fuse import Borne, borne
 from mjtactile.sensing.body.motion import RubberMotion, motion, tracked
-from mjtactile.sensing.body.press import Press, follow
+from mjtactile.sensing.body.press import follow
 from mjtactile.sensing.body.search import Films
 from mjtactile.sensing.body.standing import Data
 from mjtactile.sensing.body.words import words

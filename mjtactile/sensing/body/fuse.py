@@ -11,9 +11,9 @@ import numpy as np
 from mjtactile.core.types import SHAPES, Array, Touch
 from mjtactile.film import FilmState
 from mjtactile.sensing.body.bodies import principal
+from mjtactile.sensing.body.candidates import Press
 from mjtactile.sensing.body.fit import Fit
 from mjtactile.sensing.body.forward import Forward
-from mjtactile.sensing.body.press import Press
 from mjtactile.sensing.body.stick import sticks
 from mjtactile.sensing.settings import BodySettings
 

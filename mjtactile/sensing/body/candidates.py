@@ -1,0 +1,157 @@
+"""What the images of a press have told: families that may be it, weighed by their evidence
+(docs/equations.md, Eq. F19)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mjtactile.core.types import Array
+from mjtactile.sensing.body.bodies import Hint
+from mjtactile.sensing.body.common import Common
+from mjtactile.sensing.body.families import Family, kinds_of
+from mjtactile.sensing.body.fit import Fit, exactly
+from mjtactile.sensing.body.forward import Forward
+from mjtactile.sensing.body.motion import Track
+from mjtactile.sensing.body.search import Films
+from mjtactile.sensing.body.standing import Data
+from mjtactile.sensing.settings import BodySettings
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A family that may be it: its `fit` at the last look, the `log` of the images' evidence so
+    far, and what all looks have told of what it keeps."""
+
+    family: Family
+    fit: Fit
+    image_log: float
+    common: Common
+
+    @property
+    def log(self) -> float:
+        """Of its evidence: the images', and that it stayed the same."""
+        return self.image_log - self.common.drift / 2
+
+
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """A body of the newest image, with what was known before: the `image_log` of its family's
+    evidence and what its looks had in common; the image's own evidence counts by a `share`."""
+
+    fit: Fit
+    image_log: float
+    common: Common
+    share: float
+
+    def exactly(self, forward: Forward, data: Data, noise: float) -> Looked:
+        """With the body's exact slopes."""
+        return replace(self, fit=exactly(forward, self.fit, data, noise))
+
+    def with_noise(self, noise: float) -> Candidate:
+        """As a candidate, where the markers' variances are `noise` times what is believed."""
+        log = self.image_log + self.share * self.fit.log_evidence_with(noise)
+        return Candidate(self.fit.family, self.fit, log, self.common.with_look(self.fit))
+
+
+@dataclass(frozen=True, eq=False)
+class Press:
+    """What the images of a press have told.
+
+    Attributes:
+        candidates: The families that may be it; first the likeliest of the likeliest kind.
+        now: The first one's body in the newest image.
+        noise: Of the markers' variances, what the best left at the last look.
+        force: N, felt at the last look.
+        images: Since the last look.
+        parts: Places where it was touched then.
+        doubted: Mean square misfit when all families were looked for.
+        track: Where the body stood in the last images.
+        left: Families that were given up, as they were then.
+    """
+
+    candidates: tuple[Candidate, ...]
+    now: Fit
+    noise: float
+    force: float
+    images: int
+    parts: int
+    doubted: float
+    track: Track = ()
+    left: tuple[Candidate, ...] = ()
+
+    @property
+    def probabilities(self) -> Array:
+        """(n,) of the candidates."""
+        logs = np.array([one.log for one in self.candidates])
+        share = np.exp(logs - logs.max())
+        return share / share.sum()
+
+    def kinds(self, names: tuple[str, ...]) -> dict[str, float]:
+        """Probabilities of the kinds `names`."""
+        sums = dict.fromkeys(names, 0.0)
+        for probability, fit in self.bodies():
+            for kind, share in kinds_of(fit.family, fit.theta, fit.cov_with(self.noise)).items():
+                sums[kind] += probability * share
+        return sums
+
+    def bodies(self) -> list[tuple[float, Fit]]:
+        """Each candidate's probability and body: the newest of the likeliest, of the others that of
+        the last look."""
+        fits = [self.now, *(one.fit for one in self.candidates[1:])]
+        return list(zip(self.probabilities.tolist(), fits, strict=True))
+
+
+def weighed(
+    films: Films,
+    found: list[Looked],
+    hint: Hint,
+    data: Data,
+    s: BodySettings,
+    past: Press | None = None,
+) -> Press | None:
+    """Bodies of an image, weighed; those that are given up, with those that were in the `past`, are
+    remembered.
+
+    What even the best leaves of the markers is the film's and the simulator's doing: it is taken
+    for noise, the same for all families, so that none wins by chi-squares of hundreds over another
+    that is as wrong.
+    """
+    if not found:
+        return None
+    noise = max(s.noise_least, min(one.fit.misfit for one in found))
+    roughly = [one.with_noise(noise) for one in found]
+    least = max(one.log for one in roughly) - s.log_lost
+    likely = [one for one, rough in zip(found, roughly, strict=True) if rough.log > least]
+    kept = [one.exactly(films.fine, data, noise).with_noise(noise) for one in likely]
+    kept.sort(key=lambda one: -one.log)
+    spoken = _spoken(kept, noise)
+    lost = [rough for rough in roughly if not rough.log > least]
+    if past is not None:
+        seen = {one.family.name for one in roughly}
+        before = (*past.left, *past.candidates)
+        lost += [one for one in before if one.family.name not in seen]
+    kept.remove(spoken)
+    return Press(
+        (spoken, *kept), spoken.fit, noise, data.force, 0, len(hint.parts), 0.0, left=tuple(lost)
+    )
+
+
+def _spoken(candidates: list[Candidate], noise: float) -> Candidate:
+    """The likeliest of the likeliest kind."""
+    most = candidates[0].log
+    shares = [
+        {
+            kind: share * math.exp(one.log - most)
+            for kind, share in kinds_of(one.family, one.fit.theta, one.fit.cov_with(noise)).items()
+        }
+        for one in candidates
+    ]
+    sums: dict[str, float] = {}
+    for own in shares:
+        for kind, share in own.items():
+            sums[kind] = sums.get(kind, 0.0) + share
+    kind = max(sums, key=lambda name: sums[name])
+    return candidates[max(range(len(shares)), key=lambda n: shares[n].get(kind, 0.0))]

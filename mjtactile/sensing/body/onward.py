@@ -1,0 +1,155 @@
+"""A family's body in the next image of a press: from where it was, or begun anew
+(docs/equations.md, Eq. F19)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from mjtactile.film import FilmState
+from mjtactile.sensing.body.area import FACES
+from mjtactile.sensing.body.bodies import Hint
+from mjtactile.sensing.body.candidates import Candidate
+from mjtactile.sensing.body.fit import Fit, refine
+from mjtactile.sensing.body.search import Films, approach, beside, search
+from mjtactile.sensing.body.standing import Data, begin, standing
+
+FOLLOWED = 3  # rounds of a fit that is followed
+LOOKED = 5  # the same, at a look
+_LEVEL = ("tilt_x", "tilt_y", "lean")
+
+
+def from_before(
+    films: Films,
+    one: Candidate,
+    newest: Fit,
+    noise: float,
+    hint: Hint,
+    data: Data,
+    rounds: int,
+    known: float = math.inf,
+) -> Fit | None:
+    """A family's body, believed as the looks before have it, from where it was in the newest image
+    and as much deeper as the force has grown; given up where it stays far behind `known`, what
+    another leaves."""
+    family = one.family
+    hint = _matched(newest.hint, hint)
+    prior = one.common.prior(one.fit, noise, hint)
+    stays = family.rebased(newest.theta, newest.hint, hint)
+    theta = stays.copy()
+    heights = family.heights
+    by = -newest.slopes.sums[2, heights].sum() / family.sd[heights[0]]  # N/mm, all of them
+    if by < 0:
+        theta[heights] += np.clip((data.force - newest.felt) / by, -1.0, 1.0)
+    at = begin(films.fine, family, hint, theta, data, prior, newest.state)
+    # on flat faces a film now and then goes to and fro from one start, and not from another
+    at = at or begin(films.fine, family, hint, stays, data, prior, newest.state)
+    at = at or begin(films.fine, family, hint, theta, data, prior, None)
+    if at is None:
+        return None
+    return refine(
+        films.fine,
+        family,
+        hint,
+        at,
+        data,
+        prior,
+        slopes=newest.slopes,
+        rounds=rounds,
+        known=known,
+        noise=noise,
+    )
+
+
+def begun_anew(
+    films: Films,
+    one: Candidate,
+    stuck: Fit | None,
+    noise: float,
+    hint: Hint,
+    data: Data,
+    known: float,
+    near: FilmState,
+) -> Fit | None:
+    """The same, or what is found anew beside the film `near` it, where that explains more: on flat
+    faces fits end before they have come to the end, and what is round has been thought sharp while
+    few nodes touched it."""
+    if one.family.name in FACES or one.family.parts:
+        other = _from_middle(films, one, noise, hint, data, known, near)
+    else:
+        other = _from_nothing(films, one, noise, hint, data, known, near)
+    if other is None or (stuck is not None and stuck.chi2 < other.chi2):
+        return stuck
+    return other
+
+
+def _from_nothing(
+    films: Films,
+    one: Candidate,
+    noise: float,
+    hint: Hint,
+    data: Data,
+    known: float,
+    near: FilmState,
+) -> Fit | None:
+    """From all its starts; believed as the looks before have it once it is there."""
+    found = search(films, (one.family,), hint, data, noise, near, known)
+    if not found:
+        return None
+    prior = one.common.prior(replace(one.fit, at=found[0].at, hint=hint), noise, hint)
+    at = standing(films.fine, one.family, found[0].theta, data, prior, found[0].state)
+    return refine(
+        films.fine,
+        one.family,
+        hint,
+        at,
+        data,
+        prior,
+        slopes=found[0].slopes,
+        rounds=FOLLOWED,
+        known=known,
+        noise=noise,
+    )
+
+
+def _from_middle(
+    films: Films,
+    one: Candidate,
+    noise: float,
+    hint: Hint,
+    data: Data,
+    known: float,
+    near: FilmState,
+) -> Fit | None:
+    """From the middle of the touch."""
+    family = one.family
+    hint = _matched(one.fit.hint, hint)
+    prior = one.common.prior(one.fit, noise, hint)
+    theta = prior.mean * family.sd
+    middle = [n for n, name in enumerate(family.names) if name in ("x", "y", "z", *_LEVEL)]
+    theta[middle] = 0.0
+    at = beside(films.fine, family, hint, theta, data, prior, near)
+    at = at or approach(films.fine, family, hint, theta, data, prior)
+    if at is None:
+        return None
+    return refine(
+        films.fine, family, hint, at, data, prior, rounds=LOOKED, known=known, noise=noise
+    )
+
+
+def _matched(old: Hint, new: Hint) -> Hint:
+    """`new` with its parts in the order of those of `old`, which stay where there are not as
+    many."""
+    if not old.parts:
+        return replace(new, parts=())
+    if len(new.parts) != len(old.parts):
+        return replace(new, parts=old.parts)
+    left = list(new.parts)
+    parts = []
+    for one in old.parts:
+        nearest = min(left, key=lambda part: float(np.hypot(*(part.place - one.place))))
+        left.remove(nearest)
+        parts.append(nearest)
+    return replace(new, parts=tuple(parts))

@@ -1,0 +1,56 @@
+"""Several bodies at once: which family each of them is of."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjtactile.sensing.body.families import Family, several
+from mjtactile.sensing.body.fit import Fit, refine
+from mjtactile.sensing.body.onward import LOOKED
+from mjtactile.sensing.body.search import Films
+from mjtactile.sensing.body.standing import Data, Prior, begin
+from mjtactile.sensing.settings import BodySettings
+
+_PARTS = ("ball", "cylinder", "disc", "block")
+
+
+def other_parts(films: Films, best: Fit, data: Data, s: BodySettings) -> list[Fit]:
+    """One after the other of several bodies is tried as of another family, and stays so where it
+    explains more."""
+    tried: list[Fit] = []
+    noise = max(s.noise_least, best.misfit)
+    for place in range(len(best.family.parts)):
+        for name in _PARTS:
+            names = [part.name for part in best.family.parts]
+            if names[place] == name:
+                continue
+            names[place] = name
+            found = _with_part(films, best, several(names), place, data, noise)
+            if found is None:
+                continue
+            tried.append(found)
+        likely = max([best, *tried], key=lambda one: one.log_evidence_with(noise))
+        best = likely
+    return tried
+
+
+def _with_part(
+    films: Films, fit: Fit, family: Family, place: int, data: Data, noise: float
+) -> Fit | None:
+    """Of several bodies one is of another family: the likeliest of its starts."""
+    part = family.parts[place]
+    own = fit.hint.parts[place]
+    found: list[Fit] = []
+    kept = fit.family.split(fit.theta)
+    for start in part.starts(own):
+        begun = start.copy()
+        begun[:3] = kept[place][:3]
+        theta = np.concatenate([*kept[:place], begun, *kept[place + 1 :]])
+        prior = Prior.of(family, theta)
+        at = begin(films.fine, family, fit.hint, theta, data, prior, fit.state)
+        if at is None:
+            continue
+        found.append(
+            refine(films.fine, family, fit.hint, at, data, prior, rounds=LOOKED, noise=noise)
+        )
+    return min(found, key=lambda one: one.chi2, default=None)
