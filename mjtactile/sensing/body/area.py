@@ -8,16 +8,21 @@ from collections.abc import Sequence
 import numpy as np
 
 from mjtactile.core.types import Array
+from mjtactile.film import FilmState
 from mjtactile.film.state import TENSION
 from mjtactile.sensing.body.bodies import Hint
+from mjtactile.sensing.body.common import touching
 from mjtactile.sensing.body.families import Family, face_of
 from mjtactile.sensing.body.fit import Fit
 from mjtactile.sensing.body.forward import SUM_AREA, Forward
+from mjtactile.sensing.body.stick import sticks
 from mjtactile.sensing.settings import BodySettings
 
 _INTERVAL = (0.16, 0.84)
 _LIKELY = 1e-3  # probability, below which a family has no part in an interval
 FACES = ("disc", "block")
+_SLOPES = (0.02, 1.2)  # of a sheet at a rim: least, most
+_FACE_LEAST = 0.5  # of a face that was found, that may be left of it
 
 
 def areas(forward: Forward, found: Fit, s: BodySettings) -> list[float]:
@@ -83,27 +88,49 @@ def _area(
     if family.name in FACES:
         off, whole = face_of(family, theta, hint, state.displacements[:2])
         within = np.clip(0.5 - off / forward.spacing, 0.0, 1.0)
-        touching = float(within[state.contact_forces > 0].sum())
-        area = whole * touching / max(float(within.sum()), 1e-9)
-        pressed = share * state.force_normal / max(state.pressure_gauge * area, 1e-9)
-        return area / too_large(pressed, s)
+        lies = float(within[state.contact_forces > 0].sum())
+        area = whole * lies / max(float(within.sum()), 1e-9)
+        rim = rim_length(family, theta)
+        steep = slope_at_rim(share * state.force_normal, area, rim, state)
+        out = _rim_out(steep, sticks(forward, state, s) - s.friction, s) * hint.rounding
+        return area * max(1 + out * rim / area, _FACE_LEAST) if area > 0 else 0.0
     stretched = state.found[TENSION] / forward.film.rest.found[TENSION] - 1
     ratio = s.area_light + s.area_stretched * min(max(stretched, 0.0), s.stretched_most)
     return share * ratio * state.area
 
 
-def too_large(pressed: float, s: BodySettings) -> float:
-    """By what share a face's area is found too large.
+def rim_length(family: Family, theta: Array) -> float:
+    """Of a face's rim, m."""
+    if family.name == "disc":
+        return 2e-3 * math.pi * float(theta[5])
+    return 4e-3 * float(theta[6] + theta[7])
+
+
+def slope_at_rim(force: float, area: float, rim: float, state: FilmState) -> float:
+    """By how much the sheet goes up from a face at its rim, from how it is borne: what gas does not
+    press on the face, the sheet's tension draws to the rim.
 
     Args:
-        pressed: Its force over the gas's on its area.
-        s: Settings.
+        force: N on the face.
+        area: m^2 of it.
+        rim: Its length, m.
+        state: Of the film.
 
     Returns:
-        The share, from one up or down.
+        The mean sine of the angle, within what a film bears.
     """
-    light = s.face_light - s.face_fades * math.log(max(pressed, 1e-3) / s.face_load)
-    return min(max(1 + light, s.face_bounds[0]), s.face_bounds[1])
+    drawn = force - state.pressure_gauge * area
+    slope = drawn / max(float(state.found[TENSION]) * rim, 1e-9)
+    return min(max(slope, _SLOPES[0]), _SLOPES[1])
+
+
+def _rim_out(slope: float, stuck: float, s: BodySettings) -> float:
+    """By how many roundings a sharp rim is outside of the one that was found.
+
+    The found one is round: a sheet that goes up steeply leaves it farther out than a flat one, and
+    more so beside the frame, where it sticks and is steeper than the film.
+    """
+    return s.rim_slope * slope + s.rim_stuck * stuck - s.rim_in
 
 
 def area_sd(found: Fit, area: float, noise: float, s: BodySettings) -> float:
@@ -125,11 +152,11 @@ def area_sd(found: Fit, area: float, noise: float, s: BodySettings) -> float:
         cov = found.cov_with(noise)[np.ix_(places, places)]
         by = (2 if found.family.name == "disc" else 1) * area / half
         known = float(by @ cov @ by)
-        model = s.area_face_sd
+        model = s.rim_sd * found.hint.rounding * rim_length(found.family, found.theta)
     else:
         known = float(found.sums_cov_with(noise)[SUM_AREA, SUM_AREA])
-        model = s.area_sd
-    return math.hypot(math.sqrt(max(known, 0.0)), model * area)
+        model = math.hypot(s.area_sd, s.area_by_node / touching(found)) * area
+    return math.hypot(math.sqrt(max(known, 0.0)), model)
 
 
 def interval(bodies: Sequence[tuple[float, float, float]]) -> tuple[float, float]:

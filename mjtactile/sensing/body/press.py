@@ -18,7 +18,7 @@ from mjtactile.sensing.body.standing import Data
 from mjtactile.sensing.settings import BodySettings
 
 _WORSE = 1.5  # times as much is left as when all families were looked for: they are again,
-_BAD = 0.5  # of the misfit that is too much: with so much they are looked for at each look
+_BAD = 0.25  # of the misfit that is too much: with so much they are looked for at each look
 _BETTER = 0.8  # and what explains so much more than what is followed is taken in its place
 _STUCK = 1.15  # times the misfit of another family: it is begun with anew
 _ONE = tuple(FAMILIES.values())

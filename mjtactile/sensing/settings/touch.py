@@ -57,22 +57,30 @@ class BodySettings:
         low=1.0,
     )
     area_sd: float = number(
-        0.035,
+        0.01,
         "of the area of what is round, that the film does not know of",
         _CALIBRATED + "where 68 % are within it",
     )
-    area_face_sd: float = number(0.065, "the same of a face", _CALIBRATED + "the same")
-    face_light: float = number(
-        0.13,
-        "of a face's area, that it is found too large by where the force is `face_load`",
-        _PRESSED_SHAPES,
+    area_by_node: float = number(
+        0.8, "the same, over the film's nodes that touch", _CALIBRATED + "the same"
     )
-    face_load: float = number(2.7, "times the gas's force on that area", _PRESSED_SHAPES)
-    face_fades: float = number(
-        0.26, "how that goes with the logarithm of the force over the gas's", _PRESSED_SHAPES
+    rim_in: float = number(
+        0.72,
+        "times the rounding of a face's rim, by which a sharp one is further in than that is found",
+        _CALIBRATED + "least errors of area",
     )
-    face_bounds: tuple[float, float] = number(
-        (0.75, 1.4), "least and most of what the area is divided by for it", _PRESSED_SHAPES
+    rim_slope: float = number(
+        1.15,
+        "of that, what the slope of the sheet at the rim makes of it: the steeper, the further out",
+        _CALIBRATED + "the same",
+    )
+    rim_stuck: float = number(
+        10.7,
+        "of that, by how much more than in the middle a sheet bears that sticks",
+        _CALIBRATED + "the same",
+    )
+    rim_sd: float = number(
+        0.25, "of that, as sd, of where a rim is", _CALIBRATED + "where 68 % are within it"
     )
     curvature_by_node: float = number(
         2.2,
@@ -84,12 +92,12 @@ class BodySettings:
         4.0, "the same of a face's radius or half side", _CALIBRATED + "the same"
     )
     area_light: float = number(
-        0.985,
+        1.0,
         "area of a sheet of one tension over that of the film's, in a light touch",
         _PRESSED_SHAPES,
     )
     area_stretched: float = number(
-        1.4, "by how much that grows with the share by which the tension has", _PRESSED_SHAPES
+        0.65, "by how much that grows with the share by which the tension has", _PRESSED_SHAPES
     )
     stretched_most: float = number(0.1, "of that share: more does not count", _PRESSED_SHAPES)
     friction: float = number(
@@ -141,7 +149,7 @@ class BodySettings:
         1e-5, "m, of a body's place over the rubber, beside its fit's", _PRESSED_SHAPES
     )
     misfit_most: float = number(
-        6.0, "mean square of the heights over their sd, above which no body explains", PRESSED
+        12.0, "mean square of the heights over their sd, above which no body explains", PRESSED
     )
     force_least: float = number(0.03, "N; less says nothing of a shape", _PRESSED_SHAPES)
     look_force: float = number(
