@@ -23,8 +23,8 @@ import numpy as np
 from mjtactile.hold import Belief, Frames, Load, Spring, Trial, weigh
 from mjtactile.types import Command, Observation
 
-FORCE_MOST, FORCE_LEAST = 2.2, 0.18  # N on each finger that it asks for; it closes to the least,
-FORCE_TRIED = 0.10  # but with this while friction is tried, close over the table
+FORCE_MOST, FORCE_LEAST = 2.2, 0.18  # N on each finger that it asks for; it closes to the least
+FORCE_TRIED = 0.10  # N, the least while friction is tried, close over the table
 TOUCH_FORCE, PUSH_MOST = 0.08, 0.5  # N: well over the noise; to push it until both fingers touch
 SERVO_FORCE_LIMIT = 5.0  # N: the most that the servo may push, whatever is felt
 MARGIN = 1.3  # grip over what load and friction ask for

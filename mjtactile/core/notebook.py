@@ -83,7 +83,7 @@ def _copy(value: Any, room: _Room, depth: int) -> Any:
     if isinstance(value, (np.generic, np.ndarray)):
         room.has(value.size)
         value = value.tolist()
-    if isinstance(value, (dict, Mapping)):
+    if isinstance(value, (dict, Mapping)):  # a dict is told sooner
         room.has(len(value))
         return {_name(key, room): _copy(item, room, depth + 1) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

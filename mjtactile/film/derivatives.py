@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -153,13 +153,8 @@ def derived(
     by_found = np.empty((count, FOUND))
     settings = np.array([film._gas, film.sealed, 0.0, 1.0, 0.0, 0.0])
     fixed = (film._numbers, film._law, *film.grid, room.size, room, settings)
-    pooled = 0 if pool is None else pool.size
-    given = (rows.shape[1], count, rows, pooled, pool, by, state.x, state.force)
-    try:
-        elsewhere = kernel("film_derive")(*fixed, *given, by_x, by_force, by_found)
-    except np.linalg.LinAlgError as error:
-        raise InputError("loses its balance here", field="state") from error
-    if elsewhere:
+    given = _given(state, rows, pool, by)
+    if _ask("film_derive", *fixed, *given, by_x, by_force, by_found):
         raise InputError("does not rest on these bodies, but elsewhere", field="state")
     picked = (by_found[:, place] for place in (PRESSURE, VOLUME, AREA))
     return FilmDerivatives(by_x, by_force, by_found[:, WRENCH], *picked)
@@ -179,10 +174,10 @@ def answered(
         by: (n,) steps.
 
     Returns:
-        (n, nx, ny) of the heights, m, and of the forces, N, over each step's unit: heights
-        within 5 to 10 % of the derivatives, forces 10 to 20 % more; of light touches on few nodes,
-        and of sharp rims, within 40 %. Where a body ends between nodes, and that end moves, nothing
-        of it is seen.
+        (n, nx, ny) of the heights, m, and of the forces, N, over each step's unit. Heights are
+        within 5 to 10 % of the derivatives, forces 10 to 20 % larger; of light touches on few
+        nodes, and of sharp rims, both are within 40 %. Where a body ends between nodes, and that
+        end moves, nothing of it is seen.
 
     Raises:
         InputError: The state is about to lose its balance.
@@ -190,10 +185,20 @@ def answered(
     by_z, by_force = (np.empty((len(by), *film.grid)) for _ in range(2))
     settings = np.array([film._gas, film.sealed, _LOOSE, 1.0, 0.0, 0.0])
     fixed = (film._numbers, film._law, *film.grid, film._kept.size, film._kept)
+    given = _given(state, rows, pool, by)
+    _ask("film_answer", *fixed, film._room.size, film._room, settings, *given, by_z, by_force)
+    return by_z, by_force
+
+
+def _given(state: FilmState, rows: Array, pool: Array | None, by: Array) -> tuple[Any, ...]:
+    """Bodies, steps and state, as kernels take them."""
     pooled = 0 if pool is None else pool.size
-    given = (rows.shape[1], len(by), rows, pooled, pool, by, state.x, state.force)
+    return rows.shape[1], len(by), rows, pooled, pool, by, state.x, state.force
+
+
+def _ask(name: str, *arguments: Any) -> Any:
+    """What a kernel returns. Raises InputError where the sheet is not stiff in every direction."""
     try:
-        kernel("film_answer")(*fixed, film._room.size, film._room, settings, *given, by_z, by_force)
+        return kernel(name)(*arguments)
     except np.linalg.LinAlgError as error:
         raise InputError("loses its balance here", field="state") from error
-    return by_z, by_force

@@ -36,7 +36,7 @@ _FRICTION_MOST = 1.0  # rougher than that is not believed: rolling lets go befor
 
 @dataclass(frozen=True)
 class Belief:
-    """A controller keeps it as numbers (`dataclasses.asdict`) and takes it up again
+    """A controller keeps it as numbers (`vars`) and takes it up again
     (`Belief(**kept)`).
 
     Attributes:

@@ -21,7 +21,7 @@ _GROWTH = 0.05  # 1/s: who was wrong grips as hard as before in the end
 class Frames:
     """A foot that is wider than the tips stands between the frames. The jaws push them against it,
     what is wedged off them drags at the membranes, and that feels like twice the weight. A
-    controller keeps it as numbers (`dataclasses.asdict`) and takes it up again (`Frames(**kept)`).
+    controller keeps it as numbers (`vars`) and takes it up again (`Frames(**kept)`).
 
     Attributes:
         most: N on each finger that is of use to grip with.

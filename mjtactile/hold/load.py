@@ -19,7 +19,7 @@ _WEIGHING = 0.7  # s over which a weight is averaged
 
 @dataclass(frozen=True)
 class Load:
-    """A controller keeps it as numbers (`dataclasses.asdict`) and takes it up again
+    """A controller keeps it as numbers (`vars`) and takes it up again
     (`Load(**kept)`).
 
     Attributes:

@@ -17,7 +17,7 @@ _RANGE = (0.4, 6.0)
 
 @dataclass(frozen=True)
 class Spring:
-    """A controller keeps it as numbers (`dataclasses.asdict`) and takes it up again
+    """A controller keeps it as numbers (`vars`) and takes it up again
     (`Spring(**kept)`).
 
     Attributes:

@@ -25,7 +25,7 @@ _LEAST = 0.2
 
 @dataclass(frozen=True)
 class Trial:
-    """A controller keeps it as numbers (`dataclasses.asdict`) and takes it up again
+    """A controller keeps it as numbers (`vars`) and takes it up again
     (`Trial(**kept)`).
 
     Attributes:

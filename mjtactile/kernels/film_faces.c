@@ -12,8 +12,6 @@ enum { DOWN, UP, NEITHER };
 /* Planes of one way: z = c + a x + b y, or inside where that is positive; lists of c, a and b. */
 typedef struct { long count; const double *c, *a, *b; } Planes;
 
-static const FilmBody *body_of(const Bodies *bodies, long number) { return (const FilmBody *)(bodies->body + number * FILM_BODY); }
-
 /* Which way a plane (n, d) of a body faces, and its three numbers in S. */
 static int plane_in_sensor(const FilmBody *b, const double *plane, double *numbers) {
     double n[3];
@@ -45,7 +43,7 @@ static void make_faces(const FilmBody *b, const double *rows, double *out) {
 
 void film_faces(const Bodies *bodies, double *faces) {
     for (long b = 0; b < bodies->count; b++) {
-        const FilmBody *one = body_of(bodies, b);
+        const FilmBody *one = film_body_of(bodies, b);
         if (one->kind == BODY_CONVEX) make_faces(one, bodies->pool + (long)one->first, faces);
         faces += film_faces_of(one);
     }

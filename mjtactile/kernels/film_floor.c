@@ -43,7 +43,7 @@ void find_floors(const Film *f, const Bodies *bodies, Seen *seen) {
                               touches ? (double)(box[2] + box[3] - 1) / 2 * f->dy - f->numbers.length_y / 2 : 0};
     seen->floors = bodies->count <= FILM_FLOORS ? bodies->count : -1;
     for (long b = 0; b < seen->floors; b++)
-        planes_below(f, (const FilmBody *)(bodies->body + b * FILM_BODY), bodies->pool, middle, seen->planes + b * FILM_PLANES);
+        planes_below(f, film_body_of(bodies, b), bodies->pool, middle, seen->planes + b * FILM_PLANES);
 }
 
 void floor_at(const Seen *seen, long count, const double *x, const double *y, double *floor) {

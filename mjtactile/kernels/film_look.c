@@ -45,7 +45,7 @@ void film_unpad(const Film *f, long fields, const double *from, double *to) {
 
 static int any_thin(const Film *f, const Bodies *bodies) {
     for (long b = 0; b < bodies->count; b++)
-        if (body_of(bodies, b)->least < most(f->dx, f->dy)) return 1;
+        if (film_body_of(bodies, b)->least < most(f->dx, f->dy)) return 1;
     return 0;
 }
 
@@ -92,7 +92,7 @@ static int see_between(const Film *f, const Bodies *bodies, double x, double y, 
 /* Whether there is but one body, whose lower side bends one way. */
 static int is_one_convex(const Bodies *bodies) {
     if (bodies->count != 1) return 0;
-    const int kind = (int)body_of(bodies, 0)->kind;
+    const int kind = (int)film_body_of(bodies, 0)->kind;
     return kind != BODY_TRIANGLES && kind != BODY_HEIGHTS;
 }
 
@@ -209,8 +209,8 @@ static void want_nodes(const Film *f, const double *x, Seen *seen) {
 void see_bodies(const Film *f, const Bodies *bodies, const double *x, Seen *seen) {
     const int thin = any_thin(f, bodies);
     int sharp = 0;
-    for (long b = 0; b < bodies->count; b++) sharp |= body_of(bodies, b)->least == 0;
-    for (long b = 0; b < bodies->count && !seen->narrow; b++) grow_box(f, body_of(bodies, b), seen->box);
+    for (long b = 0; b < bodies->count; b++) sharp |= film_body_of(bodies, b)->least == 0;
+    for (long b = 0; b < bodies->count && !seen->narrow; b++) grow_box(f, film_body_of(bodies, b), seen->box);
     if (!seen->narrow) see_nothing(f, seen);
     const int all = thin || seen->floors < 0; /* what is thin may be between nodes */
     if (!all) want_nodes(f, x, seen);

@@ -6,16 +6,12 @@
 #include "film_work.h"
 #include "small.h"
 
-static inline const FilmBody *body_of(const Bodies *bodies, long number) {
-    return (const FilmBody *)(bodies->body + number * FILM_BODY);
-}
-
 /* Lowest height, and its slopes, of all bodies over a place; 1 where there is none. */
 static inline int lowest(const Film *f, const Bodies *bodies, double x, double y, double *height, double slope[2]) {
     double found = INFINITY, at, by[2] = {0, 0};
     const double *next = bodies->faces;
     for (long b = 0; b < bodies->count; b++) {
-        const FilmBody *one = body_of(bodies, b);
+        const FilmBody *one = film_body_of(bodies, b);
         const double *faces = next && one->kind == BODY_CONVEX ? next : 0;
         if (faces) next += film_faces_of(one);
         if (square(x - one->p[0]) + square(y - one->p[1]) > square(one->reach + f->numbers.half_thickness)) continue;

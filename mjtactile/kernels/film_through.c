@@ -52,7 +52,7 @@ static int goes_through_a_cell(const Film *f, const Bodies *bodies, const double
 /* At the bodies' own ends. */
 static int goes_through_at_an_end(const Film *f, const Bodies *bodies, const double *x, const Seen *seen) {
     for (long b = 0; b < bodies->count; b++) {
-        const FilmBody *one = body_of(bodies, b);
+        const FilmBody *one = film_body_of(bodies, b);
         const double half = one->kind == BODY_CAPSULE || one->kind == BODY_CYLINDER ? one->sizes[1] : 0;
         for (int end = half > 0 ? -1 : 1; end <= 1; end++) {
             const double at[2] = {one->p[0] + end * half * one->R[2], one->p[1] + end * half * one->R[5]};

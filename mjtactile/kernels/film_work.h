@@ -16,6 +16,10 @@ typedef struct { double gas, sealed, tolerance, most_steps, again, below_rim; } 
 
 typedef struct { long count; const double *body, *pool, *faces; } Bodies; /* faces: see `film_faces`; 0: there are none */
 
+static inline const FilmBody *film_body_of(const Bodies *bodies, long number) {
+    return (const FilmBody *)(bodies->body + number * FILM_BODY);
+}
+
 #define FILM_WAYS 3  /* that a plane can face: down, up and neither */
 #define FILM_SIDE 4  /* planes that are looked at side by side */
 /* What a solution keeps of hulls, whose poses stay, one after the other, in so many numbers of each body; and what `film_body_height`

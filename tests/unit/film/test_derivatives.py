@@ -10,6 +10,7 @@ from mjtactile.film.derivatives import answered, changed_bodies
 
 # What makes bodies of numbers, and the numbers: at places where no node is about to come or go.
 TURN = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+HEIGHT = 2  # the number of each that is its middle's height
 SHAPES = {
     "ball": (lambda n: Film.obstacle("sphere", (n[3],), n[:3]), [1.3e-3, -0.7e-3, 9e-3, 8e-3]),
     "rod": (
@@ -62,9 +63,12 @@ def test_they_are_what_differences_say(monkeypatch, name):
         assert by.area[k] == pytest.approx(difference(lambda s: s.area), rel, abs=rel * area)
 
 
-@pytest.mark.parametrize("name", ["ball", "quadric"])
-def test_quick_answers_are_nearly_the_derivatives(name):
-    """Heights and forces move as the exact ones do, but for what moves in the plane."""
+@pytest.mark.parametrize(
+    ("name", "seen"), [("ball", range(4)), ("quadric", range(5)), ("box", [HEIGHT])]
+)
+def test_quick_answers_are_nearly_the_derivatives(name, seen):
+    """Heights and forces move as the exact ones do, but for what moves in the plane. Other numbers
+    of a box than its height say where its face ends, of which nothing is `seen`."""
     film = Film("dense", (32, 24), pressure_gauge=1000.0)
     shape, numbers = SHAPES[name]
     state = film.solve(shape(np.array(numbers)))
@@ -74,13 +78,13 @@ def test_quick_answers_are_nearly_the_derivatives(name):
     listed, by = changed_bodies(shape, numbers, steps)
     rows, pool = pooled([body for one in listed for body in one], film.grid)
     by_z, by_force = answered(film, state, rows.reshape(len(listed), -1, NUMBERS), pool, by)
-    for k in range(len(by)):
+    for k in seen:
         # a sheet of this curvature gives 5 to 10 % of its heights' way in the plane
         off = np.linalg.norm(by_z[k] - exact.heights[k]) / np.linalg.norm(exact.heights[k])
         assert off < 0.12
-    normal = by_force.sum(axis=(1, 2))
-    # and is stiffer by that: 10 and 17 % here
-    np.testing.assert_allclose(normal[2], exact.force_normal[2], rtol=0.25)
+    stiffer = by_force[HEIGHT].sum() / exact.force_normal[HEIGHT] - 1
+    # what cannot give in the plane is stiffer by once or twice that: 17, 11 and 6 % here
+    assert 0.05 < stiffer < 0.25
 
 
 def test_a_contact_s_stiffness_is_that_of_an_energy():
