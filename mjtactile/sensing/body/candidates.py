@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,16 +20,20 @@ from mjtactile.sensing.body.search import Films
 from mjtactile.sensing.body.standing import Data
 from mjtactile.sensing.settings import BodySettings
 
+_BEHIND = 10.0  # of the log of evidence: a family that is not looked for again in a press
+
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """A family that may be it: its `fit` at the last look, the `log` of the images' evidence so
-    far, and what all looks have told of what it keeps."""
+    far, what all looks have told of what it keeps, and by how much it was `behind` the likeliest
+    when it was given up."""
 
     family: Family
     fit: Fit
     image_log: float
     common: Common
+    behind: float = 0.0
 
     @property
     def log(self) -> float:
@@ -97,6 +102,12 @@ class Press:
                 sums[kind] += probability * share
         return sums
 
+    def near(self, families: Sequence[Family]) -> list[Family]:
+        """Those of `families` that are not far behind by what the press has told."""
+        known = (*self.candidates, *self.left)
+        close = {one.family.name for one in known if one.behind < _BEHIND}
+        return [family for family in families if family.name in close]
+
     def bodies(self) -> list[tuple[float, Fit]]:
         """Each candidate's probability and body: the newest of the likeliest, of the others that of
         the last look."""
@@ -123,12 +134,13 @@ def weighed(
         return None
     noise = max(s.noise_least, min(one.fit.misfit for one in found))
     roughly = [one.with_noise(noise) for one in found]
-    least = max(one.log for one in roughly) - s.log_lost
+    most = max(one.log for one in roughly)
+    least = most - s.log_lost
     likely = [one for one, rough in zip(found, roughly, strict=True) if rough.log > least]
     kept = [one.exactly(films.fine, data, noise).with_noise(noise) for one in likely]
     kept.sort(key=lambda one: -one.log)
     spoken = _spoken(kept, noise)
-    lost = [rough for rough in roughly if not rough.log > least]
+    lost = [replace(one, behind=most - one.log) for one in roughly if not one.log > least]
     if past is not None:
         seen = {one.family.name for one in roughly}
         before = (*past.left, *past.candidates)

@@ -10,7 +10,7 @@ from mjtactile.sensing.body.bodies import Hint
 from mjtactile.sensing.body.candidates import Looked, Press, weighed
 from mjtactile.sensing.body.common import Common
 from mjtactile.sensing.body.families import FAMILIES, several
-from mjtactile.sensing.body.fit import Fit, exactly
+from mjtactile.sensing.body.fit import exactly
 from mjtactile.sensing.body.onward import FOLLOWED, LOOKED, begun_anew, from_before
 from mjtactile.sensing.body.parts import other_parts
 from mjtactile.sensing.body.search import Films, search
@@ -41,32 +41,41 @@ def follow(
     """
     if press is None:
         return _first(films, hint, data, s)
-    told = abs(math.log(data.force / press.force)) > math.log(s.look_force)
-    if told or press.images + 1 >= s.look_images:
-        looked = _look(films, press, hint, data, s)
-    else:
+    grown = data.force > s.look_force * press.force
+    told = grown or data.force < press.force / s.look_force
+    looked = None
+    if not told and press.images + 1 < s.look_images:
         looked = _follow(films, press, hint, data)
+    # what is followed may be stuck
+    if looked is None or _is_worse(looked, press, s):
+        looked = _look(films, press, hint, data, s)
     if looked is None:
         return _first(films, hint, data, s)
-    misfit = looked.now.misfit
-    worse = misfit > max(_WORSE * press.doubted, s.misfit_asks)
-    if worse or (looked.images == 0 and misfit > _BAD * s.misfit_most):
-        other = _first(films, hint, data, s, looked.now)
-        if other is not None and other.now.misfit < _BETTER * misfit:
+    worse = _is_worse(looked, press, s)
+    # what is dragged is worse explained, and still the same: only what comes deeper is another
+    if grown and (worse or looked.now.misfit > _BAD * s.misfit_most):
+        other = _first(films, hint, data, s, looked)
+        if other is not None and other.now.misfit < _BETTER * looked.now.misfit:
             return _with_past(films, press, looked, other, hint, data, s)
-        return replace(looked, doubted=misfit)
-    return looked
+        worse = True
+    return replace(looked, doubted=looked.now.misfit) if worse else looked
+
+
+def _is_worse(looked: Press, press: Press, s: BodySettings) -> bool:
+    """Whether an image is explained worse than that in which all families were looked for."""
+    return looked.now.misfit > max(_WORSE * press.doubted, s.misfit_asks)
 
 
 def _first(
-    films: Films, hint: Hint, data: Data, s: BodySettings, but: Fit | None = None
+    films: Films, hint: Hint, data: Data, s: BodySettings, but: Press | None = None
 ) -> Press | None:
-    """All families, from nothing, or from the film on a body that is not believed any more; what
-    explains no more than that one is given up."""
+    """All families, from nothing, or from the film on a body that is not believed any more, but for
+    those that the press has left far behind; what explains no more than that body is given up."""
     if but is None:
         found = search(films, _ONE, hint, data, s.noise_least)
     else:
-        found = search(films, _ONE, hint, data, s.noise_least, but.state, but.chi2)
+        now = but.now
+        found = search(films, but.near(_ONE), hint, data, s.noise_least, now.state, now.chi2)
     least = min((one.misfit for one in found), default=math.inf)
     if len(hint.parts) > 1 and least > s.misfit_one:
         balls = several(["ball"] * len(hint.parts))

@@ -15,6 +15,7 @@ import benchmarks.film
 from mjtactile import Chain, Film, load_sensor
 from mjtactile.core.types import BodyMotion, FeltShape, Markers, Slip, Touch
 from mjtactile.film import obstacle
+from mjtactile.sensing.body.families import FAMILIES
 from mjtactile.sensing.body.finder import Found
 from mjtactile.sensing.body.forward import Forward
 from mjtactile.sensing.body.fuse import _model, below_frame, borne
@@ -363,3 +364,14 @@ def test_rubber_that_turns_and_goes_is_told_apart():
     rubber = rubber_step((weight, weight), (before, after))
     assert rubber.step == pytest.approx(step[:2], abs=1e-9)
     assert rubber.twist == pytest.approx(angle, rel=1e-3)  # 2 tan(angle / 2)
+
+
+def test_a_press_looks_again_for_families_that_were_close_alone(sensor, cases):
+    """Which were behind by more than the tenth power of e when they were given up are not."""
+    touch = touch_of(sensor, layout_places(cases[2]))
+    press = follow(sensor, [touch])[0].press
+    best = press.candidates[0]
+    lost = [replace(best, family=FAMILIES[name]) for name in ("disc", "block")]
+    left = tuple(replace(one, behind=by) for one, by in zip(lost, (5.0, 25.0), strict=True))
+    near = replace(press, candidates=(best,), left=left).near(tuple(FAMILIES.values()))
+    assert {family.name for family in near} == {best.family.name, "disc"}
