@@ -20,8 +20,9 @@ from mjtactile.sensing.settings import DEFAULTS, DoubtSettings
 
 # Fx, Fy are shear, then the normal force, the torques that tilt, the one that spins
 AXES = np.array([0, 0, 1, 2, 2, 3])
-_LATERAL = 1  # of the shares
-_SHARP = slice(2, 4)  # the same: `sharp` and `caught`
+# places among the shares: of `lateral`, of `sharp` and `caught`
+_LATERAL = 1
+_SHARP = slice(2, 4)
 _TILTS = AXES == 2
 
 

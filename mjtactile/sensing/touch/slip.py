@@ -123,10 +123,16 @@ def judge(
 
 @dataclass(frozen=True, eq=False)
 class _Sliding:
-    """A contact as if all of it slid as one body: which nodes press (`inside`, (J,)), the share
-    `weight` (n,) of the press on each of these and its shear over pressure, `ratio` (n, 2); per
-    newton that presses the `force` (2,) and the `torque` over the radius of gyration; and the `way`
-    (J, 2) that each node of the grid would be dragged."""
+    """A contact as if all of it slid as one body; of J nodes n press. Frame S.
+
+    Attributes:
+        inside: (J,) which of the nodes press.
+        weight: (n,) share of the press on each of these.
+        ratio: (n, 2) their shear over pressure.
+        force: (2,) N of shear for each newton that presses.
+        torque: N of the same about the middle of the press, over its radius of gyration.
+        way: (J, 2) along which each node would be dragged; its length is no distance.
+    """
 
     inside: NDArray[np.bool_]
     weight: Array

@@ -16,7 +16,7 @@ from mjtactile.core.errors import DeviceError, InputError, Interrupted, Simulati
 from mjtactile.core.scenario import Scenario
 from mjtactile.evaluate import episodes, store
 from mjtactile.evaluate.episodes import Episode, run_episode
-from mjtactile.evaluate.pool import Pool, Running
+from mjtactile.evaluate.pool import Pool, Running, _progress
 from mjtactile.evaluate.run import evaluate
 from tests.emulated_host import controller_text
 from tests.fake_run import fake_cycle
@@ -123,6 +123,18 @@ def test_what_cannot_be_built_or_breaks_inside_is_an_error_too(tmp_path, monkeyp
         and "ZeroDivisionError" in broken["reason"]
         and "test_pool.py, line" in broken["reason"]
     )
+
+
+@pytest.mark.parametrize(
+    ("rate", "left"), [(1.0, "3600 an hour, 7 s"), (0.01, "36 an hour, 12 min")]
+)
+def test_progress_says_at_once_why_an_episode_was_an_error(rate, left):
+    """Seven are left of ten, at `rate` in a second."""
+    line = {"controller": "mine", "object": "vial", "seed": 4, "outcome": "error", "reason": "wide"}
+    begin = "3 of 10: mine, vial, seed 4"
+    assert _progress(line, 3, 10, rate) == f"{begin}: error (wide); {left} left"
+    held = line | {"outcome": "held", "reason": "done"}
+    assert _progress(held, 3, 10, rate) == f"{begin}: held; {left} left"
 
 
 def test_a_full_disk_loses_nothing_that_was_kept(tmp_path):

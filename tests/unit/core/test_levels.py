@@ -1,0 +1,21 @@
+"""How results say what a simulation left out."""
+
+import pytest
+
+from mjtactile.core.levels import LEFT_OUT, left_out_of, level_texts
+
+
+@pytest.mark.parametrize(
+    ("effects", "said"),
+    [
+        ({"sheet", "chain", "images"}, []),
+        ({"sheet", "chain"}, ["images"]),
+        ({"chain", "images"}, ["sheet"]),
+        # where touch is drawn there are no markers, and nobody misses images of them
+        ({"images"}, ["sheet", "chain"]),
+        (set(), ["sheet", "chain"]),
+    ],
+)
+def test_a_result_says_what_was_left_out(effects, said):
+    result = dict.fromkeys(left_out_of(effects), False)
+    assert level_texts(result) == {name: LEFT_OUT[name] for name in said}
