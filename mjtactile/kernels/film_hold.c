@@ -137,6 +137,19 @@ static void find_middle(const Film *f, const double *x, const double *force, con
     m->radius = radius / total;
 }
 
+/* After a solution: where the contact is, `shift` as `find_middle` has it, and how its nodes are gripped, if enough of them are others
+   than those of `touched` (2, count), which has nodes of the last grip and of the last solution. 1: no memory. */
+static int hold_anew(const Film *f, const Given *g, const double *x, const double *force, const double *compliance, double *x_before,
+                     uint8_t *touched, Memory *m, double shift[2]) {
+    uint8_t *was = touched + f->count;
+    long differ = 0, count = 0;
+    find_middle(f, x, force, x_before, was, m, shift);
+    for (long k = 0; k < f->count; k++) was[k] = force[k] > 0, count += was[k], differ += was[k] != touched[k];
+    memcpy(x_before, x, 2 * f->count * sizeof *x);
+    const int others = !m->gripped || differ > CHANGED * (double)count;
+    return others && g->friction > 0 && find_grip(f, x, force, compliance, m->middle, touched, m);
+}
+
 /* Against a press: of the sheet's tension about a disc, and of gas and bulge in series that it displaces. */
 static double normal_stiffness(const Given *g, const double *found) {
     const double radius = sqrt(most(found[AREA], square(g->spacing)) / PI), wide = log(most(g->half / radius, 1.2));
@@ -237,12 +250,7 @@ int64_t film_follow(const double *numbers, const double *law, int64_t columns, i
             return 0;
         }
         if (!same) release(m), memset(was, 0, f.count);
-        find_middle(&f, x, force, x_before, was, m, shift);
-        long differ = 0, count = 0;
-        for (long k = 0; k < f.count; k++) was[k] = force[k] > 0, count += was[k], differ += was[k] != touched[k];
-        memcpy(x_before, x, 2 * f.count * sizeof *x);
-        if ((!m->gripped || differ > CHANGED * (double)count) && g->friction > 0 && find_grip(&f, x, force, compliance, m->middle, touched, m))
-            return NO_MEMORY;
+        if (hold_anew(&f, g, x, force, compliance, x_before, touched, m, shift)) return NO_MEMORY;
         m->normal = normal_stiffness(g, found);
     }
     const double pressed = most(-found[FORCE_Z] - m->normal * further, 0);
