@@ -34,7 +34,7 @@ from mjtactile.sim.sensor.switches import Effect
 _PATIENCE = 25  # steps without a solution in a row
 _LATE = 2  # such steps that are not worth a word
 _NO_FLEX = -2
-# places in what the kernel is given (kernels/film_hold.h)
+# places in what the kernel is given
 _GAS = 2
 _TIME = 6
 
@@ -67,7 +67,7 @@ class FilmSensor(SheetSensor):
         self._geoms = FeltGeoms(model, self.body_id, reach)
         self._live = LiveFilm(film, self._geoms.rows, self._geoms.pool, design.membrane.thickness)
         self._sticking = sticking_of(film)
-        self._given = np.array(
+        self._given = np.array(  # as `Given` of kernels/film_hold.h has it
             [
                 design.membrane.friction if Effect.FRICTION in effects else 0.0,
                 bulge_stiffness(film),
@@ -89,7 +89,7 @@ class FilmSensor(SheetSensor):
         self._pushing = np.zeros(1, np.int64)  # whether it did at the last look
         self._bind()
         stiffness = self._given[_GAS : _GAS + 1]
-        self._breath = FilmGas(
+        self._film_gas = FilmGas(
             self._gas, self._live, self._memory, stiffness, self._timestep, self.time
         )
         self._look()
@@ -149,12 +149,12 @@ class FilmSensor(SheetSensor):
 
     def _come_to_now(self) -> None:
         self._look()
-        self._breath.breathe(self.time)
+        self._film_gas.breathe(self.time)
         self.wake()
 
     def wake(self) -> None:
         """See the gas anew: its valve or its leak is another."""
-        self._breath.wake()
+        self._film_gas.wake()
 
     def _look(self) -> None:
         """Bring film, gas and what sticks up to the present poses; of one moment the first look
@@ -162,23 +162,23 @@ class FilmSensor(SheetSensor):
         data = self._data
         mujoco.mj_kinematics(self._model, data)
         self._given[_TIME] = data.time
-        self._breath.tell(self.time)
+        self._film_gas.tell(self.time)
         self._follow()
 
     # -- the chamber
 
     def _gas_now(self) -> ChamberGas:
-        return self._breath.at(self.time)
+        return self._film_gas.at(self.time)
 
     @property
     def pressure_gauge(self) -> float:
         """Gauge pressure in the chamber, Pa, at the last look."""
-        return self._breath.pressure_gauge(self.time)
+        return self._film_gas.pressure_gauge(self.time)
 
     @property
     def volume(self) -> float:
         """Gas volume, m^3, at the last look."""
-        return self._breath.volume
+        return self._film_gas.volume
 
     @property
     def gas_time(self) -> float:
@@ -187,7 +187,7 @@ class FilmSensor(SheetSensor):
     def close_valve(self) -> None:
         """Trap the gas that is in the chamber now."""
         super().close_valve()
-        self._breath.close()
+        self._film_gas.close()
 
     def inflate(self, displacements: Array, pressure_gauge: float) -> None:
         """Be at rest with these displacements (3 k,) m, sealed at `pressure_gauge` Pa."""
@@ -196,7 +196,7 @@ class FilmSensor(SheetSensor):
         live.x.reshape(3, -1)[:, self.mesh.interior] = displacements.reshape(-1, 3).T
         live.rest_on(pressure_gauge, False, 1.0)
         self._memory.forget()
-        self._breath.trap(pressure_gauge, self.time)
+        self._film_gas.trap(pressure_gauge, self.time)
         self._look()
 
     # -- for a kernel that goes on by itself (`film_stepper`)
@@ -207,7 +207,7 @@ class FilmSensor(SheetSensor):
         Returns:
             Whether that can be: not while the valve is open.
         """
-        return self._breath.hold(self.time)
+        return self._film_gas.hold(self.time)
 
     def follow_words(self) -> Array:
         """(34,) What `film_follow` is called with, and where it says whether it pushed."""
