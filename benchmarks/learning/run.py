@@ -20,14 +20,11 @@ import gymnasium
 import numpy as np
 
 import mjtactile.gym
-from mjtactile import Film, load_sensor
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Array
 from mjtactile.evaluate.episodes import Episode, run_episode
-from mjtactile.film.live import Sticking
 from mjtactile.gym.env import GraspEnv
 from mjtactile.run.progress import Progress
-from mjtactile.sim.sensor.films import FILM_GRID
 
 LEVELS = {
     "everything": "auto",
@@ -185,32 +182,45 @@ def _compare(rows: list[dict[str, Any]], level: str, other: str) -> dict[str, An
 # -- what is made once
 
 
-def _condense() -> float:
-    """Processor seconds to make a design's film and what sticks to it."""
-    design = load_sensor("dense")
-    begin = time.process_time()
-    film = Film(design, FILM_GRID)
-    assert Sticking(film).compliance.size
-    return time.process_time() - begin
-
-
-_CODE = """
-import resource, sys
-import gymnasium, mjtactile.gym
-envs = gymnasium.make_vec(mjtactile.gym.ID, num_envs=int(sys.argv[1]), effects="-sheet,-chain")
-envs.reset(seed=0)
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+_CONDENSE = """
+import time
+from mjtactile import Film, load_sensor
+from mjtactile.film.live import Sticking
+from mjtactile.sim.sensor.films import FILM_GRID
+design = load_sensor("dense")
+begin = time.process_time()
+film = Film(design, FILM_GRID)
+assert Sticking(film).compliance.size
+print(time.process_time() - begin)
 """
 
 
+def _condense() -> float:
+    """Processor seconds to make a design's film and what sticks to it, where none was made yet."""
+    return _alone(_CONDENSE)
+
+
+_MANY = """
+import sys
+from pathlib import Path
+import gymnasium, mjtactile.gym
+envs = gymnasium.make_vec(mjtactile.gym.ID, num_envs=int(sys.argv[1]), effects="-sheet,-chain")
+envs.reset(seed=0)
+status = Path("/proc/self/status").read_text().split()
+print(float(status[status.index("VmHWM:") + 1]) / 1024)
+"""
+"""The most that was resident since the process began: `getrusage` has its parent's in it."""
+
+
 def _memory(count: int) -> dict[str, float]:
-    """MB of a process with one environment, and with so many."""
-    taken = []
-    for environments in (1, count):
-        command = [sys.executable, "-c", _CODE, str(environments)]
-        ended = subprocess.run(command, capture_output=True, text=True, check=True)
-        taken.append(float(ended.stdout))
-    return {"count": count, "one": taken[0], "many": taken[1]}
+    """MB of a process with one environment, and with so many; Linux only."""
+    return {"count": count, "one": _alone(_MANY, 1), "many": _alone(_MANY, count)}
+
+
+def _alone(code: str, *arguments: int) -> float:
+    """What it prints in a process of its own."""
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    return float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
 
 
 # -- table
