@@ -15,6 +15,7 @@ import benchmarks.film
 from mjtactile import Chain, Film, load_sensor
 from mjtactile.core.types import BodyMotion, FeltShape, Markers, Slip, Touch
 from mjtactile.film import obstacle
+from mjtactile.sensing.body import press as following
 from mjtactile.sensing.body.families import FAMILIES
 from mjtactile.sensing.body.finder import Found
 from mjtactile.sensing.body.forward import Forward
@@ -375,3 +376,28 @@ def test_a_press_looks_again_for_families_that_were_close_alone(sensor, cases):
     left = tuple(replace(one, behind=by) for one, by in zip(lost, (5.0, 25.0), strict=True))
     near = replace(press, candidates=(best,), left=left).near(tuple(FAMILIES.values()))
     assert {family.name for family in near} == {best.family.name, "disc"}
+
+
+def test_a_followed_fit_that_is_stuck_is_looked_at_before_all_families(sensor, cases, monkeypatch):
+    """A fit that ends far off the markers, from where a look finds the ball again."""
+    touch = touch_of(sensor, layout_places(cases[2]))
+    alone = follow(sensor, [touch, touch])[1]
+    goes_on, asked = following._follow, []
+
+    def stuck(films, press, hint, data):
+        found = goes_on(films, press, hint, data)
+        off = replace(found.now.at, residual=10 * found.now.at.residual)
+        return replace(found, now=replace(found.now, at=off))
+
+    def counted(*given):
+        asked.append(given)
+        return searched(*given)
+
+    searched = following._first
+    monkeypatch.setattr(following, "_follow", stuck)
+    monkeypatch.setattr(following, "_first", counted)
+    found = follow(sensor, [touch, touch])[1]
+    assert len(asked) == 1  # of the first image
+    # the same image: as well explained, within the look's own last step
+    assert found.shape.misfit < 1.1 * alone.shape.misfit
+    assert found.shape.kind == alone.shape.kind
