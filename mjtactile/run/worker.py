@@ -179,6 +179,7 @@ class Channel:
         self._end.close()
         if self._lent is not None:
             self._lent.close()
+            self._lent = None  # a later question fails by the socket, as any other way to no end
 
 
 def _value(whole: memoryview, given: mmap.mmap | None) -> tuple[Any, ...]:
