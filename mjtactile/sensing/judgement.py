@@ -98,10 +98,7 @@ class TouchJudge:
         before = state.detection
         found = zero.detect_touch(touch.time, traction, before, s.zero)
         patches = self._patches(estimate) if found.touching else ()
-        shear_sd = math.sqrt(float(np.trace(traction.wrench_cov[:2, :2])) / 2)
-        judged, history = slip.judge(
-            touch.time, self._inverse, shape, patches, state.slip, s.slip, shear_sd=shear_sd
-        )
+        judged, history = slip.judge(touch.time, self._inverse, shape, patches, state.slip, s.slip)
         state = replace(
             state, shape=shape, detection=found, slip=history, unexplained=0, lost_at=None
         )

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from mjtactile.core.bspline import hats
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
-from mjtactile.sensing.force.gain import Gain, Shape
+from mjtactile.sensing.force.gain import Shape
 from mjtactile.sensing.force.rest import MarkedSheet
 from mjtactile.sensing.force.sheet import product
 from mjtactile.sensing.settings import InverseSettings
@@ -44,7 +44,6 @@ class LoadedSheet(MarkedSheet):
         self._flat_nodes = np.column_stack([self.nodes, np.zeros(len(self.nodes))])
         self._at_nodes = self.sheet.basis(own)
         self._shared = self._sharing()
-        self._loads = self.node_loads()
         fine_x = np.linspace(-ax.length / 2, ax.length / 2, REFINE * ax.spans + 1)
         fine_y = np.linspace(-ay.length / 2, ay.length / 2, REFINE * ay.spans + 1)
         self._at_fine = (ax.at(fine_x), ay.at(fine_y))
@@ -62,16 +61,6 @@ class LoadedSheet(MarkedSheet):
     def force(self, shape: Shape) -> Array:
         """Net force (3,) N on the sheet."""
         return shape.traction @ self.node_area
-
-    def shown(self, gain: Gain, traction: Array) -> Array:
-        """How far tractions (3, J) Pa on the nodes move the markers of `gain`, (3 m,), each in sd
-        of its noise, to first order."""
-        along_x, along_y = self._loads
-        pressure = (traction * self._density).reshape(3, along_x.shape[1], along_y.shape[1])
-        load = (along_x @ pressure @ along_y.T).reshape(3, -1)
-        change = gain.stiffness.solve(load)
-        moved = (self.positions(change) - self._material)[gain.ids]
-        return (gain.weights @ moved[:, :, None]).ravel()
 
     def node_positions(self, c: Array) -> Array:
         """Where the nodes are now, (J, 3) m in S."""

@@ -191,24 +191,18 @@ class SlipSettings:
 
     evidence: float = number(5.0, "sd of a wandering patch that are slip", _SLID)
     evidence_uneven: float = number(
-        10.0, "that are, while the shear is so uneven that the middle seems to stick", _SLID
+        12.0, "that are, while the shear is so uneven that the middle seems to stick", _SLID
     )
     even: float = number(
-        0.067,
-        "of how far the shear moves the markers, by which they stand elsewhere than where "
-        "everything slides",
-        _SLID,
+        0.35, "spread over mean of shear over pressure in a contact that slides", _SLID
     )
     even_turning: float = number(
-        0.42,
-        "spread over mean of shear over pressure along circles, of a contact that turns on the "
-        "spot and slides",
-        _SLID,
+        0.42, "the same along circles, of a contact that turns on the spot and slides", _SLID
     )
     rolls: float = number(
-        0.18, "`even` of one whose middle sticks for sure: what goes anywhere there rolls", _SLID
+        1.2, "of one whose middle sticks for sure: what goes anywhere there rolls", _SLID
     )
-    sticks: float = number(0.09, "`even` of one whose middle seems to stick", _SLID)
+    sticks: float = number(0.6, "of one whose middle seems to stick", _SLID)
     recent: float = number(
         0.12, "s, in which what is said to be a slip began", "four images at 30 Hz; " + _SLID
     )
@@ -234,9 +228,6 @@ class SlipSettings:
         0.2,
         "shear over normal force: what slips below it rolls, or is as smooth as nothing dry",
         _SLID,
-    )
-    doubtful: float = number(
-        0.25, "of the normal force, sd of the shear above which a way along it is no slip", _SLID
     )
     body_speed: float = number(
         3e-3, "m/s of a known body along the shear, over the rubber: less is no slip", _SLID

@@ -14,10 +14,8 @@ What the shear looks like from within tells more, and on flat faces, over which 
 anywhere, it tells all: where everything slides each bit of the contact is dragged by friction
 alone, so that shear over pressure is the same all over it (Coulomb), whatever friction is; while
 the middle sticks it lags behind there (Cattaneo, Mindlin). Shear that is even is slip; uneven
-shear is none, so that more of the other signs is asked for. It is even where the markers stand as
-an even one would have them: from node to node shear differs by what no marker sees, too. What turns
-on the spot goes nowhere and moves few markers: there shear is even along the circles about the
-middle.
+shear is none, so that more of the other signs is asked for. What turns on the spot goes nowhere and
+drags along nothing on the whole: there shear is even along the circles about the middle.
 
 The share of friction that is used up, and with it the sticking share (1 - Q / mu N)^(2/3) of the
 area (Cattaneo 1938, Mindlin 1949), needs the coefficient: the sensor file's, until a slip or a hold
@@ -31,7 +29,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mjtactile.core.status import Status, StatusCode
 from mjtactile.core.types import Array, Contact, Slip, SlipState
@@ -85,11 +82,9 @@ def judge(
     patches: Sequence[Contact],
     before: SlipHistory | None,
     s: SlipSettings = DEFAULTS.slip,
-    *,
-    shear_sd: float = 0.0,
 ) -> tuple[Slip, SlipHistory | None]:
     """Slip state of the strongest patch at `time` s, and the history for the next image (None: the
-    touch has ended). Along a shear that is known to `shear_sd` N only nothing may go."""
+    touch has ended)."""
     if not patches:
         return Slip("none", np.zeros(2), 0.0, 1.0), None
     normal, shear = split(patches[0].force, mean_normal(estimator, shape))
@@ -97,15 +92,14 @@ def judge(
         return unknown(StatusCode.TOO_WEAK, f"a force of {normal:.3f} N is too small"), before
     around, used_around = turning(estimator, shape)
     around = around if used_around > s.least_load else np.inf
-    uneven, is_known = unevenness(estimator, shape)
+    uneven, is_known = unevenness(estimator, shape, shear)
     now = _follow(time, estimator, shape, (shear / normal, around), before, s)
     load = float(np.linalg.norm(shear)) / normal
     velocity, way = _motion(now.samples, s)
     asked = s.evidence if uneven < s.sticks else s.evidence_uneven
     is_even = is_known and uneven < s.even
     rolls = is_known and uneven > s.rolls  # its middle sticks, wherever the whole goes
-    is_felt = shear_sd < s.doubtful * normal  # else nobody knows along what it should go
-    goes = is_felt and not rolls and way > s.least_way and evidence(now, normal, s) > asked
+    goes = not rolls and way > s.least_way and evidence(now, normal, s) > asked
     slips = load > s.least_load and (is_even or goes)
     if not slips and _turns(now.samples, s):
         slips = True
@@ -121,98 +115,64 @@ def judge(
     return Slip(state, velocity, slid, stick), replace(now, distance=slid, friction=friction)
 
 
-@dataclass(frozen=True, eq=False)
-class _Sliding:
-    """A contact as if all of it slid as one body; of J nodes n press. Frame S.
-
-    Attributes:
-        inside: (J,) which of the nodes press.
-        weight: (n,) share of the press on each of these.
-        ratio: (n, 2) their shear over pressure.
-        force: (2,) N of shear for each newton that presses.
-        torque: N of the same about the middle of the press, over its radius of gyration.
-        way: (J, 2) along which each node would be dragged; its length is no distance.
-    """
-
-    inside: NDArray[np.bool_]
-    weight: Array
-    ratio: Array
-    force: Array
-    torque: float
-    way: Array
-
-    @property
-    def nodes(self) -> float:
-        """How many press alike, or as good as that."""
-        return 1 / float(self.weight @ self.weight)
-
-
-def _sliding(estimator: InverseMembrane, shape: Shape) -> _Sliding:
-    """What slides by a force f and a torque t, per newton that presses, moves by f + (t / c^2) z x
-    (r - r0) where the limits of both are an ellipse (Howe & Cutkosky 1996; the motion is normal to
-    it): each bit of it is dragged that way, by friction alone."""
-    press = np.maximum(-shape.traction[2], 0.0)
-    inside = press > _PRESSED * press.max()
-    weight = (press * estimator.node_area)[inside]
-    weight = weight / weight.sum()
-    place = estimator.node_positions(shape.c)[:, :2]
-    ratio = (shape.traction[:2, inside] / press[inside]).T
-    force = weight @ ratio
-    arm = place - weight @ place[inside]
-    pressed = arm[inside]
-    radius = max(float(np.sqrt(weight @ (pressed**2).sum(axis=1))), _POINT)
-    turned = pressed[:, 0] * ratio[:, 1] - pressed[:, 1] * ratio[:, 0]
-    torque = float(weight @ turned) / radius
-    around = np.stack([-arm[:, 1], arm[:, 0]], axis=1) / radius
-    return _Sliding(inside, weight, ratio, force, torque, force + torque / _TURNING_LIMIT * around)
-
-
-def unevenness(estimator: InverseMembrane, shape: Shape) -> tuple[float, bool]:
-    """How far the shear is from that of a contact all of which slides, as the markers see it.
-
-    There each bit is dragged by its pressure times one coefficient (Coulomb). Nodes differ by what
-    no marker sees, too: what counts is how far the markers would stand elsewhere.
+def unevenness(estimator: InverseMembrane, shape: Shape, shear: Array) -> tuple[float, bool]:
+    """How uneven the shear is over the contact.
 
     Args:
         estimator: Whose nodes they are.
         shape: With the tractions.
+        shear: (3,) N, along which.
 
     Returns:
-        Where the markers stand by the shear that was found, less where they would by one that is
-        even, over how far the shear moves them at all, each in sd of its noise: 0 where everything
-        slides; and whether enough nodes press to tell: on one alone nothing is uneven.
+        Spread over mean of shear over pressure, where it presses with a tenth of the peak at least,
+        weighted by the press: 0 where everything slides; and whether enough nodes press to tell: on
+        one alone nothing is uneven.
     """
-    body = _sliding(estimator, shape)
     press = np.maximum(-shape.traction[2], 0.0)
-    way = (body.way / np.maximum(np.linalg.norm(body.way, axis=1), 1e-9)[:, None]).T
-    nothing = np.zeros_like(press)
-    seen = estimator.shown(shape.gain, np.vstack([shape.traction[:2], nothing]))
-    even = estimator.shown(shape.gain, np.vstack([press * way, nothing]))
-    left = seen - even * float(seen @ even) / max(float(even @ even), 1e-12)
-    uneven = float(np.linalg.norm(left)) / max(float(np.linalg.norm(seen)), 1e-12)
-    return uneven, body.nodes > _NODES
+    inside = press > _PRESSED * press.max()
+    weight = (press * estimator.node_area)[inside]
+    weight = weight / weight.sum()
+    way = shear[:2] / max(float(np.linalg.norm(shear[:2])), 1e-12)
+    ratio = (way @ shape.traction[:2, inside]) / press[inside]
+    mean = float(weight @ ratio)
+    spread = float(np.sqrt(weight @ (ratio - mean) ** 2))
+    return spread / max(abs(mean), 1e-9), float(weight @ weight) * _NODES < 1
 
 
 def turning(estimator: InverseMembrane, shape: Shape) -> tuple[float, float]:
     """How uneven the shear is along the way of a body that turns on the spot.
 
+    What slides as one body by a force f and a torque t, per newton that presses, moves by f + (t /
+    c^2) z x (r - r0) where the limits of both are an ellipse (Howe & Cutkosky 1996; the motion is
+    normal to it): each bit of it is dragged that way, by friction alone.
+
     Args:
         estimator: Whose nodes they are.
         shape: With the tractions.
 
     Returns:
-        Spread over mean of the shear over pressure along the way that each bit would slide,
-        weighted by the press and by how fast it goes there: 0 where everything slides; inf where it
-        would rather go straight, or too few nodes press; and the mean.
+        Spread over mean of the shear over pressure along that way, weighted by the press and by how
+        fast it goes there: 0 where everything slides; inf where it would rather go straight, or too
+        few nodes press; and the mean.
     """
-    body = _sliding(estimator, shape)
-    way = body.way[body.inside]
+    press = np.maximum(-shape.traction[2], 0.0)
+    inside = press > _PRESSED * press.max()
+    weight = (press * estimator.node_area)[inside]
+    weight = weight / weight.sum()
+    place = estimator.node_positions(shape.c)[inside, :2]
+    ratio = (shape.traction[:2, inside] / press[inside]).T
+    force = weight @ ratio
+    arm = place - weight @ place
+    radius = max(float(np.sqrt(weight @ (arm**2).sum(axis=1))), _POINT)
+    torque = float(weight @ (arm[:, 0] * ratio[:, 1] - arm[:, 1] * ratio[:, 0])) / radius
+    around = np.stack([-arm[:, 1], arm[:, 0]], axis=1) / radius
+    way = force + torque / _TURNING_LIMIT * around
     speed = np.linalg.norm(way, axis=1)
-    along = (body.ratio * way).sum(axis=1) / np.maximum(speed, 1e-9)
-    share = body.weight * speed / max(float(body.weight @ speed), 1e-12)
+    along = (ratio * way).sum(axis=1) / np.maximum(speed, 1e-9)
+    share = weight * speed / max(float(weight @ speed), 1e-12)
     mean = float(share @ along)
-    goes_straight = abs(body.torque) < _TURNING_SHARE * float(np.linalg.norm(body.force))
-    if goes_straight or body.nodes < _TURNING_NODES:
+    goes_straight = abs(torque) < _TURNING_SHARE * float(np.linalg.norm(force))
+    if goes_straight or float(weight @ weight) * _TURNING_NODES > 1:
         return np.inf, mean
     return float(np.sqrt(share @ (along - mean) ** 2)) / max(abs(mean), 1e-9), mean
 

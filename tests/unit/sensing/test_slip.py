@@ -39,7 +39,7 @@ def sensor():
     return estimator, rest, estimator.estimate(markers, rest)
 
 
-STICKS, PARTLY, SLIDES = 3.2, 1.25, 0.0  # uneven by 0.22, 0.08 and 0
+STICKS, PARTLY, SLIDES = 3.2, 1.8, 0.0  # uneven by 0.8, 0.45 and 0
 
 
 def patch(estimator, force, place, radius=6e-3, sticks=STICKS):
@@ -54,9 +54,7 @@ def patch(estimator, force, place, radius=6e-3, sticks=STICKS):
     return traction
 
 
-def verdicts(
-    sensor, shear, place, dragged=None, turned=None, rate=RATE, sticks=STICKS, shear_sd=0.0
-):
+def verdicts(sensor, shear, place, dragged=None, turned=None, rate=RATE, sticks=STICKS):
     """What is said of each image. `shear` (k,) N and `place` (k,) m along x, the sheet `dragged`
     along x by (k,) m and `turned` about z by (k,) rad; how much of it `sticks`, one or (k,)."""
     estimator, rest, flat = sensor
@@ -83,9 +81,8 @@ def verdicts(
             estimator, (shear[k], 0.0, -NORMAL), (place[k], 0.0), sticks=float(sticks[k])
         )
         shape = replace(flat, c=c, traction=traction)
-        patches = find_patches(estimator, shape, rest)
         verdict, history = slip.judge(
-            k / rate, estimator, shape, patches, history, shear_sd=shear_sd
+            k / rate, estimator, shape, find_patches(estimator, shape, rest), history
         )
         said.append(verdict)
     return said
@@ -155,57 +152,19 @@ def test_a_flat_face_that_slides_shows_in_its_shear_alone(sensor):
         assert said[-1] != "slipping"
 
 
-def test_a_way_along_a_shear_that_is_hardly_known_is_no_sign(sensor):
-    """Where a soft body is squeezed out over the frame, its error bar says how little is known."""
-    place = 4e-3 * ramp(12, 24) - 2e-3
-    for share, slips in ((0.9, True), (1.1, False)):
-        sd = share * DEFAULTS.slip.doubtful * NORMAL
-        said = verdicts(sensor, np.full(36, 0.4 * NORMAL), place, sticks=5.0, shear_sd=sd)
-        assert ("slipping" in states(said)) == slips
-
-
-def test_unevenness_is_what_markers_see_of_it(sensor):
-    """All of a parabola's shear at its limit, straight or around: 0, wherever it is and however
-    large. The same shear everywhere over a pressure that falls: the markers stand elsewhere by a
-    twentieth to a tenth of their way (Saint-Venant: the sheet evens out what a few millimetres
-    hold), and twice as much by twice as much, while that is little. Of what presses on a few nodes
-    it is not known."""
+def test_unevenness_is_that_of_shear_over_pressure(sensor):
+    """All of a parabola's shear at its limit: 0; as much shear everywhere over a pressure that
+    falls from p0 to a tenth of it, evenly in its area: by integrals, mean 0.9 / 0.495, mean square
+    ln(10) / 0.495 in units of shear over p0, so 0.64 (within 0.15 on a grid of 3 mm in 12). Of what
+    presses on a few nodes it is not known."""
     estimator, _, flat = sensor
     force = np.array([0.3, 0.4, -NORMAL])
-    for place, radius in (((0.0, 0.0), 12e-3), ((3e-3, -2e-3), 9e-3)):
-        by_share = []
-        for sticks in (SLIDES, 0.1, 0.2, 1.0):
-            traction = patch(estimator, force, place, radius, sticks)
-            found, is_known = slip.unevenness(estimator, replace(flat, traction=traction))
-            assert is_known
-            by_share.append(found)
-        assert by_share[0] < 1e-9 and 0.04 < by_share[3] < 0.12
-        # the way that it is a share of changes by a hundredth or two with it
-        assert by_share[2] == pytest.approx(2 * by_share[1], rel=0.05)
-    turned = replace(flat, traction=turned_patch(estimator, 0.5, sticks=False))
-    assert slip.unevenness(estimator, turned)[0] < 0.03  # nodes 3 mm apart have no exact middle
+    for sticks, spread in ((SLIDES, 0.0), (1.0, 0.64)):
+        shape = replace(flat, traction=patch(estimator, force, (0, 0), 12e-3, sticks))
+        found, is_known = slip.unevenness(estimator, shape, force)
+        assert is_known and found == pytest.approx(spread, abs=0.15 if spread else 1e-9)
     small = replace(flat, traction=patch(estimator, force, (0, 0), 3.5e-3, SLIDES))
-    assert not slip.unevenness(estimator, small)[1]
-
-
-def test_markers_move_by_a_traction_as_the_inverse_says(sensor):
-    """An independent way to the same: the gain's half covariance is what markers show of tractions
-    times the prior's root, so that root times its inverse gives them back."""
-    estimator, _, flat = sensor
-    rng = np.random.default_rng(3)
-    traction = rng.normal(size=(3, len(estimator.nodes)))
-    gain = flat.gain
-    of_prior = (traction * estimator._density).reshape(3, -1) / gain.prior.reshape(3, -1)
-    along_x, along_y = estimator.prior.root
-    weights = [
-        np.linalg.solve(
-            along_y, np.linalg.solve(along_x, one.reshape(len(along_x), -1)).T
-        ).T.ravel()
-        for one in of_prior
-    ]
-    shown = estimator.shown(gain, traction)
-    # the roots' condition, about 1e4, of the kernels' 1e-16
-    assert shown == pytest.approx(gain.half @ np.concatenate(weights), rel=1e-9, abs=1e-9)
+    assert not slip.unevenness(estimator, small, force)[1]
 
 
 def turned_patch(estimator, friction, sticks, radius=9e-3, place=(0.0, 0.0), about=0.0):
@@ -291,7 +250,7 @@ def test_what_goes_along_while_its_middle_plainly_sticks_rolls(sensor):
     """A lying cylinder rolls along its load as far as a slip would go: its shear tells them apart.
     All of the shear evenly over a pressure that falls, and as much again against it."""
     place = 4e-3 * ramp(12, 24) - 2e-3
-    assert "slipping" not in states(verdicts(sensor, np.full(36, 0.4 * NORMAL), place, sticks=10.0))
+    assert "slipping" not in states(verdicts(sensor, np.full(36, 0.4 * NORMAL), place, sticks=6.0))
 
 
 def test_noise_alone_never_slips(sensor):
