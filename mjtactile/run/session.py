@@ -11,6 +11,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+# numpy's median fetches it when it is first asked, where a run may have no descriptor left
+import numpy.ma  # noqa: F401
+
 from mjtactile.core import signals
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
