@@ -24,9 +24,9 @@ grasp: $(VENV)/.run-ready  ## grasp an egg in simulation; results in runs/grasp,
 	$(BIN)/mjtactile grasp --out $(if $(wildcard $(OUT)/recording),$(OUT)-$(shell date +%Y%m%d-%H%M%S),$(OUT)) $(ARGS)
 
 bench: $(VENV)/.run-ready  ## measure the grasp and the perception; results in bench-results, docs/, README.md
-	$(BIN)/mjtactile bench grasp --out bench-results --readme docs/benchmarks.md $(ARGS)
-	$(BIN)/mjtactile bench perception --out bench-results --readme docs/benchmarks.md $(ARGS)
-	$(BIN)/mjtactile bench numbers --out bench-results --readme docs/numbers.md
+	$(BIN)/mjtactile bench grasp --out bench-results --readme docs/validation/benchmarks.md $(ARGS)
+	$(BIN)/mjtactile bench perception --out bench-results --readme docs/validation/benchmarks.md $(ARGS)
+	$(BIN)/mjtactile bench numbers --out bench-results --readme docs/validation/results.md
 	$(BIN)/mjtactile bench headline --out bench-results --readme README.md
 
 film: $(VENV)/.test-ready  ## the film that opens the README: an egg grasp, docs/images/grasp.webp

@@ -155,9 +155,9 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     address = page.file.src_uri
     if page.file.generated_by:
         return markdown
-    if address == "gallery.md" and GRASP.is_file():
+    if address == "about/gallery.md" and GRASP.is_file():
         markdown += (
             "\n## A grasp to turn and zoom\n\n[The page that `mjtactile grasp` writes beside "
-            "its recording](egg.html).\n"
+            "its recording](../egg.html).\n"
         )
     return _moved(markdown, posixpath.join("docs", posixpath.dirname(address)), address)

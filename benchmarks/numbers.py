@@ -1,5 +1,5 @@
-"""`mjtactile bench numbers` and `bench headline`: the numbers of docs/numbers.md and of the README,
-taken from the pages that the other benchmarks wrote.
+"""`mjtactile bench numbers` and `bench headline`: the numbers of docs/validation/results.md and of
+the README, taken from the pages that the other benchmarks wrote.
 
 They measure nothing: a number may stand on several pages, and comes from one.
 """
@@ -36,7 +36,7 @@ def _largest_force(name: str, thing: str) -> Number:
     return Number(
         what=f"largest force on a finger that grasps {thing}, by touch / by the servos' current "
         "alone, N: median (worst)",
-        page="evaluate",
+        page="how-to/evaluate",
         row=f"gentle | {name} / touchless | {name}",
         column="largest force, N: median (worst)",
         command="evaluate",
@@ -46,7 +46,7 @@ def _largest_force(name: str, thing: str) -> Number:
 NUMBERS = (
     Number(
         what="normal force felt: mean absolute error (worst), N",
-        page="benchmarks",
+        page="validation/benchmarks",
         row="normal force, mean absolute",
         column="dense",
         command="bench touch",
@@ -54,49 +54,49 @@ NUMBERS = (
     ),
     Number(
         what="shear force felt: mean absolute error, N",
-        page="benchmarks",
+        page="validation/benchmarks",
         row="shear force error",
         column="dense",
         command="bench touch",
     ),
     Number(
         what="middle of the contact: error, mm",
-        page="benchmarks",
+        page="validation/benchmarks",
         row="contact centroid",
         column="dense",
         command="bench touch",
     ),
     Number(
         what="touches of 0.03-0.06 N felt",
-        page="benchmarks",
+        page="validation/benchmarks",
         row="touches of 0.03-0.06 N",
         column="dense",
         command="bench touch",
     ),
     Number(
         what="the paper's force test (the paper: 0.04 N)",
-        page="experiments",
+        page="validation/paper",
         row="5a: force error, cylinder",
         column="ours",
         command="experiments",
     ),
     Number(
         what="eggs held, of ten seeds",
-        page="benchmarks",
+        page="validation/benchmarks",
         row="egg",
         column="held",
         command="bench grasp",
     ),
     Number(
         what="grasps held: egg, strawberry, vial and random things in worlds that vary",
-        page="evaluate",
+        page="how-to/evaluate",
         row="gentle",
         column="held",
         command="evaluate",
     ),
     Number(
         what="the share held: 95 % interval",
-        page="evaluate",
+        page="how-to/evaluate",
         row="gentle",
         column="95 % interval",
         command="evaluate",
@@ -107,28 +107,28 @@ NUMBERS = (
     _largest_force("random", "random things"),
     Number(
         what="force while holding an egg: error, mean / worst, N",
-        page="benchmarks",
+        page="validation/benchmarks",
         row="egg",
         column="its error, N: mean / worst",
         command="bench grasp",
     ),
     Number(
         what="centres of circles in space: mean error, nearer of two poses, mm",
-        page="benchmarks",
+        page="validation/benchmarks",
         row="mean centre error, nearer",
         column="measured",
         command="bench perception",
     ),
     Number(
         what="centres of circles in space: mean error, the pose that is returned, mm",
-        page="benchmarks",
+        page="validation/benchmarks",
         row="mean centre error, as returned",
         column="measured",
         command="bench perception",
     ),
     Number(
         what="a whole grasp with two cameras at 30 Hz, on two cores, x real time",
-        page="accuracy",
+        page="validation/accuracy",
         row="30 Hz loop, all",
         column="now",
         command="bench speed",
@@ -136,35 +136,35 @@ NUMBERS = (
     ),
     Number(
         what="two cameras at 60 Hz, from touch to release, on two cores, x real time",
-        page="accuracy",
+        page="validation/accuracy",
         row="60 Hz loop, touch to release",
         column="now",
         command="bench speed",
     ),
     Number(
         what="the same over what it was before the compiled chain, measured in turns",
-        page="accuracy",
+        page="validation/accuracy",
         row="60 Hz loop, touch to release",
         column="ratio",
         command="bench speed",
     ),
     Number(
         what="slips detected before 0.5 mm and within 100 ms",
-        page="benchmarks",
+        page="validation/benchmarks",
         row="slips detected before",
         column="measured",
         command="bench slip",
     ),
     Number(
         what="holds with a false alarm of slip",
-        page="benchmarks",
+        page="validation/benchmarks",
         row="holds with a false alarm",
         column="measured",
         command="bench slip",
     ),
     Number(
         what="six tasks: held and whole, by touch / by the servos' current alone",
-        page="what_touch_buys",
+        page="validation/controller_comparison",
         row="all 6 |",
         column="adaptive | touchless",
         command="bench tasks",
@@ -172,7 +172,7 @@ NUMBERS = (
     ),
     Number(
         what="put on a place of another height than was told: set down upright, likewise",
-        page="what_touch_buys",
+        page="validation/controller_comparison",
         row="place |",
         column="adaptive | touchless",
         command="bench tasks",
@@ -180,7 +180,7 @@ NUMBERS = (
     ),
     Number(
         what="grip over the least that holds, in the six tasks: median, likewise",
-        page="what_touch_buys",
+        page="validation/controller_comparison",
         row="grip over need in all tasks, median |",
         column="adaptive | touchless",
         command="bench tasks",
@@ -189,7 +189,7 @@ NUMBERS = (
     *(
         Number(
             what=f"held and whole {happens}, by touch / by the servos' current alone",
-            page="what_touch_buys",
+            page="validation/controller_comparison",
             row=f"{task} |",
             column="adaptive | touchless",
             command="bench tasks",
@@ -204,14 +204,14 @@ NUMBERS = (
     ),
     Number(
         what="materials named right",
-        page="benchmarks",
+        page="validation/benchmarks",
         row="material class right",
         column="measured",
         command="bench material",
     ),
     Number(
         what="faults of the emulated rig that ended safely",
-        page="benchmarks",
+        page="validation/benchmarks",
         row="safe state after a fault",
         column="measured",
         command="bench rig",
@@ -252,8 +252,8 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """All numbers as a table in Markdown, for docs/numbers.md."""
-    return _markdown(result["numbers"], folder="")
+    """All numbers as a table in Markdown, for docs/validation/results.md."""
+    return _markdown(result["numbers"], folder="../")
 
 
 def headline_table(result: Mapping[str, Any]) -> str:

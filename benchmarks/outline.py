@@ -20,7 +20,7 @@ from mjtactile.sim.scenes.indentation import Indenter
 SENSORS = ("round30", "ellipse")
 FINE = {"round30": (21, 21), "ellipse": (25, 17)}
 """Vertices of a sheet that is fine enough to have the shape of rubber: beside those that there are
-as a rule, where faces are met too softly (docs/limits.md)."""
+as a rule, where faces are met too softly (docs/validation/limitations.md)."""
 FIRST_SEED = 3100
 PRESSES = 12
 PRESSES_QUICK = 2

@@ -1,5 +1,5 @@
 """A learned policy as a controller: `MJTACTILE_POLICY=policy.npz mjtactile grasp --controller
-policy` (docs/gym.md).
+policy` (docs/how-to/train.md).
 
 A numpy archive with w0, b0, w1, b1, … is a network with tanh between its layers; a file.onnx needs
 onnxruntime.

@@ -3,8 +3,9 @@ place of the sensor file's.
 
 `mjtactile calibrate camera --rig my_gripper.toml --finger left`, then `valve`, `frame`, `force` and
 `gripper`, measure the parts and write them into the files that the rig file names
-(docs/hardware.md); `grasp`, `probe` and `record` then go by them. What `frame` found is there for
-`reconstruct`, which sees single pictures: the others measure the same anew when they begin.
+(docs/how-to/hardware.md); `grasp`, `probe` and `record` then go by them. What `frame` found is
+there for `reconstruct`, which sees single pictures: the others measure the same anew when they
+begin.
 
 Here the finger is simulated, so its true lens is known; it is another than the sensor file says,
 as every real one is.

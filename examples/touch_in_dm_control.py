@@ -1,7 +1,7 @@
 # pyright: reportMissingImports=false
 """Touch as an observable of dm_control's composer: a weight comes to rest on a fingertip.
 
-Tried with dm_control 1.0.50 (docs/integrations.md).
+Tried with dm_control 1.0.50 (docs/how-to/integrations.md).
 """
 
 import mujoco

@@ -1,7 +1,7 @@
 # pyright: reportMissingImports=false
 """Touch as an `Observable` of robosuite: the Panda of `Lift` closes until it feels the cube.
 
-Tried with robosuite 1.5.2 (docs/integrations.md).
+Tried with robosuite 1.5.2 (docs/how-to/integrations.md).
 """
 
 from types import SimpleNamespace

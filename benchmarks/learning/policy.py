@@ -24,7 +24,7 @@ from mjtactile.run.progress import Progress
 
 CHECKOUT = Path(__file__).parents[2]
 LEARNER = CHECKOUT / "examples" / "learn_to_grasp.py"
-PAGE = CHECKOUT / "docs" / "gym.md"
+PAGE = CHECKOUT / "docs" / "how-to" / "train.md"
 LEVELS = {"-sheet,-chain": "drawn, as it learned", "auto": "everything simulated"}
 SECONDS, SECONDS_QUICK = 600, 40
 EPISODES, EPISODES_QUICK = 24, 2
@@ -61,7 +61,7 @@ def run(out: Path, *, quick: bool = False, say: Say | None = None) -> dict[str, 
     for effects in LEVELS:
         say(f"policy: episodes with --effects={effects}")
         judged[effects] = _judge(saved, effects, EPISODES_QUICK if quick else EPISODES)
-    say("policy: the ten lines of docs/gym.md")
+    say("policy: the ten lines of docs/how-to/train.md")
     ten_lines = _time_page(out, DECISIONS)
     return {"learned": learned, "judged": judged, "ten_lines": ten_lines}
 
@@ -114,7 +114,7 @@ def ten_lines(page: str) -> str:
     """The page's lines that learn a policy.
 
     Args:
-        page: docs/gym.md.
+        page: docs/how-to/train.md.
 
     Returns:
         The code of the first block that imports a learner.

@@ -160,10 +160,10 @@ _TEXT = {
 
 
 def page(results: Mapping[str, Any], images: str) -> str:
-    """The page docs/experiments.md."""
+    """The page docs/validation/paper.md."""
     parts = [
         "# The paper's experiments again",
-        "Made by `mjtactile experiments --page docs/experiments.md`; nothing here is "
+        "Made by `mjtactile experiments --page docs/validation/paper.md`; nothing here is "
         f'typed in. "Paper" is {_PAPER}. Simulated sensors, the chain sees only '
         "rendered images (noise 2 DN, blur 0.7 px).",
         table(results),

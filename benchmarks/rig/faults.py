@@ -1,5 +1,5 @@
-"""Every fault of docs/hardware.md, injected into a running loop; a host that is killed; sim against
-emulated."""
+"""Every fault of docs/how-to/hardware.md, injected into a running loop; a host that is killed; sim
+against emulated."""
 
 from __future__ import annotations
 

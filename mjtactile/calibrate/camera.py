@@ -1,10 +1,10 @@
 """Intrinsics of a camera from pictures of a ChArUco board, with what tells a good calibration from
 a bad one.
 
-The fit is OpenCV's (pinhole and plumb_bob, pixel centres at integers as in docs/conventions.md).
-What is added: views that do not belong are left out, the camera is checked on views that it was not
-fitted to, and a result that the pictures cannot support (no tilt, corners of the picture never
-seen, few views) is refused with the reason.
+The fit is OpenCV's (pinhole and plumb_bob, pixel centres at integers as in
+docs/reference/conventions.md). What is added: views that do not belong are left out, the camera is
+checked on views that it was not fitted to, and a result that the pictures cannot support (no tilt,
+corners of the picture never seen, few views) is refused with the reason.
 """
 
 from __future__ import annotations

@@ -57,10 +57,10 @@ EPILOG = """\
 examples:
   mjtactile bench grasp --quick            one seed instead of ten
   mjtactile bench perception --out results
-  mjtactile bench grasp --readme docs/benchmarks.md
+  mjtactile bench grasp --readme docs/validation/benchmarks.md
       put the table between that file's bench markers
   mjtactile bench truth --cases my_cases   a TOML file each; those that come along: models/truth
-  mjtactile bench numbers --readme docs/numbers.md     then take all numbers from there
+  mjtactile bench numbers --readme docs/validation/results.md     then take all numbers from there
   mjtactile bench headline --readme README.md          and the README's
 """
 BENCHMARKS = {

@@ -42,7 +42,7 @@ JSON, of a file: {"sensor", "force_N", "reaches": {"touch_mN", "touch_by_noise_m
 {"width_used", "height_used", "longest_lens"}, "face": [{"x_mm", "y_mm", ...}], "changes":
 [{"what", "reaches", "why_not"}]}; of a wish: {"sensor", "force_N", "wish", "begun_from", "tried":
 [{"reaches", "missed", "meets", "on_front", "rows", "columns", ...}], "best": [{"file", ...}],
-"checked": [...]}. More: `mjtactile docs design`."""
+"checked": [...]}. More: `mjtactile docs how-to/design`."""
 _WISHES = {
     "feel_mN": (0.1, 1e4),
     "range_N": (0.01, 1e3),

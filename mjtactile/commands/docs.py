@@ -17,9 +17,11 @@ They come with the package; pictures and links work in that folder."""
 EPILOG = """\
 examples:
   mjtactile docs
-  mjtactile docs sensors | less
+  mjtactile docs sensor_files | less
   mjtactile docs tutorials/sensor
 """
+_LEFT_OUT = ("decisions", "upstream")
+"""Folders whose pages are listed on the site only."""
 
 ARGUMENTS = (arg.positional("page", "PAGE", "print this page", nargs="?"),)
 
@@ -28,7 +30,8 @@ def run(options: argparse.Namespace) -> int:
     folder = resources.folder("docs")
     pages = {
         path.relative_to(folder).with_suffix("").as_posix(): path
-        for path in sorted([*folder.glob("*.md"), *folder.glob("tutorials/*.md")])
+        for path in sorted(folder.rglob("*.md"))
+        if path.parent.name not in _LEFT_OUT
     }
     if options.page is None:
         titles = {name: _title(path) for name, path in pages.items()}
@@ -37,13 +40,16 @@ def run(options: argparse.Namespace) -> int:
         else:
             print(
                 f"in {folder}:",
-                *(f"  {name:<21} {title}" for name, title in titles.items()),
+                *(f"  {name:<34} {title}" for name, title in titles.items()),
                 sep="\n",
             )
         return 0
     name = options.page.removeprefix("docs/").removesuffix(".md")
-    if name not in pages:
-        raise InputError("no such page", source=options.page, choices=pages)
+    matches = [page for page in pages if page == name or page.endswith(f"/{name}")]
+    if len(matches) != 1:
+        problem = "several pages have this name" if matches else "no such page"
+        raise InputError(problem, source=options.page, choices=matches or pages)
+    name = matches[0]
     text = pages[name].read_text(encoding="utf-8")
     if options.json:
         print_json({"page": pages[name], "text": text})

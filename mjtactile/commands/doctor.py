@@ -24,7 +24,7 @@ EPILOG = """\
 examples:
   mjtactile doctor                        what is plugged in
   mjtactile doctor --rig my_gripper.toml  is it what the file says
-  mjtactile doctor --rig sim_arm          a simulated robot: docs/robots.md
+  mjtactile doctor --rig sim_arm          a simulated robot: docs/reference/rig_files.md
 exit codes: 0 all well, 1 something is wrong, 2 bad rig file.
 """
 SIMULATES = False

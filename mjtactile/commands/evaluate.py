@@ -38,7 +38,7 @@ examples:
   mjtactile evaluate --episodes 800 --shard 2/8 --out runs/part2  one of eight machines
   mjtactile evaluate --episodes 4000 --backend dask --scheduler tcp://head:8786 --out runs/big
   mjtactile evaluate --against v1 --controller mine.py --episodes 50 --out runs/mine
-      all tasks, against what shipped controllers came to (docs/what_touch_buys.md)
+      all tasks, against what shipped controllers came to (docs/validation/controller_comparison.md)
   mjtactile evaluate --against v1 --resume --out runs/mine    compares what is there again
   mjtactile evaluate --screen 100 --episodes 3000 --objects random --out runs/screened
       all of them cheaply (--effects=-sheet,-chain); what fails, and 100 of what holds, again in

@@ -24,7 +24,7 @@ EPILOG = """\
 examples:
   mjtactile experiments --out runs/paper
   mjtactile experiments --only fig6,air --json
-  mjtactile experiments --page docs/experiments.md
+  mjtactile experiments --page docs/validation/paper.md
       the page of the documentation, with its figures
 """
 NAMES = ("fig5a", "fig5b", "fig5c", "fig6", "fig7", "air")

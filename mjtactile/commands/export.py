@@ -29,7 +29,7 @@ examples:
   mjtactile export runs/egg --format rosbag2 --out data/egg_bag
       ros2 bag play data/egg_bag/episode_000000
 
-Needs `pip install 'mjtactile[data]'`, for Rerun 'mjtactile[live]'. What is where: docs/export.md.
+Needs `pip install 'mjtactile[data]'`, for Rerun 'mjtactile[live]'. See docs/how-to/export.md.
 exit codes: 0 written, 2 bad input.
 """
 FORMATS = {

@@ -37,7 +37,7 @@ examples, of a sensor on a bench (`--rig stage` is a simulated one, for practice
 
 Writes FILE.toml, which loads everywhere a sensor file does, and beside it FILE.fit.json,
 FILE.fit.txt and FILE.fit.png. It sees images, pressures, times, and what the recording says
-was done (docs/fit.md); neither forces felt nor any truth. exit codes: 0 fitted, 2 bad
+was done (docs/how-to/identify.md); neither forces felt nor any truth. exit codes: 0 fitted, 2 bad
 input, 3 the simulation failed.
 """
 

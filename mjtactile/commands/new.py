@@ -47,13 +47,13 @@ class Kind:
 
 KINDS = {
     "controller": Kind(
-        "controllers", ".py", "gentle", "controllers", "mjtactile grasp --controller {file}"
+        "controllers", ".py", "gentle", "how-to/controllers", "mjtactile grasp --controller {file}"
     ),
     "sensor": Kind(
         "models/sensors",
         ".toml",
         "dense",
-        "sensors",
+        "sensor_files",
         "mjtactile inflate --sensor {file} --pressure-kPa 1",
         r'(?m)^(name = )"[^"]*"',
     ),
@@ -61,22 +61,26 @@ KINDS = {
         "models/objects",
         ".xml",
         "egg",
-        "objects",
+        "object_files",
         "mjtactile grasp --object {file}",
         r'(<mujoco model=)"[^"]*"',
     ),
     "scenario": Kind(
-        "models/scenarios", ".toml", "lift", "scenario", "mjtactile grasp --scenario {file}"
+        "models/scenarios", ".toml", "lift", "scenario_files", "mjtactile grasp --scenario {file}"
     ),
-    "task": Kind("models/tasks", ".toml", "lift", "tasks", "mjtactile grasp --task {file}"),
+    "task": Kind("models/tasks", ".toml", "lift", "task_files", "mjtactile grasp --task {file}"),
     "variation": Kind(
-        "models/variations", ".toml", "default", "evaluate", "mjtactile evaluate --vary {file}"
+        "models/variations",
+        ".toml",
+        "default",
+        "how-to/evaluate",
+        "mjtactile evaluate --vary {file}",
     ),
     "rig": Kind(
         "models/rigs",
         ".toml",
         "two_xm430",
-        "hardware",
+        "how-to/hardware",
         "mjtactile doctor --rig {file}",
         r'(?m)^(name = )"[^"]*"',
     ),
@@ -115,7 +119,7 @@ def run(options: argparse.Namespace) -> int:
     if options.kind == "rig" and (model := re.search(_MODEL, text)):
         robot = path.with_suffix(".xml")
         files[path] = re.sub(_MODEL, rf'\1"{robot.name}"', text, count=1)
-        page = "robots"
+        page = "rig_files"
         files[robot] = (source.parent / model.group(2)).read_text(encoding="utf-8")
     for file in files:
         require_new(file, "NAME")

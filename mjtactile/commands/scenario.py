@@ -32,7 +32,7 @@ _SCENARIO = arg.option(
 _SHAPES = arg.flag(
     "--shapes",
     "say of every touch what body it is of, whatever the controller reads; area and force "
-    "are then that body's (docs/effects.md has the price)",
+    "are then that body's (docs/reference/effects.md has the price)",
     default=None,
 )
 

@@ -28,7 +28,7 @@ examples:
 
 Writes shadow.html (curves, a table of what was tried) and shadow.json. Causes that are tried:
 {", ".join(cause.name for cause in CAUSES)}.
-What it can tell and what not: docs/integrations.md.
+What it can tell and what not: docs/how-to/integrations.md.
 exit codes: 0 does as the simulator, 1 it parts from it, 2 bad input, 3 the simulation failed.
 """
 

@@ -1,8 +1,8 @@
 """Rotations, rigid transforms and unit normals as small functions on arrays; the last axis holds x,
 y, z.
 
-Monogram notation (docs/conventions.md): `X_AB` = (`R_AB`, `p_AB`) is B's pose in A and maps `p_BP`
-to `p_AP`.
+Monogram notation (docs/reference/conventions.md): `X_AB` = (`R_AB`, `p_AB`) is B's pose in A and
+maps `p_BP` to `p_AP`.
 """
 
 from __future__ import annotations

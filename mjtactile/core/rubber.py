@@ -1,4 +1,4 @@
-"""The law of the rubber sheet: neo-Hookean in plane stress (docs/equations.md, Eq. F4). Pure
+"""The law of the rubber sheet: neo-Hookean in plane stress (docs/theory/equations.md, Eq. F4). Pure
 functions, SI units.
 
     W = mu/2 (I1 - 3 - 2 ln J) + lambda/2 (ln J)^2,    S = mu (I - c C^-1)

@@ -2,7 +2,7 @@
 a section of a sensor file.
 
 Every quantity is SI inside. The file's keys carry the unit; each field says its own, with its range
-(`mjtactile.core.fields`). The format: docs/sensors.md.
+(`mjtactile.core.fields`). The format: docs/reference/sensor_files.md.
 """
 
 from __future__ import annotations

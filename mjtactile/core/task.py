@@ -1,7 +1,8 @@
 """`Task`: what is done with an object, what happens to it meanwhile, and what counts; a file.
 
 The seed draws from its ranges what the object weighs, how rough it is, what it stands, and each of
-the things that happen. The robot is told the `Orders` and nothing else. The format: docs/tasks.md.
+the things that happen. The robot is told the `Orders` and nothing else. The format:
+docs/reference/task_files.md.
 """
 
 from __future__ import annotations

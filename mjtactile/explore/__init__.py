@@ -1,1 +1,1 @@
-"""An unknown object, touched here and there until its surface is known (docs/explore.md)."""
+"""An unknown object, touched here and there until its surface is known (docs/how-to/explore.md)."""

@@ -1,1 +1,2 @@
-"""Recordings as data sets of other formats: LeRobot, MCAP, rosbag2. The formats: docs/export.md."""
+"""Recordings as data sets of other formats: LeRobot, MCAP, rosbag2. The formats:
+docs/how-to/export.md."""

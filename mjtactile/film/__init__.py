@@ -8,7 +8,7 @@ heights with a film's stiffness under the sheet's tension, and in the plane with
 matrix; residuals are the sheet's own, so that the result is the sheet's, not the matrices'. A state
 goes on as it came (`FilmState.trend`): bodies that move evenly want one step.
 
-What it leaves out, and what that costs (docs/benchmarks.md, `bench film`):
+What it leaves out, and what that costs (docs/validation/benchmarks.md, `bench film`):
 - Bending: nothing that a sheet of 0.3 mm shows, but for features narrower than about five
   thicknesses.
 - Friction: 1 to 8 % of a force. Shear and torsion of what sticks are beside it (`sticking.py`): a
@@ -31,7 +31,7 @@ or beyond what its rubber's law is known for, or goes through between nodes. Wha
 says so in `state.converged`, and its numbers are NaN.
 
 Frame S, SI units; p V^gamma with the design's gamma, or a pressure that is held. Equations:
-docs/equations.md, X1-X8. Why so: docs/decisions/0025-film.md.
+docs/theory/equations.md, X1-X8. Why so: docs/decisions/0025-film.md.
 """
 
 from mjtactile.film.bodies import KINDS, Obstacle, obstacle

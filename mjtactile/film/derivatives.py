@@ -1,4 +1,4 @@
-"""How a film at rest answers small changes of what presses it (docs/equations.md, X6)."""
+"""How a film at rest answers small changes of what presses it (docs/theory/equations.md, X6)."""
 
 from __future__ import annotations
 

@@ -4,7 +4,8 @@ would do.
 A contact narrower than a few cells hangs on where it lies between the nodes; what has edges is a
 little too soft. By how much is a table: of balls, rods, pins and blades of 0.4 to 16 mm at random
 places and angles against films of 81 x 61 and 121 x 91 nodes, and of the presses of the independent
-sheet. How well it does on bodies that it was not made of: docs/benchmarks.md, "The film".
+sheet. How well it does on bodies that it was not made of: docs/validation/benchmarks.md, "The
+film".
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 volume over time.
 
 The amount and temperature of the closed chamber's gas are the simulator's own
-(`mjtactile.sim.sensor.gas.ChamberGas`, docs/equations.md, G1 and G4-G6), driven with the volume
-that the markers show. Its pressures are fitted to those of the pressure sensor.
+(`mjtactile.sim.sensor.gas.ChamberGas`, docs/theory/equations.md, G1 and G4-G6), driven with the
+volume that the markers show. Its pressures are fitted to those of the pressure sensor.
 """
 
 from __future__ import annotations

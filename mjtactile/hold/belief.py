@@ -11,7 +11,7 @@ import numpy as np
 from mjtactile.core.types import Touch
 from mjtactile.hold.felt import friction, shear
 
-# Tried in simulation (docs/controllers.md). s that a slip is said late, and within which all
+# Tried in simulation (docs/how-to/controllers.md). s that a slip is said late, and within which all
 # fingers must say it; s until it counts again, and until a proof is forgotten (things get wet)
 _LATE = 0.2
 _TOGETHER = 0.3

@@ -24,7 +24,7 @@ from mjtactile.core.types import Array, Touch
 GRAVITY = 9.81  # m/s^2
 GAIN_SD = 0.015
 """Of a felt shear force, beside its noise: what is left of stiffness and geometry after a
-calibration (docs/accuracy.md)."""
+calibration (docs/validation/accuracy.md)."""
 
 
 @dataclass(frozen=True, eq=False)

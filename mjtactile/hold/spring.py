@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 # Two membranes over 1 kPa about a ball: N/m of opening, and N/m for each N on a finger (measured in
-# simulation, docs/controllers.md); a flat face is some three times as hard
+# simulation, docs/how-to/controllers.md); a flat face is some three times as hard
 _SOFT = 110.0
 _STIFF = 260.0
 _UNKNOWN = 1.5  # times as hard, until it is measured: too short a step is made good

@@ -193,7 +193,7 @@ def _driving() -> list[Item]:
             "1 a gripper or finger",
             f"current-based position mode, {2 * torque:.2g} N m at a pinion of {MM * _PINION:g} mm "
             f"({_FORCE:g} N, the paper's range, twofold)",
-            "XL330-M288-T or XM430-W350-T, see docs/hardware.md",
+            "XL330-M288-T or XM430-W350-T, see docs/how-to/hardware.md",
         ),
         Item(
             "USB adapters",

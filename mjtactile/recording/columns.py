@@ -1,8 +1,9 @@
 """The columns of a recording's log: one entry of `SENSED` a key, what it is, and where it comes
 from.
 
-docs/recording.md has the same table; a test compares the two. SI units; one value a finger where
-that is said. What is not known is NaN here and null in the file, in the shape that it would have.
+docs/reference/recording_format.md has the same table; a test compares the two. SI units; one value
+a finger where that is said. What is not known is NaN here and null in the file, in the shape that
+it would have.
 """
 
 from __future__ import annotations
@@ -254,7 +255,11 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
         "wall time of the sensing chain, all fingers",
         lambda c: c.perception_ms,
     ),
-    "state": ("", "of the supervisor (docs/hardware.md)", lambda c: getattr(c, "state", "running")),
+    "state": (
+        "",
+        "of the supervisor (docs/how-to/hardware.md)",
+        lambda c: getattr(c, "state", "running"),
+    ),
     "reason": ("", "why, if it is not running", lambda c: getattr(c, "reason", "")),
 }
 """Key to unit, meaning, and how a cycle says it."""

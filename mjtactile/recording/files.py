@@ -2,7 +2,7 @@
 line says.
 
 A recording is a folder with `log.jsonl` (one JSON object a line) and `frames/*.png` (camera images,
-lossless); the format: docs/recording.md.
+lossless); the format: docs/reference/recording_format.md.
 """
 
 from __future__ import annotations

@@ -130,7 +130,7 @@ class Recording:
         """Look up a column of numbers.
 
         Args:
-            key: Its name (docs/recording.md has all).
+            key: Its name (docs/reference/recording_format.md has all).
             width: How wide it is where this recording has none; by default one number a finger.
 
         Returns:

@@ -1,5 +1,5 @@
 """`RigFile`: which camera, valve and servos a rig has, read from a TOML file and checked. The
-format: docs/hardware.md.
+format: docs/how-to/hardware.md.
 
 Every quantity is SI inside; the file's keys carry the unit, and each field says its own
 (`mjtactile.core.fields`).

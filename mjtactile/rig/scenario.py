@@ -1,5 +1,5 @@
 """Read a scenario from a file or from a run's result, and complete it with what its rig file says.
-The format: docs/scenario.md."""
+The format: docs/reference/scenario_files.md."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 """A rig file's simulated rig: the user's MJCF, its fingertip sites, jaws and lift. The format:
-docs/robots.md.
+docs/reference/rig_files.md.
 
 Every quantity is SI inside; the file's keys carry the unit. Names of sites, actuators and bodies
 are those of the MJCF, and are looked up when the rig is built.

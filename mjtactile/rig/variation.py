@@ -5,7 +5,7 @@ seed draws from it.
 
 The world is made of the drawn values; sensing and control keep the sensor file and the rig file. A
 value depends on the seed and on its own name alone, so that one more line in a file leaves the
-others as they were. The format: docs/evaluate.md.
+others as they were. The format: docs/how-to/evaluate.md.
 """
 
 from __future__ import annotations

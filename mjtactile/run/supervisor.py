@@ -5,7 +5,7 @@ States: `idle` (nothing sent), `armed` (references taken, ready), `running`, `ho
 unknown: the jaws do not close and the hand does not rise), `safe` (the hand goes down and opens by
 itself), `latched` (over; why is in `reason`). Whatever the controller wants, a command is passed on
 only in `running`, and held back as said otherwise. The faults and their detectors:
-docs/hardware.md.
+docs/how-to/hardware.md.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ class Perception:
     Args:
         chain: The chain.
         state: Where to begin; None: before anything was measured.
-        shapes: Whether every touch has its `shape`; docs/effects.md has what that costs.
+        shapes: Whether every touch has its `shape`; docs/reference/effects.md has what that costs.
     """
 
     def __init__(self, chain: Chain, state: ChainState | None = None, *, shapes: bool = False):

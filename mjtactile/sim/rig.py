@@ -30,7 +30,7 @@ from mjtactile.sim.sensor.any import AnySensor
 from mjtactile.sim.sensor.switches import Effect, set_design
 
 _SCATTER = 2e-3  # m, to each side
-_LARGEST_STEP = 6.7e-3  # s; against 1 ms, forces change by 1 mN (docs/accuracy.md)
+_LARGEST_STEP = 6.7e-3  # s; against 1 ms, forces change by 1 mN (docs/validation/accuracy.md)
 # s; at 4 ms what is light and stands in a cup is held back by the damping that keeps it stable
 _LARGEST_STEP_OF_A_FILM = 2.1e-3
 

@@ -45,7 +45,7 @@ def test_a_copied_simulated_rig_brings_its_robot_along(mjtactile, tmp_path):
     report = json.loads(mjtactile("new", "rig", "mine", "--like", "sim", "--json").stdout)
     assert report["files"] == ["mine.toml", "mine.xml"]
     rig = read_rig_file(tmp_path / "mine.toml")
-    assert mjtactile("docs", "robots").returncode == 0  # which it names as the page to read
+    assert mjtactile("docs", "rig_files").returncode == 0  # which it names as the page to read
     assert (
         rig.model == tmp_path / "mine.xml"
         and [
@@ -85,7 +85,7 @@ def test_what_it_says_to_run_next_runs(mjtactile, tmp_path):
     assert words[0] == "mjtactile" and mjtactile(*words[1:]).returncode == 0
     words = process.stdout.splitlines()[2].split()
     assert (
-        words == ["mjtactile", "docs", "sensors"]
+        words == ["mjtactile", "docs", "sensor_files"]
         and "Your own sensor" in mjtactile(*words[1:]).stdout
     )
 
@@ -123,7 +123,7 @@ def test_nothing_is_overwritten(mjtactile, tmp_path):
         (("new", "gripper", "x"), ["gripper", "controller", "rig"]),
         (("new", "sensor", "x", "--like", "egg"), ["--like", "egg", "dense", "paper16"]),
         (("new", "sensor", "no/such/x"), ["no/such/x.toml", "cannot be written"]),
-        (("docs", "nothing"), ["nothing", "sensors", "controllers"]),
+        (("docs", "nothing"), ["nothing", "reference/sensor_files", "how-to/controllers"]),
     ],
 )
 def test_bad_usage(mjtactile, args, words):
@@ -132,8 +132,9 @@ def test_bad_usage(mjtactile, args, words):
 
 def test_docs_lists_every_page_with_its_title(mjtactile):
     report = json.loads(mjtactile("docs", "--json").stdout)
-    assert report["pages"]["sensors"] == "Your own sensor" and {"benchmarks", "hardware"} <= set(
-        report["pages"]
-    )
+    assert report["pages"]["reference/sensor_files"] and {
+        "validation/benchmarks",
+        "how-to/hardware",
+    } <= set(report["pages"])
     listed = mjtactile("docs").stdout
     assert all(title.strip() and title in listed for title in report["pages"].values())

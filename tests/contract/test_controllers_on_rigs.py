@@ -96,7 +96,7 @@ def test_gentle_lifts_an_egg(name, tmp_path):
     true, hand, egg = moments[len(gentle.felt) - 1]  # afterwards the object was set down again
     # what the controller calls settled
     assert np.mean(gentle.felt[-1]) == pytest.approx(0.6, abs=0.08)
-    # one image, one cycle old; 16 markers are good to 20-30 mN (docs/accuracy.md)
+    # one image, one cycle old; 16 markers are good to 20-30 mN (docs/validation/accuracy.md)
     assert gentle.felt[-1] == pytest.approx(true, abs=0.05)
     # it came along; it stood in a cup and slips by less than a millimetre
     assert egg - 0.0315 == pytest.approx(0.04, abs=2e-3)

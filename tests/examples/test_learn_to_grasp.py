@@ -15,7 +15,7 @@ CHECKOUT = Path(__file__).resolve().parents[2]
 def test_the_ten_lines_of_the_page_learn(tmp_path, monkeypatch):
     """As they stand, but for sixteen steps in place of a hundred thousand."""
     learner = pytest.importorskip("stable_baselines3")
-    page = (CHECKOUT / "docs/gym.md").read_text()
+    page = (CHECKOUT / "docs/how-to/train.md").read_text()
     lines = page.split("```python\n")[2].partition("```")[0]
     short = functools.partial(learner.PPO, n_steps=16, batch_size=16)
     monkeypatch.setattr(learner, "PPO", short)

@@ -1,6 +1,6 @@
 # pyright: reportMissingImports=false
 """LeRobot's own commands record an episode of the simulated hand, and replay it. In an environment
-of its own (docs/integrations.md); skipped where LeRobot and the packages of integrations/ are not."""
+of its own (docs/how-to/integrations.md); skipped where LeRobot and the packages of integrations/ are not."""
 
 import itertools
 import json

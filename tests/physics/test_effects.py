@@ -173,7 +173,7 @@ def test_shadows_are_for_steep_sheets_and_grazing_light():
     def on(design=DENSE, **kwargs):
         return "shadows" in choose(design, egg, **kwargs).on
 
-    # the slopes beside an egg alone move 3 mN at 0.4 N (docs/effects.md)
+    # the slopes beside an egg alone move 3 mN at 0.4 N (docs/reference/effects.md)
     assert on(force_error=0.002)
     low = replace(DENSE.camera, distance=0.010)
     # rays of 15 degrees
@@ -261,7 +261,7 @@ def test_a_grasp_estimates_its_own_error():
     estimate = GraspEstimate(world)
     assert np.isnan(estimate.force_error())
     estimate.keep()
-    # the default mesh is within a few per cent of 0.5 N (docs/accuracy.md); an estimate of 0 or of
+    # the default mesh is within a few per cent of 0.5 N (docs/validation/accuracy.md); an estimate of 0 or of
     # the force is broken
     assert 1e-5 < estimate.force_error() < 0.1
 

@@ -29,7 +29,7 @@ def pressed(effects, depth, shear=0.0, at=(0.0, 0.0)):
 @pytest.mark.parametrize("at", [(0.0, 0.0), (0.007, -0.004)])
 def test_force_and_pressure_are_those_of_the_mesh(at):
     mesh, film = (pressed(effects, 2e-3, at=at) for effects in (PHYSICS, FILM))
-    # the mesh is itself 1 to 3 % off at 13 x 11 vertices, the film at 21 x 16 (docs/accuracy.md)
+    # the mesh is itself 1 to 3 % off at 13 x 11 vertices, the film at 21 x 16 (docs/validation/accuracy.md)
     force = [-truth.contact_force(world, 0)[2] for world in (mesh, film)]
     assert force[1] == pytest.approx(force[0], rel=0.035)
     gauge = [world.sensors[0].pressure_gauge for world in (mesh, film)]

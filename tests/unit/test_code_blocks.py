@@ -36,16 +36,19 @@ INLINE = re.compile(r"`(mjtactile [a-z]+[^`\n]*)`")
 
 TESTED = {
     ("README.md", 0): "test_docs.py::test_attach_example_of_the_readme",
-    ("docs/your_scene.md", 0): "test_docs.py::test_example_of_touch_in_your_scene",
-    ("docs/controllers.md", 0): "test_docs.py::test_controller_example",
-    ("docs/controllers.md", 1): "test_docs.py::test_slip_controller_example",
+    ("docs/tutorials/scene.md", 0): "test_docs.py::test_example_of_touch_in_your_scene",
+    ("docs/how-to/controllers.md", 0): "test_docs.py::test_controller_example",
+    ("docs/how-to/controllers.md", 1): "test_docs.py::test_slip_controller_example",
     ("docs/tutorials/controller.md", 0): "test_docs.py::test_controller_of_the_tutorial",
     (
-        "docs/studio.md",
+        "docs/how-to/studio.md",
         0,
     ): "studio/test_own.py::test_the_loop_of_the_documents_serves_this_computer_alone_and_no_other_web_site",
-    ("docs/gym.md", 0): "gym/test_grasp_env.py::test_the_example_of_the_page",
-    ("docs/gym.md", 1): "../examples/test_learn_to_grasp.py::test_the_ten_lines_of_the_page_learn",
+    ("docs/how-to/train.md", 0): "gym/test_grasp_env.py::test_the_example_of_the_page",
+    (
+        "docs/how-to/train.md",
+        1,
+    ): "../examples/test_learn_to_grasp.py::test_the_ten_lines_of_the_page_learn",
 }
 PARSED = {
     ("docs/upstream/first-solve-has-no-tolerance-of-its-own.md", 0),

@@ -56,20 +56,20 @@ def test_attach_example_of_the_readme():
 
 def test_example_of_touch_in_your_scene(capsys):
     names: dict = {}
-    exec(block("docs/your_scene.md", "python"), names)
+    exec(block("docs/tutorials/scene.md", "python"), names)
     # the weight that lies on it
     assert names["finger"].touch.force_normal == pytest.approx(0.05 * 9.81, abs=0.03)
     assert "option.integrator: Euler -> discrete" in capsys.readouterr().out
 
 
 def test_object_example(tmp_path):
-    (tmp_path / "plum.xml").write_text(block("docs/objects.md", "xml"))
+    (tmp_path / "plum.xml").write_text(block("docs/reference/object_files.md", "xml"))
     plum = load_object(tmp_path / "plum.xml")
     assert plum.break_force == 2.0 and plum.material == "soft" and plum.grasp_height == 0.02
 
 
 def test_controller_example(tmp_path):
-    (tmp_path / "mine.py").write_text(block("docs/controllers.md", "python"))
+    (tmp_path / "mine.py").write_text(block("docs/how-to/controllers.md", "python"))
     controller = load_controller(tmp_path / "mine.py")
 
     def observe(force):
@@ -83,7 +83,7 @@ def test_controller_example(tmp_path):
 
 
 def test_slip_controller_example(tmp_path):
-    (tmp_path / "mine.py").write_text(block("docs/controllers.md", "python", 1))
+    (tmp_path / "mine.py").write_text(block("docs/how-to/controllers.md", "python", 1))
     controller = load_controller(tmp_path / "mine.py")
     state = GripperState(0.05, 0, 0, 0)
     valves = (ValveState(False),) * 2
@@ -126,7 +126,7 @@ def test_controller_of_the_tutorial(tmp_path):
 
 
 def test_the_page_of_controllers_has_every_field_of_touch():
-    page = (CHECKOUT / "docs/controllers.md").read_text()
+    page = (CHECKOUT / "docs/how-to/controllers.md").read_text()
     table = found(r"What a `Touch` holds.*?\n\n(.*?)\n\n", page)
     firsts = {
         name
@@ -144,7 +144,7 @@ def test_the_page_of_controllers_has_every_field_of_touch():
     ],
 )
 def test_the_page_of_recordings_has_every_column(heading, columns):
-    page = (CHECKOUT / "docs/recording.md").read_text()
+    page = (CHECKOUT / "docs/reference/recording_format.md").read_text()
     lines = page[page.index(heading) :].split("\n\n")[0].splitlines()
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
     assert [row[0].strip("`") for row in rows] == list(columns)
@@ -171,7 +171,9 @@ def test_links_lead_somewhere(page):
 
 
 def test_the_gallery_shows_every_picture_of_the_pages():
-    shown = set(re.findall(r"\]\((images/[^)]+)\)", (CHECKOUT / "docs/gallery.md").read_text()))
+    shown = set(
+        re.findall(r"\]\(\.\./(images/[^)]+)\)", (CHECKOUT / "docs/about/gallery.md").read_text())
+    )
     there = {
         path.relative_to(CHECKOUT / "docs").as_posix()
         for path in (CHECKOUT / "docs/images").rglob("*.*")
@@ -223,13 +225,18 @@ def test_tables_that_contributing_points_at_are_where_it_says():
 
 
 def test_the_page_of_effects_has_every_effect():
-    rows = (CHECKOUT / "docs/effects.md").read_text().split("|---|---|---|\n")[1].split("\n\n")[0]
+    rows = (
+        (CHECKOUT / "docs/reference/effects.md")
+        .read_text()
+        .split("|---|---|---|\n")[1]
+        .split("\n\n")[0]
+    )
     named = {name.strip() for row in rows.splitlines() for name in row.split("|")[1].split(",")}
     assert named == {entry.name for entry in EFFECTS}
 
 
 def test_the_page_of_commands_has_each_with_an_example():
-    page = (CHECKOUT / "docs/commands.md").read_text()
+    page = (CHECKOUT / "docs/reference/commands.md").read_text()
     assert set(re.findall(r"(?m)^    mjtactile (\w+)", page)) == set(COMMANDS)
 
 
@@ -237,7 +244,9 @@ def test_the_site_has_the_readme_the_decisions_and_the_whole_front_door():
     """What `make docs` adds to the pages; that they build without a warning is said by `make docs`
     itself."""
     pages = mkdocs_hooks.pages()
-    assert "](your_scene.md)" in pages["index.md"] and "](images/grasp.webp)" in pages["index.md"]
+    assert (
+        "](tutorials/scene.md)" in pages["index.md"] and "](images/grasp.webp)" in pages["index.md"]
+    )
     assert (
         "](decisions/index.md)" in pages["index.md"]
         and "](0013-contact-points.md)" in pages["decisions/index.md"]
@@ -270,7 +279,7 @@ def test_links_of_the_pages_in_the_wheel_stay_in_the_wheel(page):
 @pytest.mark.parametrize(
     ("page", "block", "table"),
     [
-        ("docs/numbers.md", "numbers", numbers.table),
+        ("docs/validation/results.md", "numbers", numbers.table),
         ("README.md", "headline", numbers.headline_table),
     ],
 )
@@ -319,7 +328,7 @@ def test_the_readmes_short_list_of_limits_has_the_numbers_of_the_page():
     readme = (CHECKOUT / "README.md").read_text()
     section = found(r"\n## Honest limits\n(.*?)\n## ", readme)
     number = r"\d[\d.-]* (?:%|mm|times)"
-    page = (CHECKOUT / "docs/limits.md").read_text()
+    page = (CHECKOUT / "docs/validation/limitations.md").read_text()
     assert set(re.findall(number, section)) <= set(re.findall(number, page))
 
 
@@ -332,7 +341,7 @@ def test_only_the_page_of_speed_has_tables_of_real_time_factors():
         for line in page.read_text().splitlines()
         if line.startswith("|") and "x real time" in line
     }
-    assert having == {"README.md", "docs/numbers.md", "docs/accuracy.md"}
+    assert having == {"README.md", "docs/validation/results.md", "docs/validation/accuracy.md"}
 
 
 def test_a_number_that_a_page_lacks_is_named():
@@ -357,7 +366,9 @@ SECTIONS = [
 
 @pytest.mark.parametrize("section", SECTIONS)
 def test_the_page_of_sensor_files_has_every_field_with_its_range_and_default(section):
-    text = found(rf"^## \[{section}\]$(.*?)^## ", (CHECKOUT / "docs/sensors.md").read_text())
+    text = found(
+        rf"^## \[{section}\]$(.*?)^## ", (CHECKOUT / "docs/reference/sensor_files.md").read_text()
+    )
     rows = [
         [cell.strip() for cell in line.strip("|").split("|")]
         for line in text.splitlines()
@@ -390,7 +401,7 @@ def test_the_page_of_sensor_files_has_every_field_with_its_range_and_default(sec
 
 def test_round_sensor_without_glass(tmp_path):
     dense = (CHECKOUT / "models/sensors/dense.toml").read_text()
-    example = block("docs/sensors.md", "toml")
+    example = block("docs/reference/sensor_files.md", "toml")
     for section in ("frame", "glass"):
         new = found(rf"(\[{section}\].*?)(?=\n\n|\Z)", example)
         dense = re.sub(rf"\[{section}\].*?(?=\n\n)", new, dense, flags=re.DOTALL)

@@ -28,7 +28,7 @@ examples:
   mjtactile calibrate gripper --rig my_gripper.toml
 
 `mjtactile calibrate WHAT --help` says what to do, what is written, and what is refused;
-docs/hardware.md has the whole story with numbers. exit codes: 0 good, 1 measured but
+docs/how-to/hardware.md has the whole story with numbers. exit codes: 0 good, 1 measured but
 refused, 2 bad input, 3 a device failed.
 """
 

@@ -1,9 +1,9 @@
 """Frozen, validated values that the stages pass to each other; arrays in them are read-only.
 
 SI units throughout, except where a name ends in `_px`. Frames (monogram notation,
-docs/conventions.md): S sensor (origin at the middle of the frame, in the flat membrane's plane, z
-outward, away from the camera), C camera (x right, y down, z forward), M marker. `p_SM` is the
-position of marker M expressed in S.
+docs/reference/conventions.md): S sensor (origin at the middle of the frame, in the flat membrane's
+plane, z outward, away from the camera), C camera (x right, y down, z forward), M marker. `p_SM` is
+the position of marker M expressed in S.
 
 This, and `mjtactile.hold`, is all of the project that a controller may import.
 """

@@ -4,7 +4,7 @@ ships) and units.
 The SDK's tables give addresses, but no current unit worth using (1.0 "raw", or "N/m"), so the mA
 per unit are here, each from the "Goal Current" entry of the model's page at
 https://emanual.robotis.com/docs/en/dxl/x/. Torque over current are the stall values of the same
-page's specifications. What each rests on: docs/hardware.md.
+page's specifications. What each rests on: docs/how-to/hardware.md.
 """
 
 from __future__ import annotations

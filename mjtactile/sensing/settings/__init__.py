@@ -8,8 +8,8 @@ everything uses that is not told otherwise:
 
 A number's `source` names the benchmark that it was fitted with (`bench touch`: presses with seeds
 below 1000, which its own table leaves out), what bounds it, or TRIED: it was chosen by
-trying, and docs/settings.md has what half and twice of it do. Recordings keep the settings in their
-header. Numbers of the numerics alone (steps, tolerances) stay with their code.
+trying, and docs/reference/parameters.md has what half and twice of it do. Recordings keep the
+settings in their header. Numbers of the numerics alone (steps, tolerances) stay with their code.
 """
 
 from __future__ import annotations

@@ -12,10 +12,10 @@ from mjtactile.core.entries import Number, Numbers
 from mjtactile.core.fields import entries, entry
 from mjtactile.core.toml import Section
 
-TRIED = "tried: docs/settings.md has what half and twice of it do"
-GAUGED = "tried: bench gauge (docs/settings.md has what half and twice of it do)"
-SEEN = "tried: bench seen (docs/settings.md has what half and twice of it do)"
-PRESSED = "tried: bench bodies (docs/settings.md has what half and twice of it do)"
+TRIED = "tried: docs/reference/parameters.md has what half and twice of it do"
+GAUGED = "tried: bench gauge (docs/reference/parameters.md has what half and twice of it do)"
+SEEN = "tried: bench seen (docs/reference/parameters.md has what half and twice of it do)"
+PRESSED = "tried: bench bodies (docs/reference/parameters.md has what half and twice of it do)"
 _FACTOR = 100.0
 _PLACES = ("first", "second", "third", "fourth")
 

@@ -5,10 +5,10 @@ leaving it out costs.
     chosen = choose(design, item, overrides="+bending,-friction")          # forced by hand
     world = GraspWorld(design, item, effects=chosen.on)
 
-The gates are those of docs/effects.md: an effect is on when leaving it out would move force or
-surface by more than the accuracy asked for, or when the scene makes it the point (friction carries
-the object). Costs and errors are measured on the shipped membrane by `mjtactile bench effects`
-(models/fidelity/effects.json).
+The gates are those of docs/reference/effects.md: an effect is on when leaving it out would move
+force or surface by more than the accuracy asked for, or when the scene makes it the point (friction
+carries the object). Costs and errors are measured on the shipped membrane by `mjtactile bench
+effects` (models/fidelity/effects.json).
 """
 
 from __future__ import annotations
@@ -198,13 +198,13 @@ EFFECTS: tuple[EffectEntry, ...] = (
     ),
     EffectEntry(
         Effect.PLASTICITY,
-        "the object's own file (docs/objects.md)",
+        "the object's own file (docs/reference/object_files.md)",
         gates.material("amorphous"),
         built=False,
     ),
     EffectEntry(
         Effect.VOLUMETRIC_SOFTNESS,
-        "the object's own file (docs/objects.md)",
+        "the object's own file (docs/reference/object_files.md)",
         gates.material("soft"),
         built=False,
     ),

@@ -7,7 +7,8 @@ measured to give it is taken.
 
 The table behind it, models/fidelity/measured.json, is written by `mjtactile bench accuracy` and
 says on which machine and with which versions it was measured. Errors are those of the shipped
-sensors' membrane (see docs/accuracy.md). Where a film can serve, a force error may be had from it,
+sensors' membrane (see docs/validation/accuracy.md). Where a film can serve, a force error may be
+had from it,
 too: models/fidelity/levels.json, by `mjtactile bench levels`.
 """
 

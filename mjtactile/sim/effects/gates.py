@@ -18,7 +18,7 @@ _CONTACT_SPEED = 0.01  # m/s of the membrane while an object is touched gently
 _EXPOSURE = 0.008  # s
 _HELD = 0.6  # N: a usual grasp
 # of the force, over the slope's tangent squared: what shading moves in the middle, measured
-# (docs/effects.md)
+# (docs/reference/effects.md)
 _SHADED = 0.06
 
 

@@ -1,5 +1,5 @@
 """`HandWorld`: a simulated rig over its table, before anything is put there to grasp. The rig:
-docs/robots.md."""
+docs/reference/rig_files.md."""
 
 from __future__ import annotations
 

@@ -149,7 +149,7 @@ def _log(rng: Rng, low: float, high: float) -> float:
 
 
 def to_mjcf(thing: RandomObject, name: str) -> str:
-    """The object's file, in the format of docs/objects.md."""
+    """The object's file, in the format of docs/reference/object_files.md."""
     t = thing
     stand = max(_CLEAR - t.c, 0.0)
     radius = max(min(t.a, t.b) - _ASIDE, 4e-3)
@@ -168,7 +168,7 @@ def to_mjcf(thing: RandomObject, name: str) -> str:
     return f"""<!-- A random {t.shape}: {2e3 * t.a:.3g} mm between the fingers,
      {2e3 * t.c:.3g} mm high, {1e3 * t.mass:.3g} g.
      Units: m, kg, N. Made by mjtactile.sim.scenes.random_objects;
-     docs/objects.md says how they are drawn. -->
+     docs/reference/object_files.md says how they are drawn. -->
 <mujoco model="{name}">
   <compiler angle="degree"/>
   <custom>

@@ -1,5 +1,5 @@
 """Bodies that deform by finite elements: a writer of MJCF files with a volumetric flex, in the
-format of docs/objects.md.
+format of docs/reference/object_files.md.
 
 The elements are MuJoCo's interpolated ones (decision 12): a lattice of `cells` trilinear cells over
 the bounding box, each linear-elastic in a frame that turns with it, cut to the body's volume. The
@@ -164,7 +164,7 @@ def to_mjcf(body: SoftBody, name: str, comment: str = "") -> str:
     )
     return f"""<!-- {comment or name}
      Units: m, kg, N, s, Pa. Finite elements, made by mjtactile.sim.scenes.soft_bodies;
-     docs/objects.md says how far they go.
+     docs/reference/object_files.md says how far they go.
      The mesh of tetrahedra is what touches and is seen;
      the lattice of {"x".join(map(str, body.lattice))} cells is what deforms.
      young, poisson, damping, mass and scale (the size) can be changed here. -->

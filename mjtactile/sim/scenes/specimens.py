@@ -1,5 +1,5 @@
 """Bodies to be probed, with a known material: a writer of MJCF files in the format of
-docs/objects.md.
+docs/reference/object_files.md.
 
 A soft `Specimen` is lumped: two rigid plates (its faces) on slides along x, each held to the middle
 by the elements of a rheological model. A block of modulus E squeezed between two flat faces of area
@@ -102,7 +102,7 @@ def to_mjcf(specimen: Specimen, name: str, comment: str = "") -> str:
     slim = 0.2 * s.length
     return f"""<!-- {comment or name}
      Units: m, kg, N, s. Lumped model, made by mjtactile.sim.scenes.specimens;
-     docs/objects.md says what it stands for. -->
+     docs/reference/object_files.md says what it stands for. -->
 <mujoco model="{name}">
   <custom>
 {custom}

@@ -181,7 +181,7 @@ def edge_flag(half_width: float, mesh: MembraneMesh) -> str | None:
 
 def _error(ratio: float, contact: str) -> float:
     """Force error of something round or thin of `ratio` vertex spacings: of triangles as the tests
-    have it, of vertices as `bench thin` does (docs/benchmarks.md)."""
+    have it, of vertices as `bench thin` does (docs/validation/benchmarks.md)."""
     of_triangles = [0.8, 0.5, 0.3, 0.05]
     of_vertices = [0.3, 0.3, 0.3, 0.05]
     errors = of_vertices if contact == "vertices" else of_triangles

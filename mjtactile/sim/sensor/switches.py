@@ -81,7 +81,7 @@ CAMERA = frozenset(
 )
 """What a camera shows when nobody says otherwise."""
 SERVO_LAG = 0.02
-"""Time constant, s, of the current loop and gear of a small servo (docs/effects.md)."""
+"""Time constant, s, of the current loop and gear of a small servo (docs/reference/effects.md)."""
 # MuJoCo `elastic2d`
 _STRETCH = 2
 _BOTH = 3

@@ -1,4 +1,4 @@
-"""Each trap of the SDK's packet layer (docs/hardware.md), through the bus and emulated servos on a
+"""Each trap of the SDK's packet layer (docs/how-to/hardware.md), through the bus and emulated servos on a
 pty."""
 
 import threading

@@ -38,7 +38,7 @@ def env():
 
 def test_the_example_of_the_page(monkeypatch, capsys):
     """As it stands, but for a second of time in place of twenty."""
-    page = (Path(__file__).resolve().parents[3] / "docs/gym.md").read_text()
+    page = (Path(__file__).resolve().parents[3] / "docs/how-to/train.md").read_text()
     monkeypatch.setattr(gymnasium, "make", functools.partial(gymnasium.make, time_limit=1.0))
     exec(page.partition("```python\n")[2].partition("```")[0], {})
     # N, and more: nothing was touched; the hand may rise, empty, and come down within the second

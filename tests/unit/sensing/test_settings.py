@@ -42,7 +42,7 @@ def test_every_number_says_what_it_is_and_where_it_comes_from():
 
 
 def test_a_number_that_was_tried_has_its_row_on_the_page():
-    page = (Path(__file__).parents[3] / "docs/settings.md").read_text()
+    page = (Path(__file__).parents[3] / "docs/reference/parameters.md").read_text()
     tried = {
         f"{stage}.{field.name}".lstrip(".")
         for stage, owner in (("", DEFAULTS), *vars(DEFAULTS).items())
@@ -50,7 +50,7 @@ def test_a_number_that_was_tried_has_its_row_on_the_page():
         for field in dataclasses.fields(owner)
         if any(text in field.metadata.get("source", "") for text in TRIALS)
     }
-    # else: mjtactile bench settings (or gauge, seen, bodies) --readme docs/settings.md
+    # else: mjtactile bench settings (or gauge, seen, bodies) --readme docs/reference/parameters.md
     assert tried == set(re.findall(r"^\| `([\w.]+)` \|", page, re.M))
 
 

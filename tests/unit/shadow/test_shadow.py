@@ -135,7 +135,7 @@ def test_softer_rubber_is_named(tmp_path):
     soft = replace(dense, membrane=replace(dense.membrane, young=0.75 * dense.membrane.young))
     shadow, _ = shadow_of(staged(tmp_path, soft))
     names = {named(shadow).cause.name, *(one.cause.name for one in shadow.alike)}
-    # at one pressure pre-stretch is as good (docs/fit.md): it is said
+    # at one pressure pre-stretch is as good (docs/how-to/identify.md): it is said
     assert names == {"stiffness", "pre_stretch"}
     found = {one.cause.name: one.amounts[0] for one in (named(shadow), *shadow.alike)}
     assert found["stiffness"] == pytest.approx(-0.25, abs=0.05)

@@ -27,7 +27,7 @@ from mjtactile.sim.sensor.switches import Effect
 
 DESIGN = load_sensor("dense")
 UP = np.tile([0.0, 0.0, 1.0], (DESIGN.markers.count, 1))
-PAGE = Path(__file__).resolve().parents[3] / "docs/camera.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs/how-to/camera_faults.md"
 FIELDS = entries(CameraTroubles)
 PARAMETERS = {"start", "dust_radius", "dust_darkness", "flicker_rate"}
 """Fields that say how, and switch nothing on."""

@@ -114,12 +114,12 @@ def is_open(port):
 
 
 def test_the_loop_of_the_documents_serves_this_computer_alone_and_no_other_web_site(tmp_path):
-    """The code of docs/studio.md, with a model and an end; in a process of its own, since MuJoCo's
+    """The code of docs/how-to/studio.md, with a model and an end; in a process of its own, since MuJoCo's
     viewer may crash a process that opens a second one."""
     [code] = [
         block
         for block in re.findall(
-            r"```python\n(.*?)```", (CHECKOUT / "docs/studio.md").read_text(), re.DOTALL
+            r"```python\n(.*?)```", (CHECKOUT / "docs/how-to/studio.md").read_text(), re.DOTALL
         )
         if "launch" in block
     ]
