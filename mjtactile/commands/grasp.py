@@ -63,8 +63,8 @@ peak_force_N and hold_force_N as felt, peak_force_true_N, hold_force_true_N and 
 as they were (simulation only), real_time_factor, frames, perception_ms_median, object,
 sensor, controller, seed, the whole "scenario"; "flags", what makes the simulation's numbers
 worse than usual (kind to reason, docs/validation/limitations.md); a "reason" where it is
-known. exit codes: 0 held, 1 dropped, crushed or not set down, 2 bad input, 3 a device or the simulation failed,
-or Ctrl-C.
+known. exit codes: 0 held, 1 dropped, crushed or not set down, 2 bad input, 3 a device or the
+simulation failed, or Ctrl-C.
 """
 EXIT_CODES = {"held": 0, "dropped": 1, "crushed": 1, "not set down": 1, "fault": 3}
 _RESULTS = ("summary.json", "summary.png", "summary.html")

@@ -50,8 +50,8 @@ examples:
 
 A protocol is a CSV file with the columns time_s,depth_mm,shear_mm,speed_mm_s,force_N
 (docs/how-to/identify.md). The format of recordings: docs/reference/recording_format.md.
-Two cameras of 640 x 480 pixels at 30 Hz take 9 MB a second. exit codes: 0 recorded, 2 bad input, 3 a device failed, a
-fault, or Ctrl-C; what was recorded until then is kept.
+Two cameras of 640 x 480 pixels at 30 Hz take 9 MB a second. exit codes: 0 recorded,
+2 bad input, 3 a device failed, a fault, or Ctrl-C; what was recorded until then is kept.
 """
 
 ARGUMENTS = (
