@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile.core.design import load_sensor
+from mjtactile.design_study.prediction_check import check, verdict
 from mjtactile.recording.files import write_json
-from mjtactile.study.check import check, verdict
 
 SENSORS = ("paper16", "dense", "fine")
 SEED = 100

@@ -16,17 +16,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks import sensitivity
-from benchmarks.sensitivity import FACTORS, INTERVAL, REFERENCE_IMAGES, Press, feel
+from benchmarks import setting_sensitivity
+from benchmarks.setting_sensitivity import FACTORS, INTERVAL, REFERENCE_IMAGES, Press, feel
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import MjtactileError
 from mjtactile.core.optics import Camera
 from mjtactile.core.types import Image
-from mjtactile.experiments.station import View
-from mjtactile.sensing.pose.locate import Located, find_circles
+from mjtactile.experiments.test_bench import View
+from mjtactile.sensing.pose.circles_from_images import Located, find_circles
 from mjtactile.sensing.settings import DEFAULTS, Settings
-from mjtactile.sensing.settings.number import SEEN
-from mjtactile.sim import truth
+from mjtactile.sensing.settings.tunable_parameter import SEEN
+from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 TORN = ("dense", "sphere:25", (1e-3, -1e-3))
@@ -51,7 +51,7 @@ def torn(force: float) -> Press:
     world.inflate(gauge, seal=True)
     rest = [view.image() for _ in range(REFERENCE_IMAGES)]
     pixels = []
-    while -truth.contact_force(world, 0)[2] < force:
+    while -ground_truth.contact_force(world, 0)[2] < force:
         world.drive(TORN_STEP * len(pixels), 0.0)
         pixels.append(view.image().pixels)
     p, n = world.marker_poses(0)
@@ -67,7 +67,7 @@ def pictures(presses: Sequence[Press], bent: Press) -> list[tuple[Image, Press]]
     flat, pressed = bent.flat[0].pixels, bent.images[4].pixels
     more = [_processed(bent.images[0].pixels), _processed(pressed)]
     more += [_small(one) for one in (flat, pressed, _processed(pressed))]
-    return [*sensitivity.pictures(presses), *((Image(one), bent) for one in more)]
+    return [*setting_sensitivity.pictures(presses), *((Image(one), bent) for one in more)]
 
 
 def _processed(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -136,8 +136,8 @@ def _pairs(old: Located, new: Located) -> list[tuple[int, int]]:
 def run(out: Path, quick: bool = False) -> dict[str, Any]:
     """Every number whose source says that it was tried here."""
     del out
-    todo = sensitivity.variants(SEEN)
-    presses = [sensitivity.record(*press) for press in sensitivity.PRESSES]
+    todo = setting_sensitivity.variants(SEEN)
+    presses = [setting_sensitivity.record(*press) for press in setting_sensitivity.PRESSES]
     images = pictures(presses, presses[0])
     presses += [torn(force) for force in TORN_FORCES]
     felt, seen = feel(presses, DEFAULTS), locate(images, DEFAULTS)
@@ -145,7 +145,7 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
     for name, factor, value in todo[: 2 if quick else None]:
         settings = DEFAULTS.override({name: value})
         row = {"name": name, "factor": factor, "value": value}
-        row |= sensitivity.touch_change(felt, feel(presses, settings))
+        row |= setting_sensitivity.touch_change(felt, feel(presses, settings))
         row |= change(seen, locate(images, settings))
         rows.append(row)
     return {"rows": rows}

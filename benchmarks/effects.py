@@ -19,18 +19,18 @@ from typing import Any
 import numpy as np
 
 from benchmarks.accuracy.run import stamp
-from benchmarks.settings import HOLD_FORCE, SENSOR, attempt, core_ms, hold, in_turns
-from benchmarks.worlds import rigid
+from benchmarks.scenes import rigid_pads
+from benchmarks.simulation_cases import HOLD_FORCE, SENSOR, attempt, core_ms, hold, in_turns
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.recording.files import write_json
-from mjtactile.run.progress import Progress
-from mjtactile.sensing.perception import Perception
-from mjtactile.sim import truth
+from mjtactile.runtime.progress import Progress
+from mjtactile.sensing.stateful_pipeline import Perception
+from mjtactile.sim import ground_truth
 from mjtactile.sim.effects.catalog import EFFECTS
-from mjtactile.sim.picture.renderer import Renderer
+from mjtactile.sim.rendering.renderer import Renderer
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
-from mjtactile.sim.sensor.switches import CAMERA, PHYSICS, Effect, set_design, set_picture
+from mjtactile.sim.sensor.effect_switches import CAMERA, PHYSICS, Effect, set_design, set_picture
 
 _STEP = 1 / 240
 _BLOCK = 4  # steps at a time, as between two images
@@ -167,7 +167,7 @@ def _press(design: SensorDesign, effects: frozenset[str]) -> tuple[float, np.nda
     )
     world.inflate(1000.0, seal=True)
     world.press(2.5e-3)
-    return float(-truth.contact_force(world, 0)[2]), world.marker_poses(0)[0]
+    return float(-ground_truth.contact_force(world, 0)[2]), world.marker_poses(0)[0]
 
 
 def _shift(design: SensorDesign, on: frozenset[str], off: frozenset[str]) -> float:
@@ -210,11 +210,11 @@ def _nothing_left(design: SensorDesign) -> dict[str, Any]:
     """Bare MuJoCo against `World` without sensors, interleaved; the model's elements with all
     effects off; a sensor that sleeps against one that is kept awake, and against the same scene
     without it."""
-    world = rigid.hold(design, "egg", _STEP, HOLD_FORCE)
+    world = rigid_pads.hold(design, "egg", _STEP, HOLD_FORCE)
 
     def bare() -> None:
         for _ in range(_BLOCK):
-            rigid.bare_step(world)
+            rigid_pads.bare_step(world)
 
     pairs = (
         np.array(

@@ -18,10 +18,10 @@ import numpy as np
 
 from mjtactile.core.errors import MjtactileError
 from mjtactile.core.scenario import Scenario
-from mjtactile.explore.run import Wanted
+from mjtactile.explore.exploration import Wanted
 from mjtactile.explore.simulated import explore_on_stage
 from mjtactile.recording.files import to_json
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.progress import Progress
 
 FIRST_SEED = 500
 SHIPPED = ("egg", "vial", "block", "strawberry")

@@ -21,7 +21,7 @@ from typing import Any
 from benchmarks.accuracy.run import stamp
 from mjtactile.core.errors import InputError
 from mjtactile.recording.files import write_json
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.progress import Progress
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 
@@ -63,18 +63,18 @@ KINDS = (
         "much or air that a rig has not, end with the hand up, do not import",
         "the hand retreats, then one line that names the file",
         (
-            "tests/unit/run/test_safety.py",
-            "tests/unit/run/test_failures.py",
-            "tests/unit/run/test_air.py",
-            "tests/unit/run/test_controller.py",
-            "tests/unit/run/test_grasp_outcome.py",
+            "tests/unit/runtime/test_safety.py",
+            "tests/unit/runtime/test_failures.py",
+            "tests/unit/runtime/test_pressure_command.py",
+            "tests/unit/runtime/test_controller.py",
+            "tests/unit/runtime/test_grasp_outcome.py",
             "tests/cli/test_bad_input.py::test_a_controller_that_misbehaves_is_named",
         ),
     ),
     Kind(
         "notebooks with functions, objects, lists that contain themselves, 10^6 entries",
         "not recorded, named once; the grasp goes on",
-        ("tests/unit/core/test_notebook.py",),
+        ("tests/unit/core/test_controller_state.py",),
     ),
     Kind(
         "each signal that ends a process, once, repeated, and after another",
@@ -89,7 +89,10 @@ KINDS = (
     Kind(
         "images that are dark, glaring, blurred, with specks, holes and strange markers",
         "unknown with its reason, or right within its error bar",
-        ("tests/unit/sensing/test_doubt.py", "tests/unit/sensing/test_locate.py"),
+        (
+            "tests/unit/sensing/test_model_error.py",
+            "tests/unit/sensing/test_circles_from_images.py",
+        ),
     ),
     Kind(
         "scenes with bodies that go through, diverge, weigh on the frame, or are too fast",

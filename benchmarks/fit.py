@@ -19,14 +19,14 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.design import SensorDesign, load_sensor
-from mjtactile.experiments.stage import NOTHING, record_stage
+from mjtactile.experiments.motion_stage import NOTHING, record_stage
+from mjtactile.fit.identification import fit_recordings
 from mjtactile.fit.result import FitResult
-from mjtactile.fit.run import fit_recordings
 from mjtactile.recording.files import write_json
-from mjtactile.recording.stage import Stage, read_moves
+from mjtactile.recording.stage_protocol import Stage, read_moves
 from mjtactile.recording.writer import Recorder
 from mjtactile.report.figures import new_figure
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.progress import Progress
 from mjtactile.sim.attach import DEFAULT_MESH
 
 FIRST_SEED = 201

@@ -16,10 +16,10 @@ import numpy as np
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.types import Array, PressureReading
-from mjtactile.sensing.force.gauge import GaugeFilter
-from mjtactile.sensing.force.sheet import Gas
+from mjtactile.sensing.force.gas_filter import GaugeFilter
+from mjtactile.sensing.force.spline_fem import Gas
 from mjtactile.sensing.settings import DEFAULTS, GaugeSettings
-from mjtactile.sensing.settings.number import GAUGED
+from mjtactile.sensing.settings.tunable_parameter import GAUGED
 
 FACTORS = (0.5, 2.0)
 CASES = ("dent", "leak", "hole", "warmth", "valve")

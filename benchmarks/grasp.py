@@ -12,8 +12,8 @@ from mjtactile.core.errors import MjtactileError
 from mjtactile.core.scenario import Scenario
 from mjtactile.recording.observer import Observer
 from mjtactile.report.figures import new_figure
-from mjtactile.run.grasp import GraspResult, run_grasp
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.grasp import GraspResult, run_grasp
+from mjtactile.runtime.progress import Progress
 
 OBJECTS = ("egg", "strawberry", "vial")  # the others that ship are there to be probed
 SEEDS = range(10)

@@ -21,8 +21,8 @@ from mjtactile.core.errors import MjtactileError
 from mjtactile.core.scenario import Scenario
 from mjtactile.recording.files import write_json
 from mjtactile.report.figures import new_figure
-from mjtactile.run.probe import ProbeResult, run_probe
-from mjtactile.sim.scenes.specimens import Kind, Specimen, to_mjcf
+from mjtactile.runtime.probe import ProbeResult, run_probe
+from mjtactile.sim.scenes.material_specimens import Kind, Specimen, to_mjcf
 
 FIRST_SEED = 4000
 KINDS: tuple[Kind, ...] = ("rigid", "elastic", "viscoelastic", "plastic")

@@ -12,7 +12,7 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.toml import read_json
-from mjtactile.experiments.press import PressPlan, inflate, press
+from mjtactile.experiments.indentation import PressPlan, inflate, press
 from mjtactile.recording.files import write_json
 from mjtactile.sim.attach import default_mesh
 from mjtactile.sim.scenes.indentation import Indenter

@@ -18,11 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import film_fineness, film_times
+from benchmarks import film_times, quasistatic_discretization
 from mjtactile import Film, FilmState, Obstacle, load_sensor
 from mjtactile.core.types import Array
 from mjtactile.report.figures import new_figure
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.progress import Progress
 
 GRIDS = ((21, 16), (41, 31))
 TIMED = (*GRIDS, (61, 46))
@@ -66,7 +66,7 @@ def run(out: Path, *, quick: bool = False, say: Say | None = None) -> dict[str, 
     places = [
         {"grid": list(grid), **_scatter(grid, PLACES_QUICK if quick else PLACES)} for grid in PLACED
     ]
-    narrow = film_fineness.run(GRIDS, quick)
+    narrow = quasistatic_discretization.run(GRIDS, quick)
     times = [film_times.times(grid, quick) for grid in TIMED]
     _draw(out / "film.png", references["profiles"])
     found = {"rows": rows, "sticking": sticking, "places": places}
@@ -280,7 +280,7 @@ def table(result: dict[str, Any]) -> str:
     for name in result["places"][0]:
         if name != "grid":
             lines.append(f"| {name} | {' | '.join(_cell(p[name]) for p in result['places'])} |")
-    lines += film_fineness.table(result["narrow"])
+    lines += quasistatic_discretization.table(result["narrow"])
     times = result["times"]
     names = " | ".join("{} x {}".format(*t["grid"]) for t in times)
     lines += ["", f"| time | {names} |", "|---" * (len(times) + 1) + "|"]

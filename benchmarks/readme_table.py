@@ -1,8 +1,9 @@
-"""`mjtactile bench headline`: the few numbers that the README shows. See `benchmarks.numbers`."""
+"""`mjtactile bench headline`: the few numbers that the README shows. See
+`benchmarks.results_tables`."""
 
 from __future__ import annotations
 
-from benchmarks.numbers import headline_table as table
-from benchmarks.numbers import run
+from benchmarks.results_tables import headline_table as table
+from benchmarks.results_tables import run
 
 __all__ = ["run", "table"]

@@ -18,10 +18,10 @@ import numpy as np
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.relaxation import Relaxation, decades
 from mjtactile.core.types import PressureReading
-from mjtactile.experiments.station import View, take_references
+from mjtactile.experiments.test_bench import View, take_references
 from mjtactile.recording.files import write_json
 from mjtactile.report.figures import new_figure
-from mjtactile.sim import truth
+from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 RUBBERS = {"latex": 0.02, "five times latex": 0.1}
@@ -109,7 +109,7 @@ def _look(
             view.perception.perceive(view.image(), world.time, reading).force_normal
             for view in views
         ]
-        seen.append([-float(truth.contact_force(world, 0)[2]), *felt])
+        seen.append([-float(ground_truth.contact_force(world, 0)[2]), *felt])
     true, knowing, unknowing = np.mean(seen, axis=0)
     return world.time, float(true), float(knowing), float(unknowing)
 

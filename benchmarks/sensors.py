@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.design import load_sensor
-from mjtactile.experiments.station import View, take_references
-from mjtactile.run.progress import Progress
-from mjtactile.sim import truth
+from mjtactile.experiments.test_bench import View, take_references
+from mjtactile.runtime.progress import Progress
+from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 SENSORS = ("paper16", "dense", "fine", "round30", "ellipse")
@@ -63,7 +63,7 @@ def _row(name: str, bodies: tuple[tuple[str, float], ...]) -> dict[str, Any]:
         take_references(world, [view], design.chamber.supply_gauge)
         for depth in DEPTHS:
             world.press(depth)
-            true = -float(truth.contact_force(world, 0)[2])
+            true = -float(ground_truth.contact_force(world, 0)[2])
             for _ in range(IMAGES):
                 begin = time.process_time()
                 image = view.image()
@@ -79,7 +79,7 @@ def _row(name: str, bodies: tuple[tuple[str, float], ...]) -> dict[str, Any]:
             shape = view.perception.shape([touch])
             spent[2] += time.process_time() - begin
             shapes += 1
-            area.append(shape.area / truth.contact_area(world, 0) - 1)
+            area.append(shape.area / ground_truth.contact_area(world, 0) - 1)
             if kind in _BALLS:
                 radius.append(shape.radius / size - 1)
     known = np.isfinite(force)

@@ -21,18 +21,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from mjtactile.core.config_fields import entries
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import MjtactileError
-from mjtactile.core.fields import entries
 from mjtactile.core.optics import Camera
 from mjtactile.core.types import Array, Image, Touch
-from mjtactile.experiments.station import View
+from mjtactile.experiments.test_bench import View
 from mjtactile.recording.files import write_json
-from mjtactile.run.progress import Progress
-from mjtactile.sensing.chain import Chain
-from mjtactile.sensing.pose.locate import find_circles
+from mjtactile.runtime.progress import Progress
+from mjtactile.sensing.pipeline import Chain
+from mjtactile.sensing.pose.circles_from_images import find_circles
 from mjtactile.sensing.settings import DEFAULTS, Settings
-from mjtactile.sensing.settings.number import TRIED
+from mjtactile.sensing.settings.tunable_parameter import TRIED
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 FACTORS = (0.5, 2.0)

@@ -20,7 +20,7 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import MjtactileError
 from mjtactile.core.types import Array
-from mjtactile.sim import truth
+from mjtactile.sim import ground_truth
 from mjtactile.sim.attach import DEFAULT_MESH
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
@@ -101,9 +101,11 @@ def press(setting: Setting, case: Case, design: SensorDesign | str = SENSOR) -> 
     places = []
     for _ in range(20):
         world.step()
-        forces.append(-truth.contact_force(world, 0)[2])
+        forces.append(-ground_truth.contact_force(world, 0)[2])
         places.append(world.marker_poses(0)[0])
-    return Pressed(float(np.mean(forces)), np.mean(places, axis=0), truth.penetration(world, 0))
+    return Pressed(
+        float(np.mean(forces)), np.mean(places, axis=0), ground_truth.penetration(world, 0)
+    )
 
 
 def held(
@@ -165,14 +167,15 @@ def cost_and_noise(setting: Setting, seconds: float = 0.6) -> dict[str, float]:
     iterations = []
     for _ in range(round(0.2 / setting.timestep)):
         world.step()
-        forces.append([truth.contact_force(world, i)[2] for i in range(len(world.sensors))])
+        forces.append([ground_truth.contact_force(world, i)[2] for i in range(len(world.sensors))])
         iterations.append(int(world.data.solver_niter[0]))
     return {
         "ms_per_s": ms / setting.timestep,
         "ms_per_step": ms,
         "force_noise_N": float(np.std(forces, axis=0).mean()),
         "iterations_mean": float(np.mean(iterations)),
-        "penetration_um": 1e6 * max(truth.penetration(world, i) for i in range(len(world.sensors))),
+        "penetration_um": 1e6
+        * max(ground_truth.penetration(world, i) for i in range(len(world.sensors))),
     }
 
 

@@ -25,10 +25,10 @@ from mjtactile.core import geometry, optics
 from mjtactile.core.design import load_sensor
 from mjtactile.core.optics import Camera
 from mjtactile.core.types import Array, Ellipses, Image
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.progress import Progress
 from mjtactile.sensing.image import markers, tracking
-from mjtactile.sensing.image.fit import as_ellipses
-from mjtactile.sim.picture.renderer import Renderer
+from mjtactile.sensing.image.ellipse_fit import as_ellipses
+from mjtactile.sim.rendering.renderer import Renderer
 
 LENGTH = 100  # images of a sequence
 SEQUENCES = 1000

@@ -22,10 +22,10 @@ from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Array, Image
 from mjtactile.evaluate.episodes import Episode, run_episode
 from mjtactile.evaluate.wilson import wilson
-from mjtactile.run.progress import Progress
-from mjtactile.sensing.chain import Chain
-from mjtactile.sim.picture.renderer import Renderer
-from mjtactile.sim.picture.sighting import Sighter
+from mjtactile.runtime.progress import Progress
+from mjtactile.sensing.pipeline import Chain
+from mjtactile.sim.rendering.renderer import Renderer
+from mjtactile.sim.rendering.synthetic_ellipses import Sighter
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 IMAGES = 100

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.hold import Belief, Frames, Load, Spring, Trial, weigh
+from mjtactile.grasp_estimation import Belief, Frames, Load, Spring, Trial, weigh
 from mjtactile.types import Command, Observation
 
 FORCE_MOST, FORCE_LEAST = 2.2, 0.18  # N on each finger that it asks for; it closes to the least

@@ -10,7 +10,7 @@ simulated, the emulated and the real gripper. Copy it to make your own: any file
 from dataclasses import replace
 from math import isfinite
 
-from mjtactile.hold import shear, support
+from mjtactile.grasp_estimation import shear, support
 from mjtactile.types import Command, Observation
 
 # N on each finger: enough friction for 60 g at a coefficient of 0.5, well below what an egg stands

@@ -10,7 +10,7 @@ in `Observation.command.memory`.
 from dataclasses import replace
 from math import isfinite
 
-from mjtactile.hold import shear, support
+from mjtactile.grasp_estimation import shear, support
 from mjtactile.types import Command, Observation
 
 # N on each finger: what it begins with, and what it never asks for more of

@@ -17,7 +17,7 @@ from stable_baselines3 import PPO  # pyright: ignore[reportMissingImports]
 from stable_baselines3.common.callbacks import BaseCallback  # pyright: ignore[reportMissingImports]
 from stable_baselines3.common.vec_env import SubprocVecEnv  # pyright: ignore[reportMissingImports]
 
-from mjtactile.gym.learning import Decisions, save_policy
+from mjtactile.gym.wrappers import Decisions, save_policy
 
 ENVIRONMENTS = 8  # a process each: with fewer, a core waits while another begins an episode
 DECISIONS = 32  # of each environment between two updates: about a grasp

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from mjtactile.commands import COMMANDS, arguments
-from mjtactile.core import signals, system
+from mjtactile.core import platform_support, signals
 from mjtactile.core.errors import MjtactileError
 
 DESCRIPTION = """\
@@ -94,7 +94,7 @@ def build_parser(*wanted: str) -> argparse.ArgumentParser:
         if name not in wanted:
             commands.add_parser(name, help=text, add_help=False)
             continue
-        command = importlib.import_module(f"mjtactile.commands.{name}")
+        command = importlib.import_module(f"mjtactile.commands.{name.replace('-', '_')}")
         sub = commands.add_parser(
             name,
             help=text,
@@ -110,8 +110,8 @@ def build_parser(*wanted: str) -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line `argv` (default: the process's own, which ends with it) and return the
     exit code."""
-    if not system.is_supported():
-        print(f"mjtactile: {system.REFUSAL}", file=sys.stderr)
+    if not platform_support.is_supported():
+        print(f"mjtactile: {platform_support.REFUSAL}", file=sys.stderr)
         return EXIT_INPUT
     _open_streams()
     with signals.listening(ends_process=argv is None):
@@ -140,7 +140,7 @@ def _main(argv: list[str]) -> int:
         options = build_parser(*argv[:1]).parse_args(argv)
         if options.simulates:
             # lazily: half a second that other commands need not wait
-            from mjtactile.sim.log import route_warnings
+            from mjtactile.sim.mujoco_log import route_warnings
 
             route_warnings()
         return options.run(options)
@@ -155,7 +155,7 @@ def _main(argv: list[str]) -> int:
 def _quieten_libraries(*, debug: bool) -> None:
     """What OpenCV, FFmpeg and MuJoCo print of their own ends as one line of ours: an error, or a
     doubt of the run."""
-    # a file of 2 MB may hold a thousand times as many pixels (core/images.py)
+    # a file of 2 MB may hold a thousand times as many pixels (core/image_decoding.py)
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 26))
     if not debug:
         # read when cv2 is imported, in child processes too

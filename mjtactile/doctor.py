@@ -7,10 +7,10 @@ from typing import Any
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Image
+from mjtactile.rig.doctor_finding import Finding
 from mjtactile.rig.file import read_rig_file
-from mjtactile.rig.finding import Finding
 from mjtactile.rig.simulated import SimRigFile
-from mjtactile.sensing.chain import Chain
+from mjtactile.sensing.pipeline import Chain
 
 
 def examine_rig(name: str | None, *, sensor: str = "dense", fix: bool = False) -> list[Finding]:
@@ -66,6 +66,6 @@ def plugged_in(
     """Cameras (`VideoDevice`) and serial ports (`SerialPort`), those of `more` too; `ask` who
     answers on the ports."""
     from mjtactile.devices.camera.v4l2 import video_devices
-    from mjtactile.devices.listing import serial_ports
+    from mjtactile.devices.discovery import serial_ports
 
     return video_devices(), serial_ports(more, ask=ask, say=say)

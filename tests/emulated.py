@@ -13,7 +13,7 @@ import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.devices.dynamixel.gripper import DynamixelGripper
 from mjtactile.emulator.faults import Faults
 from mjtactile.emulator.protocol2 import Instruction
@@ -99,11 +99,11 @@ def valve_bench(
     chambers = Chambers()
     firmware = ValveFirmware(chambers, faults, sensors=sensors)
     port = ValvePort(firmware)
-    stop = pace.Event()
+    stop = scaled_clock.Event()
 
     def live() -> None:
         while not stop.wait(0.005):
-            firmware.tick(pace.monotonic(), 0.005)
+            firmware.tick(scaled_clock.monotonic(), 0.005)
 
     thread = threading.Thread(target=live)
     thread.start()
@@ -125,19 +125,19 @@ def valve_configs(path: str) -> list[ValveConfig]:
 @contextlib.contextmanager
 def at_pace(slow: float) -> Iterator[None]:
     """What is started inside runs at 1/`slow` of the speed."""
-    before = pace.slow()
-    pace.set_slow(slow)
+    before = scaled_clock.slow()
+    scaled_clock.set_slow(slow)
     try:
         yield
     finally:
-        pace.set_slow(before)
+        scaled_clock.set_slow(before)
 
 
 def wait_for(condition, timeout: float = 5.0) -> bool:
     """Wait until `condition()`; five seconds is far beyond what any of it takes."""
-    deadline = pace.monotonic() + timeout
-    while pace.monotonic() < deadline:
+    deadline = scaled_clock.monotonic() + timeout
+    while scaled_clock.monotonic() < deadline:
         if condition():
             return True
-        pace.sleep(0.005)
+        scaled_clock.sleep(0.005)
     return False

@@ -21,7 +21,7 @@ from typing import Any
 import pytest
 
 from mjtactile.commands.emulate import client_text
-from mjtactile.core import pace, resources
+from mjtactile.core import resources, scaled_clock
 from mjtactile.emulator.process import EmulatorProcess
 from mjtactile.recording.reader import load_recording
 from mjtactile.rig.file import load_rig_file
@@ -124,7 +124,7 @@ class Host:
         while self.phase() not in phases:
             assert self.process.poll() is None, self.process.communicate()
             assert time.monotonic() < deadline, self.phase()
-            pace.sleep(_LOOK_TIME)
+            scaled_clock.sleep(_LOOK_TIME)
 
     def phase(self) -> str | None:
         with contextlib.suppress(OSError), self.log.open("rb") as log:
@@ -162,7 +162,7 @@ class Host:
 
     def _follow(self) -> None:
         start = self.emulator.truth()
-        while not self._over.wait(pace.wall(_LOOK_TIME)):
+        while not self._over.wait(scaled_clock.wall(_LOOK_TIME)):
             now = self.emulator.truth()
             below = start["object_height"] + now["lift_height"] - now["object_height"]
             self.fallen = max(self.fallen, below if now["lift_height"] > 0 else 0.0)

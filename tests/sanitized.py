@@ -30,7 +30,7 @@ TESTS = [
     "-m",
     "not slow",
     # it asks for the name of the library that was built for use
-    "--deselect=tests/unit/kernels/test_library.py::test_another_source_is_another_library",
+    "--deselect=tests/unit/kernels/test_bindings.py::test_another_source_is_another_library",
 ]
 DRAWS = "40"
 INSIDE = "MJTACTILE_SANITIZED"

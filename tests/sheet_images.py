@@ -10,9 +10,9 @@ import numpy as np
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.types import Image
-from mjtactile.sensing.force.inverse import InverseMembrane
-from mjtactile.sensing.force.sheet import Gas
-from mjtactile.sim.picture.renderer import Renderer
+from mjtactile.sensing.force.inverse_fem import InverseMembrane
+from mjtactile.sensing.force.spline_fem import Gas
+from mjtactile.sim.rendering.renderer import Renderer
 
 GAUGE = 1000.0  # Pa
 PLACE = np.array([0.003, -0.002])  # m

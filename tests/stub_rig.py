@@ -12,10 +12,10 @@ from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Command, GripperState, Image, Touch, Traction, ValveState
 from mjtactile.recording.observer import CycleCallback
+from mjtactile.rig.command_limits import Limits
 from mjtactile.rig.finger import Finger, Rig
-from mjtactile.rig.limits import Limits
-from mjtactile.run import loop
-from mjtactile.run.supervisor import RETREAT_OPENING
+from mjtactile.runtime import control_loop
+from mjtactile.runtime.supervisor import RETREAT_OPENING
 
 PERIOD = 0.05
 OK = Touch(0.0, 0.0, 0.5, 0.01, True)
@@ -107,7 +107,7 @@ class World:
                 act()
 
         with pytest.raises(error) as caught:
-            loop.run_loop(
+            control_loop.run_loop(
                 self.rig(host_timeout),
                 [SimpleNamespace(perceive=perceive)],  # type: ignore[list-item]
                 SimpleNamespace(

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.settings import SENSOR, attempt
+from benchmarks.simulation_cases import SENSOR, attempt
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.sensor_parts import CameraDesign, MarkerLayout
 from mjtactile.core.types import Array
-from mjtactile.sensing.perception import Perception
-from mjtactile.sim import truth
-from mjtactile.sim.picture.renderer import Effects, Renderer
+from mjtactile.sensing.stateful_pipeline import Perception
+from mjtactile.sim import ground_truth
+from mjtactile.sim.rendering.renderer import Effects, Renderer
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 _DEPTHS = (1.0e-3, 2.5e-3)
@@ -130,7 +130,7 @@ def _states(design: SensorDesign) -> list[State]:
 
 
 def _state(world: PressWorld) -> State:
-    return State(*world.marker_poses(0), float(-truth.contact_force(world, 0)[2]))
+    return State(*world.marker_poses(0), float(-ground_truth.contact_force(world, 0)[2]))
 
 
 def _look(design: SensorDesign, states: list[State], effects: Effects) -> dict[str, Any]:
@@ -176,7 +176,7 @@ def _rates(design: SensorDesign) -> list[dict[str, Any]]:
     world = PressWorld(design, Indenter("sphere", 16e-3), timestep=1e-3)
     world.inflate(1000.0, seal=True)
     forces: list[float] = []
-    world.after_each_step(lambda: forces.append(float(-truth.contact_force(world, 0)[2])))
+    world.after_each_step(lambda: forces.append(float(-ground_truth.contact_force(world, 0)[2])))
     world.press(2.5e-3, speed=_SPEED)
     trace = np.array(forces)[: round(4.5e-3 / _SPEED / 1e-3)]  # clearance and depth
     rows = []

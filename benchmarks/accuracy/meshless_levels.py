@@ -16,20 +16,20 @@ from typing import Any
 import numpy as np
 
 from benchmarks.accuracy.run import _QUICK_REFERENCE, _REFERENCE, stamp
-from benchmarks.settings import CASES, SENSOR, Case, Pressed, Setting, core_ms, hold, press
+from benchmarks.simulation_cases import CASES, SENSOR, Case, Pressed, Setting, core_ms, hold, press
 from mjtactile.core.design import load_sensor
 from mjtactile.core.scenario import Scenario
 from mjtactile.evaluate.episodes import Episode, run_episode
 from mjtactile.recording.files import write_json
-from mjtactile.run.progress import Progress
-from mjtactile.sim import truth
-from mjtactile.sim.chain_errors import load_errors
-from mjtactile.sim.drawn import TouchDrawer
+from mjtactile.runtime.progress import Progress
+from mjtactile.sim import ground_truth
 from mjtactile.sim.effects.fidelity import levels_path
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
-from mjtactile.sim.sensor.films import FILM_GRID
-from mjtactile.sim.sensor.switches import PHYSICS, Effect
+from mjtactile.sim.sensing_error_model import load_errors
+from mjtactile.sim.sensor.effect_switches import PHYSICS, Effect
+from mjtactile.sim.sensor.quasistatic_cache import FILM_GRID
+from mjtactile.sim.synthetic_touch import TouchDrawer
 
 STEP = 1 / 480  # s: what a rig takes for films
 FIRST_SEED = 9400  # nothing was fitted or tuned on these
@@ -97,7 +97,7 @@ def _rms(values: Any) -> float:
 
 
 def _press(case: Case) -> Pressed:
-    """As `benchmarks.settings.press`, of a film."""
+    """As `benchmarks.simulation_cases.press`, of a film."""
     world = PressWorld(
         SENSOR,
         Indenter("sphere", case.radius),
@@ -109,7 +109,7 @@ def _press(case: Case) -> Pressed:
     world.inflate(1000.0, seal=True)
     world.press(case.depth)
     world.step(20)
-    force = -truth.contact_force(world, 0)[2]
+    force = -ground_truth.contact_force(world, 0)[2]
     return Pressed(float(force), world.marker_poses(0)[0], 0.0)
 
 
@@ -136,7 +136,7 @@ def _held() -> dict[str, float]:
     forces = []
     for _ in range(round(0.2 / STEP)):
         world.step()
-        forces.append([truth.contact_force(world, i)[2] for i in range(len(world.sensors))])
+        forces.append([ground_truth.contact_force(world, i)[2] for i in range(len(world.sensors))])
     noise = float(np.std(forces, axis=0).mean())
     return {"film_ms": film, "drawing_ms": drawing, "force_noise_N": noise}
 

@@ -2,8 +2,9 @@
 
 One knob at a time around the default, and all together: error of force and surface against a
 converged reference, against the cost. Physics: spheres pressed to a given depth
-(benchmarks/settings.py); the reference is the finest mesh with contact ten times stiffer, its own
-uncertainty the step from the next coarser mesh. The bulge is also held against its closed form.
+(benchmarks/simulation_cases.py); the reference is the finest mesh with contact ten times stiffer,
+its own uncertainty the step from the next coarser mesh. The bulge is also held against its closed
+form.
 Perception: what the sensing chain makes of rendered images, against the simulated truth.
 """
 
@@ -20,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.accuracy import camera, plots
-from benchmarks.settings import (
+from benchmarks.simulation_cases import (
     CASES,
     SENSOR,
     Case,
@@ -30,10 +31,10 @@ from benchmarks.settings import (
     cost_and_noise,
     press,
 )
-from mjtactile.core import theory
+from mjtactile.core import analytical_solutions
 from mjtactile.core.design import load_sensor
 from mjtactile.recording.files import write_json
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.progress import Progress
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 DEFAULT = Setting()
@@ -192,7 +193,7 @@ def _closed_form(quick: bool) -> list[dict[str, Any]]:
             measured = world.sensors[0].height_at(0.0, 0.0)
             return {
                 "height_mm": 1e3 * measured,
-                "theory_mm": 1e3 * theory.bulge_height(design, 1000.0),
+                "theory_mm": 1e3 * analytical_solutions.bulge_height(design, 1000.0),
             }
 
         rows.append({"mesh": list(setting.mesh)} | attempt(height))

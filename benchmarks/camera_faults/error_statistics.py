@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.trust.replay import Felt, Grasp
+from benchmarks.camera_faults.replay import Felt, Grasp
 
 # beyond both is wrong
 FAR_SD = 5.0

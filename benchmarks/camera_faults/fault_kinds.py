@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.core.fields import entries, from_table
-from mjtactile.rig.troubles import CameraTroubles
+from mjtactile.core.config_fields import entries, from_table
+from mjtactile.rig.camera_faults import CameraTroubles
 
 SEED = 20261
 """Strengths are drawn from this; those of other seeds were used in tuning."""

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.accuracy.run import stamp
-from benchmarks.trust.kinds import ALWAYS, RUN, kinds
-from benchmarks.trust.numbers import numbers
-from benchmarks.trust.replay import Felt, Grasp, feel, record
-from mjtactile.run.progress import Progress
+from benchmarks.camera_faults.error_statistics import numbers
+from benchmarks.camera_faults.fault_kinds import ALWAYS, RUN, kinds
+from benchmarks.camera_faults.replay import Felt, Grasp, feel, record
+from mjtactile.runtime.progress import Progress
 
 SENSORS = ("dense", "dense_fiducials")
 GRASP_SEEDS = (4, 21, 22, 23)

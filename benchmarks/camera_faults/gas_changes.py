@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 import mjtactile
-from benchmarks.trust.numbers import FAR_N, FAR_SD
+from benchmarks.camera_faults.error_statistics import FAR_N, FAR_SD
 from mjtactile import SimFinger
 
 RADIUS = 12e-3

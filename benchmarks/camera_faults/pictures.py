@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from benchmarks.trust.kinds import ALWAYS, TABLES, Kind
-from benchmarks.trust.replay import Grasp
+from benchmarks.camera_faults.fault_kinds import ALWAYS, TABLES, Kind
+from benchmarks.camera_faults.replay import Grasp
 from mjtactile.report.figures import new_figure
-from mjtactile.sim.picture.troubles import TroubledPicture
+from mjtactile.sim.rendering.image_faults import TroubledPicture
 
 _COLUMNS = 8
 _PART = (slice(150, 330), slice(230, 410))

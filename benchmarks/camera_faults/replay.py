@@ -6,16 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from benchmarks.trust.kinds import ALWAYS, REFERENCES, Kind
+from benchmarks.camera_faults.fault_kinds import ALWAYS, REFERENCES, Kind
 from mjtactile.core.calibration import pressure_reading
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Image, PressureReading, Touch
 from mjtactile.recording.observer import Observer
-from mjtactile.run.grasp import run_grasp
-from mjtactile.sensing.perception import Perception
-from mjtactile.sim.picture.troubles import TroubledPicture
+from mjtactile.runtime.grasp import run_grasp
+from mjtactile.sensing.stateful_pipeline import Perception
+from mjtactile.sim.rendering.image_faults import TroubledPicture
 
 
 @dataclass(eq=False)

@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.accuracy.run import stamp
-from benchmarks.trust import air
-from benchmarks.trust.kinds import Kind, kinds
-from benchmarks.trust.numbers import FAR_N, FAR_SD, numbers
-from benchmarks.trust.pictures import draw
-from benchmarks.trust.replay import Grasp, feel, record
+from benchmarks.camera_faults import gas_changes
+from benchmarks.camera_faults.error_statistics import FAR_N, FAR_SD, numbers
+from benchmarks.camera_faults.fault_kinds import Kind, kinds
+from benchmarks.camera_faults.pictures import draw
+from benchmarks.camera_faults.replay import Grasp, feel, record
 from mjtactile.recording.files import write_json
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.progress import Progress
 
 SENSORS = ("dense",)
 GRASP_SEED = 4
@@ -54,7 +54,7 @@ def run(
         "grasp_seed": GRASP_SEED,
         "rows": rows,
         "sums": _sums(rows),
-        "air": air.rows(quick),
+        "air": gas_changes.rows(quick),
     }
 
 
@@ -93,7 +93,7 @@ def _sums(rows: Sequence[Row]) -> dict[str, Any]:
 
 def table(result: Mapping[str, Any]) -> str:
     """Markdown."""
-    lines = [*air.table(result["air"]), ""]
+    lines = [*gas_changes.table(result["air"]), ""]
     for sensor in SENSORS:
         rows = [row for row in result["rows"] if row["sensor"] == sensor]
         if not rows:

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.first_day.person import Person, photograph_board
-from mjtactile.calibrate.setup import setup
+from benchmarks.commissioning.simulated_operator import Person, photograph_board
+from mjtactile.calibrate.rig_wizard import setup
 from mjtactile.cli import main
 from mjtactile.commands.emulate import client_text
-from mjtactile.core import pace, resources
+from mjtactile.core import resources, scaled_clock
 from mjtactile.core.calibration import load_calibration
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import MjtactileError
@@ -27,14 +27,14 @@ from mjtactile.core.types import FINGERS
 from mjtactile.devices.rig import build_device_rig
 from mjtactile.devices.valve.driver import connect_valves
 from mjtactile.emulator.process import EmulatorProcess
-from mjtactile.experiments.stage import NOTHING, record_stage
+from mjtactile.experiments.motion_stage import NOTHING, record_stage
 from mjtactile.recording.files import write_json
-from mjtactile.recording.stage import Stage, read_moves
+from mjtactile.recording.stage_protocol import Stage, read_moves
 from mjtactile.recording.writer import Recorder
+from mjtactile.rig.as_built_sensor import SpecimenConfig, true_design
 from mjtactile.rig.file import load_rig_file
-from mjtactile.rig.specimen import SpecimenConfig, true_design
-from mjtactile.run.controller import load_controller
-from mjtactile.run.session import Session
+from mjtactile.runtime.controller import load_controller
+from mjtactile.runtime.session import Session
 
 RIG = "emulated_first_day"
 ASKED = 0.04  # N, felt less true
@@ -82,7 +82,7 @@ class Day:
 
     def told(self) -> dict[str, Any]:
         """All that was done."""
-        return {"asked_N": ASKED, "slow": pace.slow(), "steps": self.rows}
+        return {"asked_N": ASKED, "slow": scaled_clock.slow(), "steps": self.rows}
 
     @contextlib.contextmanager
     def hardware(self, seed: int = 0) -> Iterator[EmulatorProcess]:
@@ -275,11 +275,11 @@ class Day:
                 rig.close()
 
     def shadow(self) -> dict[str, Any]:
-        """`mjtactile shadow` of the first grasp after it all."""
+        """`mjtactile compare-sim` of the first grasp after it all."""
         recording = self.folder / "after" / str(SEEDS[0])
         page = self.folder / "shadow"
         code = main(
-            ["shadow", str(recording), "--until-s", "6", "--out", str(page), "--workers", "2"]
+            ["compare-sim", str(recording), "--until-s", "6", "--out", str(page), "--workers", "2"]
         )
         if code not in (0, 1):
             raise MjtactileError(f"shadow: exit code {code}")
@@ -289,7 +289,7 @@ class Day:
 
 def _since(begin: float) -> float:
     """Seconds of the emulated rig's time since `begin`, of the monotonic clock."""
-    return round((time.monotonic() - begin) / pace.slow(), 1)
+    return round((time.monotonic() - begin) / scaled_clock.slow(), 1)
 
 
 def _held_error(

@@ -15,20 +15,20 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from benchmarks.first_day.day import SEEDS, Day
-from mjtactile.calibrate import live
-from mjtactile.core import pace
+from benchmarks.commissioning.commissioning_steps import SEEDS, Day
+from mjtactile.calibrate import interactive
+from mjtactile.core import scaled_clock
 from mjtactile.core.types import FINGERS
-from mjtactile.devices import listing
+from mjtactile.devices import discovery
 
 SLOW = 4.0  # the emulated world's time: two processors draw and look at two cameras
 _HURRIED = (
-    (listing, "BAUDS", (1_000_000,)),
-    (listing, "IDS", range(1, 4)),
-    (listing, "_REPLY_TIME", 0.3),
-    (live, "_SPEED", 0.1),
-    (live, "_REST_TIME", 0.3),
-    (live, "_VALVE_STAGES", (1.0, 1.0, 0.5)),
+    (discovery, "BAUDS", (1_000_000,)),
+    (discovery, "IDS", range(1, 4)),
+    (discovery, "_REPLY_TIME", 0.3),
+    (interactive, "_SPEED", 0.1),
+    (interactive, "_REST_TIME", 0.3),
+    (interactive, "_VALVE_STAGES", (1.0, 1.0, 0.5)),
 )
 """What is shortened of the commands' waiting: emulated jaws have nothing to settle."""
 
@@ -64,14 +64,14 @@ def run(
 @contextlib.contextmanager
 def _hurried() -> Iterator[None]:
     before = [getattr(module, name) for module, name, _ in _HURRIED]
-    slow = pace.slow()
-    pace.set_slow(max(slow, SLOW))
+    slow = scaled_clock.slow()
+    scaled_clock.set_slow(max(slow, SLOW))
     for module, name, value in _HURRIED:
         setattr(module, name, value)
     try:
         yield
     finally:
-        pace.set_slow(slow)
+        scaled_clock.set_slow(slow)
         for (module, name, _), value in zip(_HURRIED, before, strict=True):
             setattr(module, name, value)
 

@@ -1,6 +1,6 @@
 """Somebody at an emulated rig: with a printed board, a caliper, a load cell and a keyboard.
 
-The emulator's own world is the caliper and the load cell, as in `mjtactile.calibrate.live`:
+The emulator's own world is the caliper and the load cell, as in `mjtactile.calibrate.interactive`:
 instruments outside of the devices, which a person would read on a real rig.
 """
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.sim.chain_errors import ChainErrors
+from mjtactile.sim.sensing_error_model import ChainErrors
 
 
 def check(errors: ChainErrors, rows: dict[str, Array]) -> dict[str, Any]:

@@ -3,8 +3,8 @@
 
 Random things are gripped with forces that wander from 0.05 to 2.2 N, and lifted, with images and
 the whole chain over films; what was felt of each image is compared with what the film bore. The
-model of `mjtactile/sim/chain_errors.py` is fitted to every other seed and checked on those between;
-what is written is fitted to all.
+model of `mjtactile/sim/sensing_error_model.py` is fitted to every other seed and checked on those
+between; what is written is fitted to all.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from typing import Any
 import numpy as np
 
 from benchmarks.accuracy.run import stamp
-from benchmarks.learning.drawn_check import check
-from benchmarks.learning.squeeze import squeeze
+from benchmarks.learning.check_error_model import check
+from benchmarks.learning.random_grasps import squeeze
 from mjtactile.core.calibration_parts import fingerprint
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import MjtactileError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Array
 from mjtactile.recording.files import write_json
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.progress import Progress
 from mjtactile.sensing.settings import DEFAULTS
-from mjtactile.sim.chain_errors import ChainErrors, path_of
+from mjtactile.sim.sensing_error_model import ChainErrors, path_of
 
 LOADS = np.array([0.0, 0.03, 0.1, 0.25, 0.5, 1.0, 1.6])
 GRASPS, GRASPS_QUICK = 40, 2

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.progress import Progress
 
 CHECKOUT = Path(__file__).parents[2]
 LEARNER = CHECKOUT / "examples" / "learn_to_grasp.py"

@@ -13,9 +13,9 @@ from mjtactile.core.errors import SimulationError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Array, Command, Observation, Touch
 from mjtactile.recording.observer import Observer
-from mjtactile.run.cycle import Cycle
-from mjtactile.run.session import Session, open_session
-from mjtactile.sim.sensor.film_sensor import FilmSensor
+from mjtactile.runtime.cycle import Cycle
+from mjtactile.runtime.session import Session, open_session
+from mjtactile.sim.sensor.quasistatic_sensor import FilmSensor
 
 _LEAST, _MOST = 0.05, 1.5  # N that it grips with
 _CHANGE_EVERY = 0.4  # s

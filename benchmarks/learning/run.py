@@ -24,7 +24,7 @@ from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Array
 from mjtactile.evaluate.episodes import Episode, run_episode
 from mjtactile.gym.env import GraspEnv
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.progress import Progress
 
 LEVELS = {
     "everything": "auto",
@@ -185,8 +185,8 @@ def _compare(rows: list[dict[str, Any]], level: str, other: str) -> dict[str, An
 _CONDENSE = """
 import time
 from mjtactile import Film, load_sensor
-from mjtactile.film.live import Sticking
-from mjtactile.sim.sensor.films import FILM_GRID
+from mjtactile.quasistatic.incremental import Sticking
+from mjtactile.sim.sensor.quasistatic_cache import FILM_GRID
 design = load_sensor("dense")
 begin = time.process_time()
 film = Film(design, FILM_GRID)

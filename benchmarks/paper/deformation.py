@@ -20,7 +20,7 @@ from mjtactile.core import geometry
 from mjtactile.core.bspline import Cubic
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
-from mjtactile.sensing.law import SheetLaw
+from mjtactile.sensing.constitutive_law import SheetLaw
 
 # nodes in each interval of the spline: what is integrated varies over markers, several intervals
 # wide

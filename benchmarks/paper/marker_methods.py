@@ -14,7 +14,7 @@ from mjtactile.core import optics
 from mjtactile.core.types import Array, CirclePoses, Ellipses
 from mjtactile.sensing.image.markers import detect
 from mjtactile.sensing.pose.circles import estimate_poses
-from mjtactile.sensing.pose.locate import Neighbours, find_circles
+from mjtactile.sensing.pose.circles_from_images import Neighbours, find_circles
 
 
 def compare_methods(images: int, seed: int = 1) -> dict[str, dict[str, float]]:

@@ -17,12 +17,12 @@ import numpy as np
 
 from benchmarks.paper.marker_accuracy import paper_like
 from benchmarks.paper.marker_methods import compare_methods
-from benchmarks.paper.pad import Pad
-from mjtactile.calibrate.area import AreaCalibration
+from benchmarks.paper.sponge import Pad
+from mjtactile.calibrate.force_from_area import AreaCalibration
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
-from mjtactile.experiments.station import Station
+from mjtactile.experiments.test_bench import Station
 from mjtactile.sim.scenes.indentation import Indenter
 
 CYLINDER = Indenter("cylinder", 6e-3)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mjtactile.sensing.settings.number import number
+from mjtactile.sensing.settings.tunable_parameter import number
 
 
 @dataclass(frozen=True)
 class PaperSettings:
-    """Of `benchmarks.paper.levels`."""
+    """Of `benchmarks.paper.force_methods`."""
 
     taper: float = number(
         1.25, "pitches over which the test function falls", "at least one marker must see it; trial"

@@ -23,11 +23,11 @@ from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.geometry import normal_from_slope
 from mjtactile.core.optics import Camera
 from mjtactile.core.types import Array, Image
-from mjtactile.sensing.chain import Chain
 from mjtactile.sensing.image.markers import detect
+from mjtactile.sensing.pipeline import Chain
 from mjtactile.sensing.pose.circles import estimate_poses
-from mjtactile.sensing.shape.delaunay import reconstruct_delaunay
-from mjtactile.sensing.shape.surface import Spline, grid_of
+from mjtactile.sensing.surface.delaunay import reconstruct_delaunay
+from mjtactile.sensing.surface.surface import Spline, grid_of
 
 # radius m, indentation m, 1/m
 _BALL = 0.010

@@ -14,7 +14,7 @@ from benchmarks.paper import marker_accuracy, marker_methods
 from benchmarks.paper.marker_accuracy import BLUR, NOISE
 from benchmarks.perception import chain
 from benchmarks.perception.plots import plot
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.progress import Progress
 
 TARGETS: dict[str, tuple[str, float, float]] = {
     "mean_mm": ("mean centre error, nearer of the two poses, mm", 0.020, 0.010),

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from mjtactile import InputError, TrackedCircles, track_circles
 from mjtactile.core.types import Array
 from mjtactile.recording.files import write_json
-from mjtactile.sensing.pose.skin import CUT
+from mjtactile.sensing.pose.dot_tracking import CUT
 
 EVERY = 8  # frames, of which one is looked at
 NEAR = 0.3  # of the dots' distance, from where the lattice has one

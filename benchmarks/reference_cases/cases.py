@@ -29,7 +29,7 @@ from typing import Any
 from mjtactile.core import resources
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
-from mjtactile.core.rubber import Law
+from mjtactile.core.neo_hookean import Law
 from mjtactile.core.toml import Section, read_toml
 
 FOLDER = "models/truth"

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.truth.cases import Case
-from benchmarks.worlds.trials import Body, FloatWorld, PinchWorld
-from mjtactile.experiments.station import View, take_references
-from mjtactile.sim import truth
+from benchmarks.reference_cases.cases import Case
+from benchmarks.scenes.stress_scenes import Body, FloatWorld, PinchWorld
+from mjtactile.experiments.test_bench import View, take_references
+from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.scenes.world import World
 
@@ -124,7 +124,7 @@ def _at_rest(world: World, steps: int = _REST) -> np.ndarray:
     forces = []
     for _ in range(steps):
         world.step()
-        forces.append(truth.contact_force(world, 0))
+        forces.append(ground_truth.contact_force(world, 0))
     return np.mean(forces, axis=0)
 
 
@@ -161,7 +161,7 @@ def _hold(case: Case) -> list[Number]:
             timestep=1e-3 * step,
         )
         world.step(round(0.5 / world.timestep))
-        grip = -sum(float(truth.contact_force(world, sensor)[2]) for sensor in range(2))
+        grip = -sum(float(ground_truth.contact_force(world, sensor)[2]) for sensor in range(2))
         margin = case.design.membrane.friction * grip / world.weight
         times = []
         drops = []
@@ -236,7 +236,7 @@ def _slid(case: Case, step: float, sign: float) -> float:
     shares = []
     mu = case.design.membrane.friction
     way = np.array([sign, 0.0, 0.0])
-    world.after_each_step(lambda: shares.append(truth.friction_along(world, 0, mu, way)))
+    world.after_each_step(lambda: shares.append(ground_truth.friction_along(world, 0, mu, way)))
     world.drive(
         1e-3 * plan["depth_mm"], sign * 1e-3 * plan["drag_mm"], speed=1e-3 * plan["speed_mm_s"]
     )

@@ -8,11 +8,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from benchmarks.truth import plots
-from benchmarks.truth.cases import Case, load_cases
-from benchmarks.truth.measure import Number, measure
+from benchmarks.reference_cases import plots
+from benchmarks.reference_cases.cases import Case, load_cases
+from benchmarks.reference_cases.measure import Number, measure
 from mjtactile.core.errors import SimulationError
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.progress import Progress
 
 QUICK = 4  # cases
 

@@ -14,15 +14,15 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.rig.session import Bench
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError
 from mjtactile.evaluate.wilson import wilson
 from mjtactile.recording.files import write_json
-from mjtactile.run.controller import load_controller
-from mjtactile.run.cycle import Cycle
-from mjtactile.run.progress import Progress
-from mjtactile.run.session import Session
+from mjtactile.runtime.controller import load_controller
+from mjtactile.runtime.cycle import Cycle
+from mjtactile.runtime.progress import Progress
+from mjtactile.runtime.session import Session
 
 CONTROLLER = "adaptive"
 OBJECTS = ("egg", "vial")
@@ -57,8 +57,8 @@ def run(
         row = grasp(OBJECTS[seed % len(OBJECTS)], seed)
         say(f"{row['object']}, seed {seed}: {row['outcome']} {row['reason']}".strip())
         rows.append(row)
-        write_json(path, {"grasps": rows, "slow": pace.slow()})
-    return {"grasps": rows, "slow": pace.slow()}
+        write_json(path, {"grasps": rows, "slow": scaled_clock.slow()})
+    return {"grasps": rows, "slow": scaled_clock.slow()}
 
 
 class _Watch:

@@ -14,12 +14,12 @@ import sys
 from typing import Any
 
 from benchmarks.rig.session import OBJECT, Bench, Closing, EndOfRun, design_at, drive
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Command
-from mjtactile.run.cycle import Cycle
-from mjtactile.run.session import Session
-from mjtactile.run.supervisor import Supervisor
+from mjtactile.runtime.cycle import Cycle
+from mjtactile.runtime.session import Session
+from mjtactile.runtime.supervisor import Supervisor
 
 FAULTS: dict[str, float] = {
     "frames_stopped": 1,
@@ -58,7 +58,7 @@ class Stopwatch(Supervisor):
 
     def _enter(self, state: str, reason: str, now: float) -> None:
         super()._enter(state, reason, now)
-        self.entered.append((pace.monotonic(), state))
+        self.entered.append((scaled_clock.monotonic(), state))
 
     def reaction(self, injected: float) -> float | None:
         """s from a fault at `injected` until the loop had left "running"; None where it did not, or
@@ -92,7 +92,7 @@ class KeptBench:
             self.close()
         else:
             self.bench().process.fault(kind, 0)
-            pace.sleep(0.3)
+            scaled_clock.sleep(0.3)
 
     def close(self) -> None:
         if self._bench is not None:
@@ -121,9 +121,9 @@ class FaultBench(KeptBench):
         def on_cycle(cycle: Cycle) -> None:
             cycles[0] += cycle.state == "running" or injected[0] > 0
             if cycles[0] == _FAULT_CYCLE and not injected[0]:
-                injected[0] = pace.monotonic()
+                injected[0] = scaled_clock.monotonic()
                 bench.process.fault(kind, value)
-            if injected[0] and pace.monotonic() - injected[0] > _WATCH:
+            if injected[0] and scaled_clock.monotonic() - injected[0] > _WATCH:
                 raise EndOfRun
 
         outcome = drive(bench, Closing(), on_cycle, supervisor=supervisor)
@@ -184,10 +184,10 @@ def killed(kind: str) -> dict[str, Any]:
             )
         before = bench.process.truth()
         host.send_signal(signal.SIGKILL)
-        at = pace.monotonic()
+        at = scaled_clock.monotonic()
         host.wait()
         host.stdout.close()
-        pace.sleep(1.0)
+        scaled_clock.sleep(1.0)
         truth = bench.process.truth()
     finally:
         bench.close()
@@ -224,13 +224,13 @@ def _hold(code: str) -> None:
             valve.state()
         if not squeezed:
             opening -= 0.02 * _SQUEEZE_SPEED
-            squeezed = pace.monotonic() if state.effort > _SQUEEZE else 0.0
-        elif pace.monotonic() - squeezed > 1.0:
+            squeezed = scaled_clock.monotonic() if state.effort > _SQUEEZE else 0.0
+        elif scaled_clock.monotonic() - squeezed > 1.0:
             squeezed = math.inf
             sys.stdout.write("holding\n")
             sys.stdout.flush()
         gripper.command(Command(opening, 4.0))
-        pace.sleep(0.02)
+        scaled_clock.sleep(0.02)
 
 
 def outcome(seed: int) -> dict[str, Any]:
@@ -243,7 +243,7 @@ def outcome(seed: int) -> dict[str, Any]:
     from mjtactile.core.scenario import Scenario
     from mjtactile.recording.reader import load_recording
     from mjtactile.recording.writer import Recorder
-    from mjtactile.run.grasp import run_grasp
+    from mjtactile.runtime.grasp import run_grasp
 
     result: dict[str, Any] = {"seed": seed}
     for rig in ("sim", "emulated"):

@@ -12,7 +12,7 @@ import random
 from collections.abc import Callable
 from typing import Any
 
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.core.errors import DeviceError
 from mjtactile.devices.dynamixel.bus import BusError, DynamixelBus
 from mjtactile.devices.valve.driver import ValveBoard
@@ -113,7 +113,7 @@ def fuzz_servos(count: int, seed: int = 0) -> dict[str, Any]:
     }
     try:
         while adversary.fed < count:
-            begin = pace.monotonic()
+            begin = scaled_clock.monotonic()
             try:
                 replies, failures = bus.read_many(SERVOS, START, SIZE)
             except BusError as error:
@@ -121,7 +121,7 @@ def fuzz_servos(count: int, seed: int = 0) -> dict[str, Any]:
                     raise
                 replies = {}
                 failures = dict.fromkeys(SERVOS, error)
-            tally["longest_s"] = max(tally["longest_s"], pace.monotonic() - begin)
+            tally["longest_s"] = max(tally["longest_s"], scaled_clock.monotonic() - begin)
             tally["calls"] += 1
             tally["refused"] += len(failures)
             for servo, reply in replies.items():
@@ -181,7 +181,7 @@ def fuzz_valve(count: int, seed: int = 0) -> dict[str, Any]:
     answers.bad = True
     try:
         while adversary.fed < count:
-            begin = pace.monotonic()
+            begin = scaled_clock.monotonic()
             tally["calls"] += 1
             try:
                 reading = board.measure(1, _PATIENCE)
@@ -189,7 +189,7 @@ def fuzz_valve(count: int, seed: int = 0) -> dict[str, Any]:
                 tally["refused"] += 1
                 continue
             finally:
-                tally["longest_s"] = max(tally["longest_s"], pace.monotonic() - begin)
+                tally["longest_s"] = max(tally["longest_s"], scaled_clock.monotonic() - begin)
             tally[
                 "wrong"
                 if reading.is_open or reading.fault or reading.pressure_gauge != _PRESSURE

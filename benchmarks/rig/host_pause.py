@@ -13,7 +13,7 @@ from typing import Any
 
 from benchmarks.rig.session import OBJECT, SENSOR
 from mjtactile.commands.emulate import client_text
-from mjtactile.core import pace, resources
+from mjtactile.core import resources, scaled_clock
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError
 from mjtactile.emulator.process import EmulatorProcess
@@ -64,17 +64,17 @@ def _start(folder: Path, rig_text: str, loss: str) -> subprocess.Popen[str]:
 
 def _run(host: subprocess.Popen[str], emulator: EmulatorProcess, seconds: float) -> dict[str, Any]:
     start = emulator.truth()["object_height"]
-    deadline = pace.monotonic() + _PATIENCE
+    deadline = scaled_clock.monotonic() + _PATIENCE
     while emulator.truth()["lift_height"] < _UP:
-        if host.poll() is not None or pace.monotonic() > deadline:
+        if host.poll() is not None or scaled_clock.monotonic() > deadline:
             raise DeviceError("the host that was to be stopped has not lifted the egg")
-        pace.sleep(0.02)
-    pace.sleep(0.5)
+        scaled_clock.sleep(0.02)
+    scaled_clock.sleep(0.5)
     host.send_signal(signal.SIGSTOP)
-    fallen = _watch(host, emulator, start, pace.monotonic() + seconds)
+    fallen = _watch(host, emulator, start, scaled_clock.monotonic() + seconds)
     host.send_signal(signal.SIGCONT)
     fallen = max(fallen, _watch(host, emulator, start, deadline))
-    pace.sleep(0.3)
+    scaled_clock.sleep(0.3)
     height = emulator.truth()["object_height"]
     lines = (host.communicate()[1] or "").splitlines() or [""]
     return {
@@ -92,11 +92,11 @@ def _watch(
     """The most by which the object is below its place in the hand, m, until then or the host's
     end."""
     fallen = 0.0
-    while pace.monotonic() < until and host.poll() is None:
+    while scaled_clock.monotonic() < until and host.poll() is None:
         truth = emulator.truth()
         if truth["lift_height"] > _STANDS:
             fallen = max(fallen, start + truth["lift_height"] - truth["object_height"])
-        pace.sleep(0.02)
+        scaled_clock.sleep(0.02)
     return fallen
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.rig.session import Bench, Closing, EndOfRun, design_at, drive
 from mjtactile.devices.dynamixel.bus import DynamixelBus
 from mjtactile.rig.finger import Rig
-from mjtactile.run.cycle import Cycle
+from mjtactile.runtime.cycle import Cycle
 
 RIG = "emulated_60"
 RATE = 60.0

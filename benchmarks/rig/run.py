@@ -15,12 +15,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from benchmarks.rig import faults, fuzz, loop, stopped
+from benchmarks.rig import faults, fuzz, host_pause, loop
 from benchmarks.rig.soak import LEG, SoakBench, soak_rows
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.core.errors import InputError
 from mjtactile.recording.files import to_json, write_json
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.progress import Progress
 
 PARTS = ("loop", "bus", "fuzz", "killed", "stopped", "stuck", "outcomes", "faults")
 # only where it is asked for
@@ -66,7 +66,7 @@ def run(
             SoakBench(out / SOAK, leg=30.0 if quick else LEG),
             HOURS if soak is None else soak,
         )
-    store.result |= {"load_average": os.getloadavg()[0], "slow": pace.slow()}
+    store.result |= {"load_average": os.getloadavg()[0], "slow": scaled_clock.slow()}
     return store.result
 
 
@@ -106,8 +106,8 @@ def _soak(store: _Store, bench: SoakBench, hours: float) -> None:
 def _stopped(store: _Store, times: int) -> None:
     """`times` runs with "hold", and a few with "open" beside them."""
     few = min(times, 3)
-    store.repeat("stopped", times, lambda i: stopped.stopped(i, "hold"))
-    store.repeat("stopped", times + few, lambda i: stopped.stopped(i, "open"))
+    store.repeat("stopped", times, lambda i: host_pause.stopped(i, "hold"))
+    store.repeat("stopped", times + few, lambda i: host_pause.stopped(i, "open"))
 
 
 def _faults(store: _Store, times: int) -> None:
@@ -171,7 +171,7 @@ def _rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
         (SOAK, soak_rows),
         ("bus", _bus_rows),
         ("killed", _killed_rows),
-        ("stopped", stopped.stopped_rows),
+        ("stopped", host_pause.stopped_rows),
         ("outcomes", _outcome_rows),
         ("fuzz", _fuzz_rows),
         ("stuck", _stuck_rows),

@@ -17,13 +17,13 @@ from mjtactile.emulator.process import EmulatorProcess
 from mjtactile.emulator.rig import build_emulated_rig
 from mjtactile.rig.file import RigFile, load_rig_file
 from mjtactile.rig.finger import Rig
-from mjtactile.run.cycle import Cycle
-from mjtactile.run.references import inflate
-from mjtactile.run.session import Session
-from mjtactile.run.supervisor import Supervisor
-from mjtactile.sensing.chain import Chain
-from mjtactile.sensing.perception import Perception
-from mjtactile.sensing.state import ChainState
+from mjtactile.runtime.cycle import Cycle
+from mjtactile.runtime.references import inflate
+from mjtactile.runtime.session import Session
+from mjtactile.runtime.supervisor import Supervisor
+from mjtactile.sensing.pipeline import Chain
+from mjtactile.sensing.pipeline_state import ChainState
+from mjtactile.sensing.stateful_pipeline import Perception
 
 SENSOR = "paper16"
 OBJECT = "egg"

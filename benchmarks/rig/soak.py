@@ -21,12 +21,12 @@ import numpy as np
 from benchmarks.rig.faults import FAULTS, KeptBench, Stopwatch
 from benchmarks.rig.loop import RATE, RIG
 from benchmarks.rig.session import Bench, EndOfRun, drive
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.core.types import Command, Observation
 from mjtactile.recording.reader import load_recording
 from mjtactile.recording.writer import Recorder
 from mjtactile.rig.finger import Rig
-from mjtactile.run.cycle import Cycle
+from mjtactile.runtime.cycle import Cycle
 
 # s from fault to fault, and from grip to grip
 LEG = 300.0
@@ -137,9 +137,9 @@ class _Leg:
             )
         self.cycles += 1
         if not self._injected and cycle.time - self._rows[0, 0] > self._at:
-            self._injected = pace.monotonic()
+            self._injected = scaled_clock.monotonic()
             self._bench.process.fault(self._kind, FAULTS[self._kind])
-        if self._injected and pace.monotonic() - self._injected > _WATCH:
+        if self._injected and scaled_clock.monotonic() - self._injected > _WATCH:
             raise EndOfRun
 
     def result(self, outcome: str) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from benchmarks.worlds.slip_cases import SlipCase
+from benchmarks.scenes.slip_cases import SlipCase
 from mjtactile.core.design import SensorDesign
 from mjtactile.sim.attach import DEFAULT_MESH, Attachment, attach_membrane, recommend_options
 from mjtactile.sim.scenes.world import World

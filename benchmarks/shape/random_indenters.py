@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.sensing.body.families import SHARP
+from mjtactile.sensing.contact_shape.shape_models import SHARP
 
 _MESH = '<geom type="mesh" mesh="hull"/>'
 _SIDES = 40  # of what stands for a circle

@@ -20,14 +20,14 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.shape import independent
-from benchmarks.shape.bodies import Case, draw
+from benchmarks.shape import independent_reference
+from benchmarks.shape.random_indenters import Case, draw
 from benchmarks.shape.tables import summary, table
 from mjtactile.core.design import load_sensor
 from mjtactile.core.types import Array, FeltShape, Touch, Traction
-from mjtactile.experiments.station import View, take_references
-from mjtactile.sensing.body.finder import ShapeFinder
-from mjtactile.sim import truth
+from mjtactile.experiments.test_bench import View, take_references
+from mjtactile.sensing.contact_shape.estimator import ShapeFinder
+from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 __all__ = ["run", "table"]
@@ -55,7 +55,7 @@ def run(out: Path, *, quick: bool = False, say: Say = lambda _: None) -> dict[st
         Rows, and their summary.
     """
     del out
-    balls = independent.rows()
+    balls = independent_reference.rows()
     rows: list[dict[str, Any]] = []
     for seed in range(FIRST_SEED, FIRST_SEED + (BODIES_QUICK if quick else BODIES)):
         rows += _press(seed)
@@ -75,13 +75,13 @@ def _press(seed: int) -> list[dict[str, Any]]:
     drag = float(np.random.default_rng([seed, 78]).uniform(-_DRAG, _DRAG))
     rows: list[dict[str, Any]] = []
     for looked in _stages(world, drag):
-        true = truth.contact_wrench(world, 0)
+        true = ground_truth.contact_wrench(world, 0)
         row = _followed(case, view, finder, true)
         if row is None or -true[2] < _FORCE_LEAST:
             continue
         touch = row.pop("touch")
         row |= {"seed": seed, "looked": looked, "first": not rows}
-        row |= {"area_true_mm2": 1e6 * truth.contact_area(world, 0)}
+        row |= {"area_true_mm2": 1e6 * ground_truth.contact_area(world, 0)}
         rows.append(row)
         if looked == "press":
             rows.append(row | _alone(case, view, touch))
@@ -93,7 +93,7 @@ def _stages(world: PressWorld, drag: float) -> Iterator[str]:
     reached = 0.0
     for depth in _DEPTHS:
         world.press(float(depth))
-        if -truth.contact_force(world, 0)[2] > _FORCE_MOST:
+        if -ground_truth.contact_force(world, 0)[2] > _FORCE_MOST:
             world.press(reached)
             break
         reached = float(depth)

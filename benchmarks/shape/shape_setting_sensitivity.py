@@ -15,16 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.shape.bodies import Case, draw
+from benchmarks.shape.random_indenters import Case, draw
 from benchmarks.shape.run import MESH
 from mjtactile.core.design import load_sensor
 from mjtactile.core.types import FeltShape, Touch
-from mjtactile.experiments.station import View, take_references
-from mjtactile.sensing.chain import Chain
+from mjtactile.experiments.test_bench import View, take_references
+from mjtactile.sensing.pipeline import Chain
+from mjtactile.sensing.pipeline_state import ChainState
 from mjtactile.sensing.settings import DEFAULTS, Settings
-from mjtactile.sensing.settings.number import PRESSED
-from mjtactile.sensing.state import ChainState
-from mjtactile.sim import truth
+from mjtactile.sensing.settings.tunable_parameter import PRESSED
+from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 FACTORS = (0.5, 2.0)
@@ -76,7 +76,7 @@ def record(case: Case) -> Pressed:
     images = []
     for depth in (*_DEPTHS, *[None] * _HELD):
         if depth is not None:
-            if -truth.contact_force(world, 0)[2] > _FORCE_MOST:
+            if -ground_truth.contact_force(world, 0)[2] > _FORCE_MOST:
                 continue
             world.press(float(depth))
         before = perception.state

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmarks.slip.watch import Look
+from benchmarks.slip.evaluate_case import Look
 from mjtactile.core.types import Touch
-from mjtactile.hold import Following, follows
+from mjtactile.grasp_estimation import Following, follows
 
 WINDOW = 0.3  # s: a little more than one period
 IN_TIME = 0.4  # s, with the test

@@ -6,16 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.worlds.slip_cases import SlipCase
-from benchmarks.worlds.slip_world import SlipWorld
+from benchmarks.scenes.slip_cases import SlipCase
+from benchmarks.scenes.slip_world import SlipWorld
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Touch
-from mjtactile.sensing.chain import Chain
-from mjtactile.sensing.state import ChainState
-from mjtactile.sim import truth
+from mjtactile.sensing.pipeline import Chain
+from mjtactile.sensing.pipeline_state import ChainState
+from mjtactile.sim import ground_truth
 from mjtactile.sim.attach import DEFAULT_MESH
-from mjtactile.sim.picture.renderer import Renderer
-from mjtactile.sim.sensor.limits import Flags
+from mjtactile.sim.rendering.renderer import Renderer
+from mjtactile.sim.sensor.validity_checks import Flags
 
 # a reference is the mean of so many; s of load; m slid that end a case
 _IMAGES = 10
@@ -110,7 +110,7 @@ def watch(
             image = renderer.render(*world.marker_poses(k), world.time)
             touch, states[k] = chain.step(states[k], image, world.time)
             if keep:
-                used, _ = truth.sliding(world, k)
+                used, _ = ground_truth.sliding(world, k)
                 fingers[k].append(
                     Look(world.time, touch, world.press(k), used, slider.slid, slider.onset)
                 )
@@ -119,7 +119,7 @@ def watch(
         see(keep=False)
     for _ in world.load(_SECONDS):
         for k, slider in enumerate(sliders):
-            slider.update(world.time, world.timestep, *truth.sliding(world, k))
+            slider.update(world.time, world.timestep, *ground_truth.sliding(world, k))
         see(keep=True)
         slid = [slider.slid for slider in sliders]
         if min(slid) > _ENOUGH or max(slid) > 2 * _ENOUGH:

@@ -17,16 +17,16 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.slip import tested
+from benchmarks.scenes.slip_cases import SlipCase, draw_case
+from benchmarks.slip import active_slip_test
+from benchmarks.slip.evaluate_case import Watched, references, watch
 from benchmarks.slip.score import OUTCOMES, SLIPS, Frame, outcome
-from benchmarks.slip.watch import Watched, references, watch
-from benchmarks.worlds.slip_cases import SlipCase, draw_case
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.evaluate.wilson import wilson
 from mjtactile.report.figures import new_figure
-from mjtactile.sensing.chain import Chain
-from mjtactile.sensing.state import ChainState
+from mjtactile.sensing.pipeline import Chain
+from mjtactile.sensing.pipeline_state import ChainState
 
 FIRST_SEED = 2000
 CASES = 200
@@ -98,7 +98,7 @@ def with_test(rows: Sequence[Row]) -> dict[str, Any]:
     slips = [row for row in judged if row["outcome"] in SLIPS]
     holds = [row["outcome"] for row in judged if row["outcome"] in ("quiet", "false")]
     said = [row for row in slips if row["outcome"] not in ("missed", "early")]
-    in_time = sum(row["latency_ms"] <= 1e3 * tested.IN_TIME + 0.1 for row in said)
+    in_time = sum(row["latency_ms"] <= 1e3 * active_slip_test.IN_TIME + 0.1 for row in said)
     kinds = sorted({row["case"] for row in slips})
     return {
         "rows": list(rows),
@@ -143,7 +143,7 @@ def rows_of(case: SlipCase, watched: Watched, test: bool = False) -> list[Row]:
     rows = []
     for name, friction, looks in zip(_FINGERS, case.friction, watched.fingers, strict=True):
         chain = [look.touch.slip.state if look.touch.slip else "unknown" for look in looks]
-        states = tested.states(looks) if test else chain
+        states = active_slip_test.states(looks) if test else chain
         found = outcome(
             [
                 Frame(k.time, state, k.used, k.slid, k.onset)

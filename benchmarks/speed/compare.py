@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.speed import probe
-from mjtactile.core import system
+from mjtactile.core import platform_support
 from mjtactile.core.errors import InputError
 
 ROUNDS = 3
@@ -104,7 +104,7 @@ def _processor() -> str:
         (line.partition(":")[2].strip() for line in lines if line.startswith("model name")),
         platform.processor(),
     )
-    return f"{name}, {system.processors()} processors"
+    return f"{name}, {platform_support.processors()} processors"
 
 
 def table(result: Mapping[str, Any]) -> str:

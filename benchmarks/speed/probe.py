@@ -27,9 +27,9 @@ TOUCHING = ("regulate", "lift", "hold", "lower")  # phases from the first touch 
 def main(rate: float, kind: str) -> dict[str, Any]:
     begin = time.process_time(), time.perf_counter()
     from mjtactile.core.design import load_sensor
-    from mjtactile.run.controller import load_controller
-    from mjtactile.run.session import open_session
-    from mjtactile.sensing.perception import Perception
+    from mjtactile.runtime.controller import load_controller
+    from mjtactile.runtime.session import open_session
+    from mjtactile.sensing.stateful_pipeline import Perception
     from mjtactile.sim.camera import SimCamera
     from mjtactile.sim.rig import SimClock
     from mjtactile.sim.scenes.world import World

@@ -17,16 +17,16 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.core_time import core_time
-from benchmarks.settings import HOLD_FORCE, Setting, attempt, core_ms, cost_and_noise
+from benchmarks.cpu_time import core_time
+from benchmarks.scenes import rigid_pads
+from benchmarks.simulation_cases import HOLD_FORCE, Setting, attempt, core_ms, cost_and_noise
 from benchmarks.speed import compare, denormals, sensors
-from benchmarks.worlds import rigid
 from mjtactile.core.design import load_sensor
 from mjtactile.core.scenario import Scenario
 from mjtactile.report.figures import new_figure
-from mjtactile.run.controller import load_controller
-from mjtactile.run.progress import Progress
-from mjtactile.run.session import open_session
+from mjtactile.runtime.controller import load_controller
+from mjtactile.runtime.progress import Progress
+from mjtactile.runtime.session import open_session
 
 MESHES = ((9, 7), (11, 9), (13, 11), (17, 13), (21, 17), (25, 21), (31, 25))
 TIMESTEPS = (1 / 240, 1 / 180, 1 / 150, 1 / 125)
@@ -94,7 +94,9 @@ def _growth(meshes: tuple[tuple[int, int], ...], say: Callable[[str], None]) -> 
 
 
 def _rigid(name: str, say: Callable[[str], None]) -> dict[str, Any]:
-    world = rigid.hold(load_sensor("dense"), "egg", 1 / 240, HOLD_FORCE, touch_grid="grid" in name)
+    world = rigid_pads.hold(
+        load_sensor("dense"), "egg", 1 / 240, HOLD_FORCE, touch_grid="grid" in name
+    )
     ms = core_ms(world.step, 500)
     say(f"{name}: {1e3 * ms:.0f} us a step")
     return {

@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from benchmarks.settings import core_ms
-from benchmarks.worlds.row import row_of
+from benchmarks.scenes.sensor_row import row_of
+from benchmarks.simulation_cases import core_ms
 from mjtactile.core.design import load_sensor
 from mjtactile.sim.scenes.world import World
 

@@ -25,14 +25,14 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.scenes.stress_scenes import Body, DropWorld, PinchWorld
 from benchmarks.stability.cases import Case, matrix, pruned
-from benchmarks.worlds.trials import Body, DropWorld, PinchWorld
-from mjtactile.core import system
+from mjtactile.core import platform_support
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.report.figures import new_figure
-from mjtactile.run.progress import Progress
-from mjtactile.sim import truth
+from mjtactile.runtime.progress import Progress
+from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.scenes.world import World
 
@@ -75,7 +75,7 @@ def run(
     done = {(row["axis"], row["label"]) for row in rows}
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     with (
-        multiprocessing.get_context("spawn").Pool(min(2, system.processors())) as pool,
+        multiprocessing.get_context("spawn").Pool(min(2, platform_support.processors())) as pool,
         log.open("a") as file,
     ):
         for row in pool.imap_unordered(judge, [c for c in cases if (c.axis, c.label) not in done]):
@@ -180,7 +180,7 @@ def measure(case: Case) -> dict[str, Any]:
     force, energy = _force_and_energy(world, case)
     normal = float(-force[2])
     problems = {}
-    depth = truth.penetration(world, 0)
+    depth = ground_truth.penetration(world, 0)
     if not settled and not any(case.shake):
         problems["settled"] = "does not settle"
     if energy[1] > 2 * energy[0] + 1e-8:
@@ -274,7 +274,7 @@ def _force_and_energy(world: World, case: Case) -> tuple[Any, tuple[float, float
     energy = np.zeros(count)
     for k in range(count):
         world.step()
-        force += truth.contact_force(world, 0) / count
+        force += ground_truth.contact_force(world, 0) / count
         energy[k] = world.kinetic_energy
     return force, (float(energy[: count // 2].max()), float(energy[count // 2 :].max()))
 

@@ -11,14 +11,14 @@ import threading
 import time
 from typing import Any
 
-from benchmarks.core_time import core_time
+from benchmarks.cpu_time import core_time
 from mjtactile.core.scenario import Scenario
 from mjtactile.recording.observer import Observer
-from mjtactile.run.cycle import Cycle
-from mjtactile.run.grasp import run_grasp
+from mjtactile.runtime.cycle import Cycle
+from mjtactile.runtime.grasp import run_grasp
 from mjtactile.studio import panel
 from mjtactile.studio.serve import watch
-from mjtactile.studio.show import Show
+from mjtactile.studio.session_bridge import Show
 
 MARK = 171  # in the third byte of a picture that says in its first two which cycle's it is
 # of a cycle, s: of the simulation, on the clock, and of core time with its processes

@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.studio.browser import CHROMIUM, look_at
-from mjtactile.core import system
+from mjtactile.core import platform_support
 from mjtactile.core.errors import InputError
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.progress import Progress
 
 ROUNDS = 3
 _FIRST = 3  # the first cycles wait for the page
@@ -57,7 +57,7 @@ def run(out: Path, *, quick: bool = False, say: Say | None = None) -> dict[str, 
             f"round {k + 1}: {watched['factor']:.2f} x real time, without Studio "
             f"{without['factor']:.2f}"
         )
-    return {"rounds": rounds, "processors": system.processors()}
+    return {"rounds": rounds, "processors": platform_support.processors()}
 
 
 def _probe(kind: str) -> dict[str, Any]:

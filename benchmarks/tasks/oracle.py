@@ -19,9 +19,9 @@ from mjtactile.core.scenario import Scenario
 from mjtactile.core.task import GRAVITY, DrawnTask, load_task
 from mjtactile.core.types import Command, Observation
 from mjtactile.recording.observer import Observer
-from mjtactile.run.controller import load_controller
-from mjtactile.run.judge import Judge
-from mjtactile.sim import truth
+from mjtactile.runtime.controller import load_controller
+from mjtactile.runtime.task_scoring import Judge
+from mjtactile.sim import ground_truth
 
 MARGIN = 1.25  # grip over what holding takes: what the jaws miss their target by
 AHEAD = 0.5  # s: what the jaws need to follow
@@ -91,7 +91,7 @@ class Oracle(Observer):
         drawn = self._drawn
         if judge is None or drawn is None:
             return 0.0
-        bodies = truth.object_bodies(judge.world)
+        bodies = ground_truth.object_bodies(judge.world)
         mass = float(judge.world.model.body_mass[bodies].sum())
         pull = GRAVITY
         push = 0.0

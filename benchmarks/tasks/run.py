@@ -14,19 +14,19 @@ from typing import Any
 import numpy as np
 
 from benchmarks.tasks import oracle
-from benchmarks.tasks.levels import LEVELS, MESH, agreement, folder_of
-from benchmarks.tasks.picture import draw
-from benchmarks.tasks.shown import CONTROLLERS, SHOWN
+from benchmarks.tasks.compared_controllers import CONTROLLERS, SHOWN
+from benchmarks.tasks.figure import draw
+from benchmarks.tasks.simulation_levels import LEVELS, MESH, agreement, folder_of
 from benchmarks.tasks.tables import table as table
 from mjtactile.core.errors import InputError
+from mjtactile.evaluate.benchmark_suite import Suite, load_suite, new_suite, read, rounds, run_round
 from mjtactile.evaluate.episodes import Episode, run_episode
 from mjtactile.evaluate.pool import Running
 from mjtactile.evaluate.statistics import summarise
-from mjtactile.evaluate.suite import Suite, load_suite, new_suite, read, rounds, run_round
 from mjtactile.recording.observer import Observer
-from mjtactile.run.cycle import Cycle
-from mjtactile.run.progress import Progress
-from mjtactile.sim import truth
+from mjtactile.runtime.cycle import Cycle
+from mjtactile.runtime.progress import Progress
+from mjtactile.sim import ground_truth
 
 NAME = "v1"
 TASKS = ("weigh", "pour", "shake", "bump", "place", "hand-over")
@@ -199,7 +199,7 @@ class _Scale(Observer):
     def add(self, cycle: Cycle, view: Any = None, **true: Any) -> None:
         mass = cycle.sent.memory.get("mass")
         if cycle.sent.phase == "hold" and isinstance(mass, float) and math.isfinite(mass):
-            bodies = truth.object_bodies(self._world)
+            bodies = ground_truth.object_bodies(self._world)
             really = float(self._world.model.body_mass[bodies].sum())
             self.found = {"weighed_g": 1e3 * mass, "mass_g_true": 1e3 * really}
 

@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from benchmarks.tasks.levels import LEVELS, MESH
-from benchmarks.tasks.shown import CONTROLLERS, READY, SHOWN
+from benchmarks.tasks.compared_controllers import CONTROLLERS, READY, SHOWN
+from benchmarks.tasks.simulation_levels import LEVELS, MESH
 from mjtactile.evaluate.episodes import STOPPED
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 import mjtactile
 from mjtactile.core.types import Array
-from mjtactile.sim.sensor.switches import PHYSICS
+from mjtactile.sim.sensor.effect_switches import PHYSICS
 
 _STIFFNESS = 2e5  # N/m of the drive: gives way by 5 um at 1 N
 _MASS = 0.2  # kg

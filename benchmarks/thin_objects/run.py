@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.thin.press import BODIES, FACES, Body, press
+from benchmarks.thin_objects.press import BODIES, FACES, Body, press
 from mjtactile import Film, FilmState, Obstacle
 from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.core.types import Array
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.progress import Progress
 
 PLACES, PLACES_QUICK = 40, 2
 SPEEDS = (0.01, 0.03, 0.1)  # m/s

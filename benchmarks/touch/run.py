@@ -22,17 +22,17 @@ from typing import Any
 import numpy as np
 
 from benchmarks.paper.deformation import MembraneModel
-from benchmarks.paper.levels import MembraneForce, spring_grid_force
-from benchmarks.shape.bodies import Case
-from benchmarks.touch import sharp
-from benchmarks.touch.area import calibrate_area
+from benchmarks.paper.force_methods import MembraneForce, spring_grid_force
+from benchmarks.shape.random_indenters import Case
+from benchmarks.touch import sharp_indenters
+from benchmarks.touch.area_force_constant import calibrate_area
 from benchmarks.touch.tables import draw, summary, table
-from mjtactile.calibrate.area import AreaCalibration
+from mjtactile.calibrate.force_from_area import AreaCalibration
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.types import Array, Image, Touch
-from mjtactile.experiments.station import View, take_references
-from mjtactile.sim import truth
-from mjtactile.sim.picture.renderer import Renderer
+from mjtactile.experiments.test_bench import View, take_references
+from mjtactile.sim import ground_truth
+from mjtactile.sim.rendering.renderer import Renderer
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.sensor.mesh import MarkerInterpolator
 
@@ -124,7 +124,7 @@ def run(out: Path, *, quick: bool = False, say: Say = lambda _: None) -> dict[st
             )
         )
     edges: list[dict[str, Any]] = []
-    for seed, case in sharp.bodies(quick=quick):
+    for seed, case in sharp_indenters.bodies(quick=quick):
         edges += _sharp_episode(seed, case, mesh)
         say(f"{case.name} {seed}: " + ", ".join(f"{r['error_shape_N']:+.3f}" for r in edges[-3:]))
     quiet = _quiet(60 if quick else QUIET_FRAMES)
@@ -140,7 +140,7 @@ def run(out: Path, *, quick: bool = False, say: Say = lambda _: None) -> dict[st
         name: float(np.percentile(ms, 95)) for name, ms in milliseconds.items()
     }
     result["sensors"] = {name: summary(name, result) for name in SENSORS}
-    result["sharp_sensors"] = {name: sharp.summary(name, edges) for name in SENSORS}
+    result["sharp_sensors"] = {name: sharp_indenters.summary(name, edges) for name in SENSORS}
     draw(rows, out / "touch.png")
     return result
 
@@ -191,7 +191,7 @@ def _episode(
     for stage, shear in ((0, 0.0), (1, 0.0), (2, 0.0), (2, rng.uniform(-1e-3, 1e-3))):
         depth = depths[stage]
         world.press(depth, shear)
-        while -truth.contact_force(world, 0)[2] > _FORCE_MAX:
+        while -ground_truth.contact_force(world, 0)[2] > _FORCE_MAX:
             depth *= 0.8
             world.press(depth, shear)
         depths[stage] = depth
@@ -215,12 +215,12 @@ def _sharp_episode(seed: int, case: Case, mesh: tuple[int, int]) -> list[dict[st
     with tempfile.TemporaryDirectory() as folder:
         body = Indenter("model", path=case.write(Path(folder)))
         world, views = _start(body, case.at, 0.0, mesh, seed)
-    return sharp.episode(seed, case, world, views)
+    return sharp_indenters.episode(seed, case, world, views)
 
 
 def _compare(world: PressWorld, touch: Touch) -> dict[str, Any]:
     """Estimate and truth of one look."""
-    forces, points, _ = truth.contact_forces(world, 0)
+    forces, points, _ = ground_truth.contact_forces(world, 0)
     wrench_true = np.r_[forces.sum(axis=0), np.cross(points, forces).sum(axis=0)]
     assert touch.traction is not None and touch.contact is not None
     wrench = touch.traction.wrench
@@ -235,9 +235,9 @@ def _compare(world: PressWorld, touch: Touch) -> dict[str, Any]:
         "direction_error_deg": _angle(wrench[:3], wrench_true[:3]),
         "touching": touch.touching,
         "patches": len(touch.patches),
-        "area_true_mm2": 1e6 * truth.contact_area(world, 0),
+        "area_true_mm2": 1e6 * ground_truth.contact_area(world, 0),
         "area_mm2": 1e6 * touch.contact.area,
-        "penetration_mm": 1e3 * truth.penetration(world, 0),
+        "penetration_mm": 1e3 * ground_truth.penetration(world, 0),
         "centroid_error_mm": 1e3 * float(np.linalg.norm(touch.contact.centroid - centroid)),
         "pressure_error_Pa": touch.traction.pressure_gauge - world.sensors[0].pressure_gauge,
     }
@@ -329,7 +329,7 @@ def _off_nominal(mesh: tuple[int, int] = MESH_QUICK) -> list[dict[str, Any]]:
                 {
                     "sensor": name,
                     "case": case,
-                    "force_true_N": -float(truth.contact_force(world, 0)[2]),
+                    "force_true_N": -float(ground_truth.contact_force(world, 0)[2]),
                     "force_N": -float(touch.traction.wrench[2]),
                     "status": touch.status,
                     "sd_N": float(np.sqrt(touch.traction.wrench_cov[2, 2])),

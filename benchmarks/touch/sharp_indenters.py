@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.shape.bodies import Case, draw
+from benchmarks.shape.random_indenters import Case, draw
 from mjtactile.core.types import Array, Touch
-from mjtactile.experiments.station import View
-from mjtactile.sim import truth
+from mjtactile.experiments.test_bench import View
+from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import PressWorld
 
 BODIES = {"wedge": "an edge", "corner": "a corner", "two balls": "two balls at once"}
@@ -60,7 +60,7 @@ def episode(
     reached = 0.0
     for depth in _DEPTHS:
         world.press(depth)
-        if -truth.contact_force(world, 0)[2] > _FORCE_MOST:
+        if -ground_truth.contact_force(world, 0)[2] > _FORCE_MOST:
             break
         reached = depth
         rows += _looked(world, views, finders)
@@ -72,7 +72,7 @@ def episode(
 def _looked(
     world: PressWorld, views: Mapping[str, View], finders: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
-    true = truth.contact_wrench(world, 0)
+    true = ground_truth.contact_wrench(world, 0)
     rows = []
     for name, view in views.items():
         perception = view.perception

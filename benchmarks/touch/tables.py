@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.touch import sharp
+from benchmarks.touch import sharp_indenters
 from mjtactile.report.figures import new_figure
 
 LIGHT = 0.03  # N, the smallest touch that is asked for
@@ -111,7 +111,7 @@ def table(result: Mapping[str, Any]) -> str:
         ".8-1.2",
         lambda s: ", ".join(f"{v:.2f}" for v in s["chi_square"]),
     )
-    lines += sharp.lines(result["sharp_sensors"])
+    lines += sharp_indenters.lines(result["sharp_sensors"])
     line(
         "ms a frame after the surface, median (95 %)",
         "3",

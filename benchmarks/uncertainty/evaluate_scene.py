@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.bars.scenes import Scene
-from benchmarks.worlds.trials import PinchWorld
+from benchmarks.scenes.stress_scenes import PinchWorld
+from benchmarks.uncertainty.scenes import Scene
 from mjtactile.core.types import Array, Touch
-from mjtactile.experiments.station import View, take_references
-from mjtactile.sim import truth
-from mjtactile.sim.picture.renderer import Renderer
+from mjtactile.experiments.test_bench import View, take_references
+from mjtactile.sim import ground_truth
+from mjtactile.sim.rendering.renderer import Renderer
 from mjtactile.sim.scenes.indentation import PressWorld
 from mjtactile.sim.scenes.world import World
-from mjtactile.sim.sensor.limits import Flags
+from mjtactile.sim.sensor.validity_checks import Flags
 
 # m, N, m over first touch where an indenter waits
 _DEEPEST = 6e-3
@@ -91,7 +91,7 @@ def watch(scene: Scene) -> Watched:
     driven = np.zeros(world.model.nu)
 
     def look() -> None:
-        wrenches = [truth.contact_wrench(world, k) for k in fingers]
+        wrenches = [ground_truth.contact_wrench(world, k) for k in fingers]
         rests = bool(np.all(world.data.ctrl == driven))
         if world.step_count % period == 0:
             with_area = world.step_count // period % _AREA_EVERY == 0 and scene.kind != "shaken"
@@ -100,7 +100,7 @@ def watch(scene: Scene) -> Watched:
                     states[k], renderers[k].render(*world.marker_poses(k), world.time), world.time
                 )
                 area = (
-                    truth.contact_area(world, k)
+                    ground_truth.contact_area(world, k)
                     if with_area and -wrenches[k][2] > _LEAST
                     else np.nan
                 )
@@ -141,7 +141,7 @@ def _moves(scene: Scene, world: World) -> Iterator[float]:
 
 
 def _force(world: World) -> float:
-    return -float(truth.contact_force(world, 0)[2])
+    return -float(ground_truth.contact_force(world, 0)[2])
 
 
 def _press_until(scene: Scene, world: PressWorld, force: float) -> None:

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.bars.scenes import draw_scene
-from benchmarks.bars.tables import summary, table
-from benchmarks.bars.watch import Look, watch
+from benchmarks.uncertainty.evaluate_scene import Look, watch
+from benchmarks.uncertainty.scenes import draw_scene
+from benchmarks.uncertainty.tables import summary, table
 from mjtactile.core.errors import SimulationError
 from mjtactile.core.status import OK
 from mjtactile.recording.files import write_json

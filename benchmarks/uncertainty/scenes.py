@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.worlds.trials import Body
+from benchmarks.scenes.stress_scenes import Body
 from mjtactile.core import resources
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.sim.scenes.indentation import Indenter

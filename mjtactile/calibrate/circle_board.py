@@ -32,8 +32,8 @@ from mjtactile.calibrate.camera import (
 )
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
+from mjtactile.sensing.image.exhaustive_detection import detect_thoroughly
 from mjtactile.sensing.image.markers import Polarity
-from mjtactile.sensing.image.thorough import detect_thoroughly
 
 _HALF = 500  # of the grid's numbers: ids are (i + half) 2 half + j + half
 _NEAR = 0.25  # of the step: how far from where it is expected a neighbour may be

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.calibrate.area import AreaCalibration
-from mjtactile.calibrate.verdict import fit_line
+from mjtactile.calibrate.force_from_area import AreaCalibration
+from mjtactile.calibrate.result_io import fit_line
 from mjtactile.core.calibration import Calibration
 from mjtactile.core.calibration_parts import ForceScale, Stamp
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, Image
-from mjtactile.sensing.perception import Perception
+from mjtactile.sensing.stateful_pipeline import Perception
 
 LOADS_MIN = 4
 FORCE_MIN = 0.2  # N; the largest load, below it noise is what would be calibrated

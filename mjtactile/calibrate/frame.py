@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.calibrate.verdict import stamp_of
+from mjtactile.calibrate.result_io import stamp_of
 from mjtactile.core.calibration import Calibration
 from mjtactile.core.calibration_parts import FrameCalibration, RestMarkers
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Image
-from mjtactile.sensing.perception import Perception
+from mjtactile.sensing.stateful_pipeline import Perception
 
 # centres of markers in focus are found to 0.05 px; a bent frame or a wrong lens shows as more
 RESIDUAL_MAX_PX = 1.0

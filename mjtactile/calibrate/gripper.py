@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.calibrate.verdict import fit_line
+from mjtactile.calibrate.result_io import fit_line
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
-from mjtactile.devices.dynamixel.jaws import JawGeometry, JawServo
-from mjtactile.devices.dynamixel.tables import TICKS_PER_RAD
+from mjtactile.devices.dynamixel.jaw_kinematics import JawGeometry, JawServo
+from mjtactile.devices.dynamixel.servo_models import TICKS_PER_RAD
 from mjtactile.rig.file import RigFile
-from mjtactile.rig.gripper import gripper_fingerprint
+from mjtactile.rig.gripper_calibration import gripper_fingerprint
 
 DIRECTIONS = ("closing", "opening")
 SCALE_OFF_MAX = 0.03  # more is a wrong pinion radius or a wrong law, which a number should not hide

@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 
 from mjtactile.calibrate.camera import BoardView, Finder
 from mjtactile.calibrate.valve import ValveCalibration, calibrate_valve
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.core.types import Array, Command, Image
 from mjtactile.devices.camera.opencv import OpenCvCamera
 from mjtactile.devices.dynamixel.gripper import DynamixelGripper
 from mjtactile.devices.valve.driver import BoardValve
 from mjtactile.rig.finger import Rig
-from mjtactile.run.references import settled_images, take_references
+from mjtactile.runtime.references import settled_images, take_references
 
 Say = Callable[[str], None]
 Ask = Callable[[str], float | None]
@@ -80,10 +80,10 @@ def camera_pictures(
     camera: OpenCvCamera, seconds: float
 ) -> Iterator[tuple[str, NDArray[np.uint8]]]:
     """Each new picture of a camera, for `seconds` s. Raises DeviceError when it fails."""
-    end = pace.monotonic() + seconds
+    end = scaled_clock.monotonic() + seconds
     last = 0.0
     number = 0
-    while pace.monotonic() < end:
+    while scaled_clock.monotonic() < end:
         if camera.wait_newer(last, 0.5):
             image = camera.read()
             last = image.time
@@ -202,7 +202,7 @@ def measure_forces(
 
 
 def _pause(gripper: DynamixelGripper, seconds: float):
-    pace.sleep(seconds)
+    scaled_clock.sleep(seconds)
     return gripper.state()
 
 
@@ -211,7 +211,7 @@ def kept_alive(*devices: Any) -> Iterator[None]:
     """Ask grippers or valves for their state while a person reads an instrument, or the pictures
     are worked on: the servos' watchdog, or the valve board's heartbeat, would take a host that is
     silent for one that hangs."""
-    done = pace.Event()
+    done = scaled_clock.Event()
 
     def call() -> None:
         while not done.wait(0.05):
@@ -244,9 +244,9 @@ def _squeeze(gripper: DynamixelGripper, force: float) -> None:
     """Close until the jaws have stood still for a while. Raises DeviceError when there is nothing
     between them."""
     low = gripper.config.opening[0]
-    start = still_since = pace.monotonic()
+    start = still_since = scaled_clock.monotonic()
     goal = stood = gripper.state().opening
-    while pace.monotonic() - still_since < _STALL_TIME:
+    while scaled_clock.monotonic() - still_since < _STALL_TIME:
         opening = gripper.state().opening
         # The goal runs ahead of the jaws, far enough that the servo asks for all the force it may
         # use.
@@ -255,8 +255,8 @@ def _squeeze(gripper: DynamixelGripper, force: float) -> None:
         _pause(gripper, _PERIOD)
         if abs(opening - stood) > _STILL or opening - goal < _AHEAD_MIN:
             stood = opening
-            still_since = pace.monotonic()
-        if opening <= low + 1e-4 or pace.monotonic() - start > _CLOSE_TIME_MAX:
+            still_since = scaled_clock.monotonic()
+        if opening <= low + 1e-4 or scaled_clock.monotonic() - start > _CLOSE_TIME_MAX:
             raise DeviceError(
                 "the jaws met nothing: put the load cell between them, or `--forces FILE.csv`"
             )
@@ -289,10 +289,10 @@ def step_valve(
         say(f"{valve.config.finger}: {stage} for {seconds:g} s")
         if not rows:
             act()
-            pace.sleep(vent)  # what was in the chamber before is no step
+            scaled_clock.sleep(vent)  # what was in the chamber before is no step
         act()
-        end = pace.monotonic() + seconds
-        while (now := pace.monotonic()) < end:
+        end = scaled_clock.monotonic() + seconds
+        while (now := scaled_clock.monotonic()) < end:
             reading = valve.board.measure(valve.config.channel)
             if reading.pressure_gauge is None:
                 raise InputError(
@@ -301,7 +301,7 @@ def step_valve(
                 )
             if not rows or reading.time > rows[-1][0]:
                 rows.append((reading.time, reading.pressure_gauge, stage))
-            pace.sleep(max(0.0, now + _SAMPLE - pace.monotonic()))
+            scaled_clock.sleep(max(0.0, now + _SAMPLE - scaled_clock.monotonic()))
     times, pressures, stages = zip(*rows, strict=True)
     return np.array(times), np.array(pressures), list(stages)
 

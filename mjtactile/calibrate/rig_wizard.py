@@ -19,7 +19,7 @@ from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.core.types import Array
 from mjtactile.devices.camera.opencv import OpenCvCamera
 from mjtactile.devices.camera.v4l2 import video_devices
-from mjtactile.devices.listing import SerialPort, serial_ports, servos_at, valve_board_at
+from mjtactile.devices.discovery import SerialPort, serial_ports, servos_at, valve_board_at
 from mjtactile.rig.file import UNFLIPPED, CameraConfig, RigFile, load_rig_file, rig_from_table
 
 Ask = Callable[[str], str]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.calibrate.verdict import fit_line
+from mjtactile.calibrate.result_io import fit_line
 from mjtactile.core.calibration_parts import Stamp, ValveZero
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array

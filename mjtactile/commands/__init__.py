@@ -13,13 +13,13 @@ COMMANDS = {
     "inflate": "inflate a sensor's membrane and compare its height with theory",
     "press": "drive an indenter into a sensor and compare the felt with the true force",
     "explore": "touch an unknown object here and there until its surface is known",
-    "locate": "find circular markers in images and say where they are in 3D",
+    "detect-circles": "find circular markers in images and say where they are in 3D",
     "reconstruct": "reconstruct a membrane's surface and contact from recorded frames",
     "calibrate": "calibrate camera, valve, frame, force or gripper, "
     "from live devices or recorded input",
     "fit": "fit the simulator to recordings of a sensor: modulus, pre-stretch, friction, gas, "
     "light",
-    "make": "from a sensor file to a sensor on the bench: patterns, CAD, bill of materials, "
+    "fabricate": "from a sensor file to a sensor on the bench: patterns, CAD, bill of materials, "
     "assembly",
     "design": "predict what a sensor file reaches before it is built, and which file would reach "
     "what is wanted",
@@ -34,7 +34,7 @@ COMMANDS = {
     "studio": "watch a grasp live in the browser, and reach in",
     "summary": "the page of a recorded run: curves to zoom, images by a slider, membranes to turn",
     "video": "film a recorded run: images, ellipses, forces over time",
-    "shadow": "a recording beside the simulator that is told the same: where they part, and why",
+    "compare-sim": "simulate a recording again, and attribute the difference",
     "export": "write recordings as a LeRobot data set, MCAP, Rerun's files or ROS 2 bags",
     "new": "start your own controller, sensor, object or rig from a commented copy",
     "docs": "the documentation's pages: list them, or print one",

@@ -8,8 +8,8 @@ from typing import Any
 
 from mjtactile import InputError
 from mjtactile.commands import arguments as arg
-from mjtactile.commands.checkout import of_checkout
 from mjtactile.commands.output import insert_table, output_folder, print_json, stdout_to_stderr
+from mjtactile.commands.repository_only import of_checkout
 from mjtactile.recording.files import write_json
 
 DESCRIPTION = """\

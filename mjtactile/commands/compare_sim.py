@@ -1,4 +1,4 @@
-"""`mjtactile shadow`: a recording beside the simulator that is driven by the same commands."""
+"""`mjtactile compare-sim`: a recording beside the simulator that is driven by the same commands."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from mjtactile import InputError
 from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import output_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
-from mjtactile.run.progress import Progress
-from mjtactile.shadow.causes import CAUSES
+from mjtactile.runtime.progress import Progress
+from mjtactile.sim_comparison.discrepancy_parameters import CAUSES
 
 DESCRIPTION = """\
 Replay a recording of a real or emulated rig beside the simulator that is given the same
@@ -22,9 +22,9 @@ the simulator. It is what to do on the first day with a real sensor."""
 EPILOG = f"""\
 examples:
   mjtactile grasp --rig my_gripper.toml --object egg --out runs/real
-  mjtactile shadow runs/real --out runs/real_shadow
-  mjtactile shadow runs/real --rig my_sim_gripper.toml --until-s 4 --out runs/real_shadow
-  mjtactile shadow runs/press_3 --json                 a recording of `record --steps`
+  mjtactile compare-sim runs/real --out runs/real_shadow
+  mjtactile compare-sim runs/real --rig my_sim_gripper.toml --until-s 4 --out runs/real_shadow
+  mjtactile compare-sim runs/press_3 --json                 a recording of `record --steps`
 
 Writes shadow.html (curves, a table of what was tried) and shadow.json. Causes that are tried:
 {", ".join(cause.name for cause in CAUSES)}.
@@ -66,8 +66,8 @@ ARGUMENTS = (
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.shadow.page import numbers, page
-    from mjtactile.shadow.run import shadow_of
+    from mjtactile.sim_comparison.compare import shadow_of
+    from mjtactile.sim_comparison.html_report import numbers, page
 
     if not options.until > 0:
         raise InputError(f"{options.until:g} is not above 0", field="--until-s")

@@ -9,10 +9,10 @@ from typing import Any
 
 from mjtactile import InputError, SensorDesign, load_sensor
 from mjtactile.commands import arguments as arg
-from mjtactile.commands import plots, ranges
+from mjtactile.commands import numeric_options
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.progress import Progress
 
 DESCRIPTION = """\
 Predict what a sensor file reaches, without building or simulating it: the smallest touch, the
@@ -57,28 +57,33 @@ ARGUMENTS = (
         "F",
         "what presses where force, place, edge and radius are asked for",
         0.5,
-        type=ranges.finite,
+        type=numeric_options.finite,
     ),
     arg.Group(
         "what is wanted (each may be left out)",
         (
             arg.option(
-                "--feel-mN", "F", "smallest touch that pixels' noise must allow", type=ranges.finite
+                "--feel-mN",
+                "F",
+                "smallest touch that pixels' noise must allow",
+                type=numeric_options.finite,
             ),
-            arg.option("--range-N", "F", "largest force", type=ranges.finite),
-            arg.option("--edge-mm", "S", "sd of an edge's place", type=ranges.finite),
+            arg.option("--range-N", "F", "largest force", type=numeric_options.finite),
+            arg.option("--edge-mm", "S", "sd of an edge's place", type=numeric_options.finite),
             arg.option(
                 "--radius-mm",
                 "R",
                 "smallest ball whose radius is told to a quarter",
-                type=ranges.finite,
+                type=numeric_options.finite,
             ),
-            arg.option("--frame-mm", "X,Y", "opening (default: the sensor's)", type=ranges.pair),
+            arg.option(
+                "--frame-mm", "X,Y", "opening (default: the sensor's)", type=numeric_options.pair
+            ),
             arg.option(
                 "--camera-px",
                 "W,H",
                 "picture (default: the sensor's); the view stays the same",
-                type=ranges.pair,
+                type=numeric_options.pair,
             ),
         ),
     ),
@@ -100,7 +105,7 @@ ARGUMENTS = (
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.study import wanted
+    from mjtactile.design_study import json_output
 
     design = _begun_from(options)
     wish = _wish(options)
@@ -113,11 +118,11 @@ def run(options: argparse.Namespace) -> int:
         with stdout_to_stderr():
             progress = Progress(quiet=options.json)
             if wish is None:
-                result = wanted.of_file(
+                result = json_output.of_file(
                     design, options.force_N, check=options.check, say=progress.message
                 )
             else:
-                result, files = wanted.of_wish(
+                result, files = json_output.of_wish(
                     design,
                     options.force_N,
                     wish,
@@ -144,7 +149,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _begun_from(options: argparse.Namespace) -> SensorDesign:
     """The sensor, with the frame and the camera that are wanted."""
-    from mjtactile.study import files
+    from mjtactile.design_study import sensor_file_edit
 
     if not 0.01 <= options.force_N <= 100:
         raise InputError(f"{options.force_N:g} is outside 0.01 to 100", field="--force-N")
@@ -152,15 +157,15 @@ def _begun_from(options: argparse.Namespace) -> SensorDesign:
     if options.frame_mm is not None or any(getattr(options, name) is not None for name in _WISHES):
         design.require_rectangle("the search for a design")
     if options.frame_mm is not None:
-        design = files.with_frame(design, *(1e-3 * side for side in options.frame_mm))
+        design = sensor_file_edit.with_frame(design, *(1e-3 * side for side in options.frame_mm))
     if options.camera_px is not None:
-        design = files.with_picture(design, *(round(side) for side in options.camera_px))
-    return files.rebuilt(design)
+        design = sensor_file_edit.with_picture(design, *(round(side) for side in options.camera_px))
+    return sensor_file_edit.rebuilt(design)
 
 
 def _wish(options: argparse.Namespace) -> Any:
     """What is wanted; None: nothing is, it is the file that is asked about."""
-    from mjtactile.study.sweep import Wish
+    from mjtactile.design_study.design_sweep import Wish
 
     for name, (low, high) in _WISHES.items():
         value = getattr(options, name)
@@ -186,38 +191,38 @@ def _wish(options: argparse.Namespace) -> Any:
 
 
 def _write_file_pictures(out: Path, result: dict[str, Any]) -> None:
-    from mjtactile.study import pictures
+    from mjtactile.design_study import plots
 
     path = out / "face.png"
-    plots.save(path, lambda figure: pictures.draw_face(figure, result), size=(13.0, 3.3))
+    plots.save(path, lambda figure: plots.draw_face(figure, result), size=(13.0, 3.3))
     picture = path.read_bytes() if path.exists() else None
-    (out / "design.html").write_text(pictures.page(result, picture), encoding="utf-8")
+    (out / "design.html").write_text(plots.page(result, picture), encoding="utf-8")
 
 
 def _write_wish(out: Path, result: dict[str, Any], files: dict[str, str]) -> None:
-    from mjtactile.study import pictures
+    from mjtactile.design_study import plots
 
     for name, text in files.items():
         (out / name).write_text(text, encoding="utf-8")
-    plots.save(out / "front.png", lambda figure: pictures.draw_front(figure, result))
+    plots.save(out / "front.png", lambda figure: plots.draw_front(figure, result))
 
 
 def _print_file(result: dict[str, Any]) -> None:
-    from mjtactile.study import pictures
+    from mjtactile.design_study import plots
 
     print(f"sensor {result['sensor']}, where {result['force_N']:g} N press, predicted:")
-    for key, (words, unit) in pictures.WORDS.items():
-        print(f"  {words:50s} {pictures.number(result['reaches'][key]):>7s} {unit}")
-    print(f"  {pictures.picture_words(result['picture'])}")
+    for key, (words, unit) in plots.WORDS.items():
+        print(f"  {words:50s} {plots.number(result['reaches'][key]):>7s} {unit}")
+    print(f"  {plots.picture_words(result['picture'])}")
     print("What changes would buy, times what it reaches now:")
-    print(f"  {'':58s}" + "".join(f"{words:>15s}" for words in pictures.CHANGED.values()))
-    for what, *factors in pictures.change_rows(result):
+    print(f"  {'':58s}" + "".join(f"{words:>15s}" for words in plots.CHANGED.values()))
+    for what, *factors in plots.change_rows(result):
         print(f"  {what:58s}" + "".join(f"{factor:>15s}" for factor in factors))
     _print_checked(result.get("checked", []))
 
 
 def _print_wish(result: dict[str, Any], out: Path | None) -> None:
-    from mjtactile.study import pictures
+    from mjtactile.design_study import plots
 
     rows = [{"file": result["sensor"], "meets": not result["begun_from"]["missed"]}]
     rows[0] |= result["begun_from"]
@@ -238,7 +243,7 @@ def _print_wish(result: dict[str, Any], out: Path | None) -> None:
             f"{one['supply_gauge_kPa']:6.2f}"
         )
         values = (
-            f"{pictures.number(reached[key]):>9s}"
+            f"{plots.number(reached[key]):>9s}"
             for key in ("touch_by_noise_mN", "force_sd_mN", "edge_sd_mm", "force_most_N")
         )
         print(f"{one['file']:13s} {made} {' '.join(values)}  {', '.join(one['missed']) or '-'}")
@@ -248,7 +253,7 @@ def _print_wish(result: dict[str, Any], out: Path | None) -> None:
 
 
 def _print_checked(checked: list[dict[str, Any]]) -> None:
-    from mjtactile.study.pictures import number
+    from mjtactile.design_study.plots import number
 
     for one in checked:
         error, times, placed = (

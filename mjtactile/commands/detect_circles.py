@@ -1,5 +1,5 @@
-"""`mjtactile locate`: where each circular marker of an image is, with covariance. Needs no sensor
-and no simulator."""
+"""`mjtactile detect-circles`: where each circular marker of an image is, with covariance. Needs no
+sensor and no simulator."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mjtactile import Camera, InputError, find_circles, marker_records
 from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
-from mjtactile.report.pictures import NamedImage, overlay, read_frames
+from mjtactile.report.frame_source import NamedImage, overlay, read_frames
 
 SIMULATES = False
 DESCRIPTION = """\
@@ -30,10 +30,10 @@ whose stiffness the circles themselves decide. Neither flatness nor any spacing 
 but the depths are no longer independent; --neighbours never turns it off."""
 EPILOG = """\
 examples:
-  mjtactile locate photo.png --camera camera.yaml --radius-mm 6.35
-  mjtactile locate photos/ --camera camera.yaml --radius-mm 6.35 --json > markers.json
-  mjtactile locate photo.png --camera camera.yaml --radius-mm 2 --glass-mm 5:1.5:120
-  mjtactile locate clip.mp4 --camera camera.yaml --radius-mm 1.5 --bright --out overlays
+  mjtactile detect-circles photo.png --camera camera.yaml --radius-mm 6.35
+  mjtactile detect-circles photos/ --camera camera.yaml --radius-mm 6.35 --json > markers.json
+  mjtactile detect-circles photo.png --camera camera.yaml --radius-mm 2 --glass-mm 5:1.5:120
+  mjtactile detect-circles clip.mp4 --camera camera.yaml --radius-mm 1.5 --bright --out overlays
 
 JSON: {"frames": [{"source": …, "status": "ok", or why it has no marker to trust,
   "shared": [] or what its circles share with neighbours ("elongation", "depth"),

@@ -31,7 +31,7 @@ ARGUMENTS = (
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.run.progress import Progress
+    from mjtactile.runtime.progress import Progress
 
     with stdout_to_stderr():
         cameras, ports = plugged_in(options.port, ask=not options.no_ask, say=Progress().message)

@@ -76,7 +76,7 @@ _STATES = {
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.experiments.accuracy import effects_of
+    from mjtactile.experiments.fidelity_options import effects_of
 
     design = load_sensor(options.sensor)
     grasped, wanted, rows = effects_of(design, options.object, options.accuracy, options.effects)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mjtactile import InputError
 from mjtactile.commands import arguments as arg
-from mjtactile.commands import slow
+from mjtactile.commands import time_scale
 from mjtactile.commands.output import require_new
 from mjtactile.core import resources
 
@@ -46,7 +46,7 @@ ARGUMENTS = (
         "emulated",
     ),
     arg.option("--seed", "N", "placement and noise", 0, type=int),
-    slow.ARGUMENT,
+    time_scale.ARGUMENT,
     arg.repeated("--faults", "KIND=VALUE", "a fault from the start; repeatable"),
     arg.out(
         "write the rig file here too; nothing but an earlier run's is overwritten", "FILE.toml"
@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
     from mjtactile import load_rig_file, load_sensor
     from mjtactile.emulator.process import EmulatorProcess
 
-    slow.apply(options.slow, options.rig)
+    time_scale.apply(options.slow, options.rig)
     rig_file = load_rig_file(options.rig)
     if options.out is not None and not _is_own(options.out):
         require_new(options.out)

@@ -156,7 +156,7 @@ def _objects(text: str) -> list[str]:
 def run(options: argparse.Namespace) -> int:
     from mjtactile.evaluate.run import write_report
     from mjtactile.evaluate.statistics import table
-    from mjtactile.run.progress import Progress
+    from mjtactile.runtime.progress import Progress
 
     if options.partial and not options.merge:
         raise InputError("is for --merge", field="--partial")
@@ -187,7 +187,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _screen(options: argparse.Namespace) -> int:
     """Run all cheaply, and what matters again in full."""
-    from mjtactile.evaluate import screen as screens
+    from mjtactile.evaluate import two_stage_screening as screens
 
     for name, left in (("merge", None), ("shard", (1, 1)), ("record", False), ("readme", None)):
         if getattr(options, name) != left:
@@ -235,7 +235,7 @@ _FIXED = (
 
 def _against(options: argparse.Namespace) -> int:
     """Run a suite, and compare."""
-    from mjtactile.evaluate import suite as suites
+    from mjtactile.evaluate import benchmark_suite as suites
 
     for name in _FIXED:
         if getattr(options, name) is not None:
@@ -299,6 +299,6 @@ def _evaluate(options: argparse.Namespace, out: Path) -> dict[str, Any]:
 def _running(options: argparse.Namespace) -> Running:
     """How episodes are run, by the options that all kinds of evaluation have."""
     from mjtactile.evaluate.pool import Running
-    from mjtactile.run.progress import Progress
+    from mjtactile.runtime.progress import Progress
 
     return Running(workers=options.workers, resume=options.resume, say=Progress().message)

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from mjtactile import InputError
 from mjtactile.commands import arguments as arg
-from mjtactile.commands.checkout import of_checkout
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
+from mjtactile.commands.repository_only import of_checkout
 from mjtactile.recording.files import write_json
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.progress import Progress
 
 DESCRIPTION = """\
 Repeat the Results of the paper in simulation, from images alone:

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 from mjtactile import InputError, Recorder, Scenario, load_recording
 from mjtactile.commands import arguments as arg
-from mjtactile.commands import plots, ranges, scenario, slow
+from mjtactile.commands import numeric_options, plots, scenario, time_scale
 from mjtactile.commands.output import output_folder, print_flags, print_json, stdout_to_stderr
 from mjtactile.core import signals
 from mjtactile.recording.files import write_json
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.progress import Progress
 
 if TYPE_CHECKING:
-    from mjtactile.explore.run import Explored, Wanted
+    from mjtactile.explore.exploration import Explored, Wanted
 
 DESCRIPTION = """\
 Touch an unknown object at a few places, each where its surface is least known so far, and fuse
@@ -57,7 +57,7 @@ _NOT_ASKED = ("controller", "effects", "vary", "task", "shapes")
 
 ARGUMENTS = (
     *scenario.arguments(_DEFAULT, leave_out=_NOT_ASKED),
-    slow.ARGUMENT,
+    time_scale.ARGUMENT,
     arg.choice(
         "--on",
         ["stage", "gripper"],
@@ -72,7 +72,7 @@ ARGUMENTS = (
         "stop as soon as the surface is believed to be known to so much, root mean square "
         "(default: touch as often as --touches says)",
         0.0,
-        type=ranges.finite,
+        type=numeric_options.finite,
     ),
     arg.option(
         "--force-N",
@@ -80,7 +80,7 @@ ARGUMENTS = (
         "press up to this felt force, at most; half of what breaks it is refused",
         0.3,
         dest="force",
-        type=ranges.finite,
+        type=numeric_options.finite,
     ),
     arg.repeated(
         "--from",
@@ -97,7 +97,7 @@ ARGUMENTS = (
         "above, since the first grips: of a real or an emulated rig, or of each --from in "
         "turn (default: 0)",
         dest="turns",
-        type=ranges.finite,
+        type=numeric_options.finite,
     ),
     arg.flag("--resume", "go on with the exploration in --out"),
     arg.out("write the surface, its page and its JSON there"),
@@ -131,7 +131,7 @@ def _in(options: argparse.Namespace, out: Path | None) -> int:
     progress = Progress(quiet=options.json)
     with stdout_to_stderr():
         wanted = scenario.scenario_of(options, _DEFAULT)
-        slow.apply(options.slow, wanted.rig)
+        time_scale.apply(options.slow, wanted.rig)
         _take_a_replay_as_a_source(options, wanted)
         found, summary = (
             _fused(options) if options.sources else _live(options, wanted, out, progress)
@@ -148,8 +148,8 @@ def _in(options: argparse.Namespace, out: Path | None) -> int:
 
 
 def _fused(options: argparse.Namespace) -> tuple[Explored, dict[str, Any]]:
-    from mjtactile.explore.recorded import patches_of_recording
-    from mjtactile.explore.run import PatchStore, explored
+    from mjtactile.explore.exploration import PatchStore, explored
+    from mjtactile.explore.from_recording import patches_of_recording
 
     patches = []
     turns = [*options.turns, *[0.0] * len(options.sources)]
@@ -171,7 +171,7 @@ def _fused(options: argparse.Namespace) -> tuple[Explored, dict[str, Any]]:
 
 def _take_a_replay_as_a_source(options: argparse.Namespace, wanted: Scenario) -> None:
     """What was recorded is felt again, whoever the hand was."""
-    from mjtactile.explore.hand import recorded_folder
+    from mjtactile.explore.gripper_exploration import recorded_folder
 
     folder = recorded_folder(wanted)
     if folder is not None:
@@ -181,7 +181,7 @@ def _take_a_replay_as_a_source(options: argparse.Namespace, wanted: Scenario) ->
 def _live(
     options: argparse.Namespace, wanted: Scenario, out: Path | None, progress: Progress
 ) -> tuple[Explored, dict[str, Any]]:
-    from mjtactile.explore.run import PatchStore, Wanted
+    from mjtactile.explore.exploration import PatchStore, Wanted
 
     store = None if out is None else PatchStore(out / _TOUCHED)
     known = store.read() if store is not None and options.resume else []
@@ -198,7 +198,7 @@ def _live(
 
 def _holder(options: argparse.Namespace, wanted: Scenario) -> str:
     """What touches: "stage", "gripper" (simulated) or "hand" (of an emulated or a real rig)."""
-    from mjtactile.explore.hand import is_simulated
+    from mjtactile.explore.gripper_exploration import is_simulated
 
     if options.on == "stage" and wanted.rig != "sim":
         raise InputError(
@@ -223,7 +223,7 @@ def _explorer(
     on: str, options: argparse.Namespace, out: Path | None, stopped: Callable[[], bool]
 ) -> Callable[..., tuple[Explored, dict[str, Any]]]:
     """What explores, and says how true it is, as far as that is known."""
-    from mjtactile.explore.hand import explore_in_hand
+    from mjtactile.explore.gripper_exploration import explore_in_hand
     from mjtactile.explore.simulated import explore_in_gripper, explore_on_stage
 
     if on == "stage":
@@ -252,8 +252,8 @@ def _unused(folder: Path) -> Path:
 
 
 def _write(out: Path, found: Explored, summary: dict[str, Any]) -> None:
-    from mjtactile.explore.files import write_ply, write_stl
-    from mjtactile.explore.page import draw, write_page
+    from mjtactile.explore.html_report import draw, write_page
+    from mjtactile.explore.surface_export import write_ply, write_stl
 
     write_ply(out / "surface.ply", found)
     write_stl(out / "surface.stl", found)

@@ -9,7 +9,7 @@ from typing import Any
 from mjtactile import InputError
 from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import output_folder, print_json, stdout_to_stderr
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.progress import Progress
 
 SIMULATES = False
 DESCRIPTION = """\

@@ -1,4 +1,4 @@
-"""`mjtactile make`: from the sensor file to what a bench needs to build the sensor."""
+"""`mjtactile fabricate`: from the sensor file to what a bench needs to build the sensor."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import output_folder, print_json, stdout_to_stderr
 from mjtactile.core import resources
 from mjtactile.recording.files import write_json
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.progress import Progress
 
 DESCRIPTION = """\
 Write all that a bench needs to build the sensor of a sensor file: the marker pattern at 1:1,
@@ -23,15 +23,15 @@ intersect. What cannot be built is refused with the number that is wrong and its
 nothing is written."""
 EPILOG = """\
 examples:
-  mjtactile make dense --out build
-  mjtactile new sensor my_sensor && mjtactile make my_sensor.toml --out build/my_sensor
-  mjtactile make dense --out build --pixel-um 3.45 --camera-holes-mm 32 --lens-mm 16
-  mjtactile make dense --out build --markers discs
+  mjtactile fabricate dense --out build
+  mjtactile new sensor my_sensor && mjtactile fabricate my_sensor.toml --out build/my_sensor
+  mjtactile fabricate dense --out build --pixel-um 3.45 --camera-holes-mm 32 --lens-mm 16
+  mjtactile fabricate dense --out build --markers discs
       stiff discs, which keep their size when the rubber is stretched
-  mjtactile make dense --out build --speed-mm-s 100     a shorter exposure, and more light
+  mjtactile fabricate dense --out build --speed-mm-s 100     a shorter exposure, and more light
 
 Begin with README.md in the folder. Lengths in it are mm; parts are in the sensor's frame (z
-outward, membrane at 0). Needs `pip install 'mjtactile[make]'`. More: `mjtactile docs fabricate`.
+outward, membrane at 0). Needs `pip install 'mjtactile[fabrication]'`. More: `mjtactile docs fabricate`.
 JSON: {"sensor": …, "out": …, "files": [...], "checks": {what: result}, "optics": {…},
 "parts": {name: {"size_mm", "volume_mm3"}}} exit codes: 0 written, 2 cannot be built, or bad
 input
@@ -88,8 +88,8 @@ def run(options: argparse.Namespace) -> int:
             raise InputError(
                 f"{value:g} is outside {low:g} to {high:g}", field=f"--{name.replace('_', '-')}"
             )
-    from mjtactile.make.build import build, write
-    from mjtactile.make.hardware import Hardware
+    from mjtactile.fabrication.build import build, write
+    from mjtactile.fabrication.purchased_parts import Hardware
 
     design = load_sensor(options.sensor)
     path = resources.find(options.sensor, "models/sensors", ".toml")

@@ -11,7 +11,7 @@ from mjtactile.commands import arguments as arg
 from mjtactile.commands import plots
 from mjtactile.commands.output import print_json, require_new, stdout_to_stderr
 from mjtactile.recording.files import write_json
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.progress import Progress
 
 DESCRIPTION = """\
 Find what a sensor is made of from recordings of it: modulus and pre-stretch of its sheet,
@@ -85,10 +85,10 @@ ARGUMENTS = (
 
 
 def run(options: argparse.Namespace) -> int:
+    from mjtactile.fit.identification import fit_recordings
     from mjtactile.fit.relaxation import fit_relaxation
     from mjtactile.fit.report import draw, text_of
     from mjtactile.fit.result import to_table
-    from mjtactile.fit.run import fit_recordings
 
     if options.out.suffix != ".toml":
         raise InputError("is not NAME.toml", source=options.out, field="--out")

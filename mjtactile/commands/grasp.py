@@ -20,7 +20,7 @@ from mjtactile import (
     load_recording,
 )
 from mjtactile.commands import arguments as arg
-from mjtactile.commands import effects, ranges, scenario, slow
+from mjtactile.commands import effects, numeric_options, scenario, time_scale
 from mjtactile.commands.output import (
     new_run_folder,
     output_folder,
@@ -30,13 +30,13 @@ from mjtactile.commands.output import (
     stdout_to_stderr,
 )
 from mjtactile.core import signals
+from mjtactile.recording.decimated_history import Strip
 from mjtactile.recording.files import write_json
-from mjtactile.recording.strip import Strip
-from mjtactile.run.grasp import level_texts
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.grasp import level_texts
+from mjtactile.runtime.progress import Progress
 
 if TYPE_CHECKING:
-    from mjtactile.report.drawing import FigureWriter
+    from mjtactile.report.figure_process import FigureWriter
 
 DESCRIPTION = """\
 Close a gripper on an object, feel the touch through the membrane camera of each finger,
@@ -88,7 +88,7 @@ def _count(text: str) -> int:
 
 ARGUMENTS = (
     *scenario.arguments(),
-    slow.ARGUMENT,
+    time_scale.ARGUMENT,
     effects.ESTIMATE,
     arg.option(
         "--workers",
@@ -98,7 +98,7 @@ ARGUMENTS = (
         "any number (default: one a camera as far as there are processors for them)",
         type=_count,
     ),
-    ranges.FRAMES,
+    numeric_options.FRAMES,
     arg.option(
         "--video",
         "FILE",
@@ -118,13 +118,13 @@ ARGUMENTS = (
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.report.drawing import drawing_beside
+    from mjtactile.report.figure_process import drawing_beside
 
     _check_video(options.video, options.frames)
     if options.rig is not None:
-        slow.apply(options.slow, options.rig)
+        time_scale.apply(options.slow, options.rig)
     wanted = scenario.scenario_of(options)
-    slow.apply(options.slow, wanted.rig)
+    time_scale.apply(options.slow, wanted.rig)
     progress = Progress()  # which looks whether stderr is a terminal
     live = _live_views(options.live, progress)
     if options.out is None:
@@ -167,7 +167,7 @@ def _run_and_report(
     carries its summary."""
     # now: in the end there may be no descriptors left to import it with
     from mjtactile.report import summary as _  # noqa: F401
-    from mjtactile.run.grasp import run_grasp
+    from mjtactile.runtime.grasp import run_grasp
 
     recorder: Recorder | None = None
     try:

@@ -8,10 +8,10 @@ from typing import Any
 
 from mjtactile import InputError, load_sensor
 from mjtactile.commands import arguments as arg
-from mjtactile.commands import plots, ranges
+from mjtactile.commands import numeric_options, plots
 from mjtactile.commands.output import optional_folder, print_flags, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.progress import Progress
 
 DESCRIPTION = """\
 Connect the chamber to a supply at each pressure, let the simulated membrane settle, and
@@ -35,7 +35,7 @@ ARGUMENTS = (
         "P[:P2:STEP]",
         "gauge pressure in kPa, or a range, both ends included",
         dest="pressures",
-        type=ranges.numbers,
+        type=numeric_options.numbers,
         required=True,
     ),
     arg.out("write inflate.json and inflate.png there"),
@@ -43,7 +43,7 @@ ARGUMENTS = (
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.experiments.press import inflate
+    from mjtactile.experiments.indentation import inflate
 
     design = load_sensor(options.sensor)
     lowest = -1e-3 * design.chamber.ambient

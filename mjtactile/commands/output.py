@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile import InputError
-from mjtactile.commands.background import Background
+from mjtactile.commands.nonblocking_output import Background
 from mjtactile.recording.files import to_json
 
 

@@ -10,10 +10,10 @@ from typing import Any
 
 from mjtactile import InputError, SensorDesign, load_sensor
 from mjtactile.commands import arguments as arg
-from mjtactile.commands import effects, plots, ranges
+from mjtactile.commands import effects, numeric_options, plots
 from mjtactile.commands.output import optional_folder, print_flags, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.progress import Progress
 
 DESCRIPTION = """\
 Fix one simulated sensor, let it take its references, then drive a rigid indenter into its
@@ -45,17 +45,17 @@ ARGUMENTS = (
         "mm, or FILE.xml: all geoms of an MJCF file, which come down along -z",
         required=True,
     ),
-    arg.option("--at", "X_mm,Y_mm", "where", "0,0", type=ranges.pair),
+    arg.option("--at", "X_mm,Y_mm", "where", "0,0", type=numeric_options.pair),
     arg.option(
         "--depth-mm",
         "A[:B:STEP]",
         "depth below first touch, or a range, both ends included",
         "1:3:1",
         dest="depths",
-        type=ranges.numbers,
+        type=numeric_options.numbers,
     ),
-    arg.option("--tilt-deg", "T", "turn of the indenter about y", 0.0, type=ranges.finite),
-    arg.option("--shear-mm", "S", "drag along x at each depth", 0.0, type=ranges.finite),
+    arg.option("--tilt-deg", "T", "turn of the indenter about y", 0.0, type=numeric_options.finite),
+    arg.option("--shear-mm", "S", "drag along x at each depth", 0.0, type=numeric_options.finite),
     arg.choice(
         "--valve",
         ["closed", "open"],
@@ -70,8 +70,8 @@ ARGUMENTS = (
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.experiments.accuracy import simulation_of
-    from mjtactile.experiments.press import Indenter, PressPlan, press
+    from mjtactile.experiments.fidelity_options import simulation_of
+    from mjtactile.experiments.indentation import Indenter, PressPlan, press
 
     design = load_sensor(options.sensor)
     _check(options, design)

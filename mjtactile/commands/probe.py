@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 from mjtactile import InputError, Recorder, Scenario, load_recording
 from mjtactile.commands import arguments as arg
-from mjtactile.commands import plots, ranges, scenario
+from mjtactile.commands import numeric_options, plots, scenario
 from mjtactile.commands.output import optional_folder, print_flags, print_json, stdout_to_stderr
 from mjtactile.core import signals
+from mjtactile.recording.decimated_history import Strip
 from mjtactile.recording.files import write_json
-from mjtactile.recording.strip import Strip
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.progress import Progress
 
 if TYPE_CHECKING:
-    from mjtactile.run.probe import ProbeResult
+    from mjtactile.runtime.probe import ProbeResult
 
 DESCRIPTION = """\
 Press to 0.9 N, hold the jaws still for 2 s, let go, wait, touch once more; then say, from
@@ -39,7 +39,7 @@ _DEFAULT = Scenario(object="sponge", controller="probe")
 ARGUMENTS = (
     *scenario.arguments(_DEFAULT, leave_out=("accuracy", "effects", "vary", "task")),
     arg.option("--source", "RECORDING", "judge the images of a recorded run instead", type=Path),
-    ranges.FRAMES,
+    numeric_options.FRAMES,
     arg.out("write probe.json, probe.png, probe.html and the recording there"),
 )
 
@@ -63,14 +63,14 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _replay(options: argparse.Namespace) -> ProbeResult:
-    from mjtactile.run.probe import replay_probe
+    from mjtactile.runtime.probe import replay_probe
 
     return replay_probe(load_recording(options.source), options.sensor)
 
 
 def _live(options: argparse.Namespace, out: Path | None) -> ProbeResult:
     from mjtactile.report.page import write_page
-    from mjtactile.run.probe import run_probe
+    from mjtactile.runtime.probe import run_probe
 
     wanted = scenario.scenario_of(options, _DEFAULT)
     progress = Progress(quiet=options.json)

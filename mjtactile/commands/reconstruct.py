@@ -14,12 +14,12 @@ import numpy as np
 
 from mjtactile import Chain, InputError, Perception, SensorDesign, load_calibration, load_sensor
 from mjtactile.commands import arguments as arg
-from mjtactile.commands import plots, tracks
+from mjtactile.commands import plots, track_dots
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
-from mjtactile.report.pictures import NamedImage, marker_overlay, read_frames, to_image
+from mjtactile.report.frame_source import NamedImage, marker_overlay, read_frames, to_image
 from mjtactile.report.summary_figure import draw_surface
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.progress import Progress
 from mjtactile.types import Contact, Markers, Surface, Touch, Traction
 
 SIMULATES = False
@@ -75,7 +75,7 @@ ARGUMENTS = (
 
 def run(options: argparse.Namespace) -> int:
     if options.marks is not None:
-        return tracks.run(options)
+        return track_dots.run(options)
     for name in ("camera", "radius_mm"):
         if getattr(options, name) is not None:
             raise InputError("goes with --marks", field=f"--{name.replace('_', '-')}")

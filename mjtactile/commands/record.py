@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING, Any
 
 from mjtactile import InputError, Recorder, Scenario, complete_scenario, rig_names
 from mjtactile.commands import arguments as arg
-from mjtactile.commands import ranges, slow
+from mjtactile.commands import numeric_options, time_scale
 from mjtactile.commands.output import output_folder, print_flags, print_json, stdout_to_stderr
 from mjtactile.core import resources
 from mjtactile.recording.observer import Observer, Observers
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.progress import Progress
 from mjtactile.types import Command, Observation
 
 if TYPE_CHECKING:
     from mjtactile import SensorDesign, Session
-    from mjtactile.recording.stage import Stage
-    from mjtactile.run.cycle import Cycle
+    from mjtactile.recording.stage_protocol import Stage
+    from mjtactile.runtime.cycle import Cycle
 
 DESCRIPTION = """\
 Record an episode in which nothing is commanded: the jaws hold where they stand, with the force
@@ -60,7 +60,7 @@ ARGUMENTS = (
     arg.option(
         "--seconds", "S", "length after the references, at most a recording's", 10.0, type=float
     ),
-    ranges.FRAMES,
+    numeric_options.FRAMES,
     arg.sensor("on each finger"),
     arg.option(
         "--object",
@@ -74,7 +74,7 @@ ARGUMENTS = (
         "P",
         "working pressure of this recording (default: the sensor file's supply)",
         dest="pressure",
-        type=ranges.finite,
+        type=numeric_options.finite,
     ),
     arg.option(
         "--steps",
@@ -85,7 +85,7 @@ ARGUMENTS = (
     arg.option(
         "--indenter", "SHAPE", "what presses, as `mjtactile press` has it: sphere:8, part.stl, …"
     ),
-    arg.option("--at", "X_mm,Y_mm", "where", "0,0", type=ranges.pair),
+    arg.option("--at", "X_mm,Y_mm", "where", "0,0", type=numeric_options.pair),
     arg.option("--finger", "NAME", "on which finger", "left"),
     arg.option(
         "--specimen",
@@ -97,7 +97,7 @@ ARGUMENTS = (
     arg.flag(
         "--shapes", "say of every touch what body it is of; of a recording, find it in its images"
     ),
-    slow.ARGUMENT,
+    time_scale.ARGUMENT,
     arg.option("--seed", "N", "sim and emulated: placement and noise", 0, type=int),
 )
 
@@ -122,7 +122,7 @@ def run(options: argparse.Namespace) -> int:
 
     if not 0 < options.seconds <= 86400:
         raise InputError(f"{options.seconds:g} is outside 0 to 86400", field="--seconds")
-    slow.apply(options.slow, options.rig)
+    time_scale.apply(options.slow, options.rig)
     stage = _stage(options)
     design = _at_pressure(load_sensor(options.sensor), options.pressure)
     progress = Progress()
@@ -155,7 +155,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _stage(options: argparse.Namespace) -> Stage | None:
     """What will be done, checked."""
-    from mjtactile.recording.stage import Stage, read_moves
+    from mjtactile.recording.stage_protocol import Stage, read_moves
 
     if (options.specimen or options.load_cell) and options.rig != "stage":
         raise InputError(
@@ -191,7 +191,7 @@ def _on_stage(
     progress: Progress,
 ) -> dict[str, Any]:
     from mjtactile import load_sensor
-    from mjtactile.experiments.stage import NOTHING, record_stage
+    from mjtactile.experiments.motion_stage import NOTHING, record_stage
 
     if options.specimen is None:
         true = design
@@ -271,7 +271,7 @@ class _Watching(Observer):
         self._left = list(stage.moves if stage else ())
 
     def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
-        from mjtactile.recording.stage import describe
+        from mjtactile.recording.stage_protocol import describe
 
         self.forces.append([touch.force_normal for touch in cycle.touch])
         self.times.append(cycle.time)

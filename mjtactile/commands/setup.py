@@ -35,7 +35,7 @@ ARGUMENTS = (
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.calibrate.setup import setup
+    from mjtactile.calibrate.rig_wizard import setup
 
     def ask(question: str) -> str:
         try:

@@ -7,7 +7,7 @@ import sys
 
 from mjtactile import load_recording
 from mjtactile.commands import arguments as arg
-from mjtactile.commands import scenario, slow
+from mjtactile.commands import scenario, time_scale
 
 DESCRIPTION = """\
 Watch a grasp live in MuJoCo Studio, in the browser: the scene, the membranes coloured by
@@ -39,7 +39,7 @@ def _port(text: str) -> int:
 
 ARGUMENTS = (
     *scenario.arguments(leave_out=("vary",)),
-    slow.ARGUMENT,
+    time_scale.ARGUMENT,
     arg.option("--port", "N", "of the page (default: the first free one from 8080)", 0, type=_port),
     arg.OneOf(
         (
@@ -54,15 +54,15 @@ ARGUMENTS = (
 
 
 def run(options: argparse.Namespace) -> int:
+    from mjtactile.studio.playback import TapePlayer
     from mjtactile.studio.serve import watch
-    from mjtactile.studio.show import Show
-    from mjtactile.studio.tape import TapePlayer
+    from mjtactile.studio.session_bridge import Show
 
     def say(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
 
     wanted = scenario.scenario_of(options)
-    slow.apply(options.slow, wanted.rig)
+    time_scale.apply(options.slow, wanted.rig)
     backend, _, folder = wanted.rig.partition(":")
     if backend == "replay" and folder:
         show = TapePlayer(wanted, load_recording(folder), say)

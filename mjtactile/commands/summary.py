@@ -10,8 +10,8 @@ from typing import Any
 from mjtactile import InputError, Recording, load_recording
 from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import print_flags, print_json, stdout_to_stderr
-from mjtactile.recording.strip import Strip
-from mjtactile.run.progress import Progress
+from mjtactile.recording.decimated_history import Strip
+from mjtactile.runtime.progress import Progress
 
 SIMULATES = False
 DESCRIPTION = """\

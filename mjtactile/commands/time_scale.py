@@ -7,7 +7,7 @@ import argparse
 
 from mjtactile import InputError
 from mjtactile.commands import arguments as arg
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 
 _MOST = 100.0
 
@@ -39,4 +39,4 @@ def apply(slow: float | None, rig: str) -> None:
         raise InputError(
             f"the rig {rig!r} keeps no clock; only emulated devices can be slow", field="--slow"
         )
-    pace.set_slow(slow)
+    scaled_clock.set_slow(slow)

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from mjtactile import Camera, InputError, TrackedCircles, track_circles
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
-from mjtactile.report.pictures import NamedImage, overlay, read_frames
-from mjtactile.run.progress import Progress
+from mjtactile.report.frame_source import NamedImage, overlay, read_frames
+from mjtactile.runtime.progress import Progress
 
 COLUMNS = (
     "frame", "source", "id", "u_px", "v_px", "semi_axis_a_px", "semi_axis_b_px", "angle_deg",

@@ -9,7 +9,7 @@ from pathlib import Path
 from mjtactile import InputError, load_recording
 from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import print_flags, print_json, require_new, stdout_to_stderr
-from mjtactile.run.progress import Progress
+from mjtactile.runtime.progress import Progress
 
 SIMULATES = False
 DESCRIPTION = """\

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.rubber import Law, equibiaxial_stress
+from mjtactile.core.neo_hookean import Law, equibiaxial_stress
 from mjtactile.core.types import Array
 
 _NEWTON = 60  # steps at most; six are enough

@@ -26,10 +26,10 @@ from mjtactile.core.calibration_parts import (
     fingerprint,
     now,
 )
+from mjtactile.core.config_fields import entry, read, read_fields, text, write
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.entries import Texts
 from mjtactile.core.errors import InputError
-from mjtactile.core.fields import entry, read, read_fields, text, write
+from mjtactile.core.field_types import Texts
 from mjtactile.core.toml import Section, read_json
 from mjtactile.core.types import PressureReading, ValveState
 

@@ -15,9 +15,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from mjtactile.core.config_fields import KPA, MM, entry, given, number, part, text
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.entries import NumberArray, Table
-from mjtactile.core.fields import KPA, MM, entry, given, number, part, text
+from mjtactile.core.field_types import NumberArray, Table
 from mjtactile.core.sensor_parts import Pinhole
 from mjtactile.core.toml import Section
 from mjtactile.core.types import Array, FiducialsSeen, Markers, Traction

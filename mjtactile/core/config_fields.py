@@ -21,7 +21,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from mjtactile.core.entries import Entry, FilePath, Flag, Number, Numbers, Text
+from mjtactile.core.field_types import Entry, FilePath, Flag, Number, Numbers, Text
 from mjtactile.core.toml import Section
 
 # SI units in one unit of a file

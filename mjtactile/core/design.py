@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile.core import resources
+from mjtactile.core.config_fields import ML, MM, file_path, part, read, text
 from mjtactile.core.errors import InputError
 from mjtactile.core.fiducials import Fiducials
-from mjtactile.core.fields import ML, MM, file_path, part, read, text
 from mjtactile.core.relaxation import Relaxation
 from mjtactile.core.sensor_parts import (
     CameraDesign,

@@ -15,8 +15,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from mjtactile.core.entries import Pairs
-from mjtactile.core.fields import MM, entry, number, text
+from mjtactile.core.config_fields import MM, entry, number, text
+from mjtactile.core.field_types import Pairs
 from mjtactile.core.toml import Section
 from mjtactile.core.types import Array
 

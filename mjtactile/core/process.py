@@ -23,7 +23,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from mjtactile.core import system
+from mjtactile.core import platform_support
 from mjtactile.core.errors import DeviceError, InputError, MjtactileError
 
 _PARENT = "MJTACTILE_PARENT"  # the environment variable that tells a child whose it is
@@ -131,7 +131,7 @@ def end_with_parent(grace: float) -> None:
     parent = int(os.environ[_PARENT])
 
     def outlive() -> None:
-        end = system.watch_process(parent)
+        end = platform_support.watch_process(parent)
         ends = [] if end is None else [end]
         while os.getppid() == parent:
             select.select(ends, [], [], _PARENT_TIME)

@@ -26,8 +26,8 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.core.entries import Pairs
-from mjtactile.core.fields import KPA, entry, number
+from mjtactile.core.config_fields import KPA, entry, number
+from mjtactile.core.field_types import Pairs
 from mjtactile.core.toml import Section
 from mjtactile.core.types import Array
 

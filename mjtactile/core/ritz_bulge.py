@@ -21,9 +21,9 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebder, chebvander
 from numpy.polynomial.legendre import leggauss
 
-from mjtactile.core import theory
+from mjtactile.core import analytical_solutions
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.rubber import Law, shear_modulus
+from mjtactile.core.neo_hookean import Law, shear_modulus
 from mjtactile.core.sensor_parts import Membrane
 from mjtactile.core.types import Array
 
@@ -54,7 +54,7 @@ def inflated_height(
         four times as long as wide.
     """
     frame = replace(design.frame, shape="ellipse")  # where to begin: a bulge as long and as wide
-    first = theory.bulge_height(replace(design, frame=frame), pressure_gauge)
+    first = analytical_solutions.bulge_height(replace(design, frame=frame), pressure_gauge)
     if not np.isfinite(first):
         return np.nan
     weight = gravity * design.membrane.density * design.membrane.thickness

@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile.core import resources
+from mjtactile.core.config_fields import entry, flag, text, whole
 from mjtactile.core.design import SensorDesign, load_sensor
-from mjtactile.core.entries import Entry, Number
 from mjtactile.core.errors import InputError
-from mjtactile.core.fields import entry, flag, text, whole
+from mjtactile.core.field_types import Entry, Number
 from mjtactile.core.toml import Section
 
 TIME_LIMIT = 60.0  # s on the rig's clock; a gentle grasp takes about 10

@@ -2,7 +2,7 @@
 a section of a sensor file.
 
 Every quantity is SI inside. The file's keys carry the unit; each field says its own, with its range
-(`mjtactile.core.fields`). The format: docs/reference/sensor_files.md.
+(`mjtactile.core.config_fields`). The format: docs/reference/sensor_files.md.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.core.entries import Pairs
-from mjtactile.core.fields import (
+from mjtactile.core.config_fields import (
     KPA,
     ML,
     ML_S_KPA,
@@ -28,8 +27,9 @@ from mjtactile.core.fields import (
     whole,
     write_fields,
 )
+from mjtactile.core.field_types import Pairs
+from mjtactile.core.neo_hookean import Law, equibiaxial_stress
 from mjtactile.core.outline import Outline, OutlineError
-from mjtactile.core.rubber import Law, equibiaxial_stress
 from mjtactile.core.toml import Section
 from mjtactile.core.types import Array
 

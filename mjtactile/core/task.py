@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core import resources
-from mjtactile.core.entries import Numbers
-from mjtactile.core.fields import (
+from mjtactile.core.config_fields import (
     DEGREE,
     MM,
     entries,
@@ -30,6 +29,7 @@ from mjtactile.core.fields import (
     parts,
     text,
 )
+from mjtactile.core.field_types import Numbers
 from mjtactile.core.toml import Section, read_toml
 from mjtactile.core.types import Told
 

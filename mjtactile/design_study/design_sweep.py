@@ -12,9 +12,9 @@ from scipy.stats import qmc
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError, MjtactileError
 from mjtactile.core.types import Array
-from mjtactile.study.files import rebuilt, scaled_lens, with_markers
-from mjtactile.study.score import Score, score
-from mjtactile.study.stand import Stand
+from mjtactile.design_study.score import Score, score
+from mjtactile.design_study.sensor_file_edit import rebuilt, scaled_lens, with_markers
+from mjtactile.design_study.virtual_bench import Stand
 
 # What is drawn, with its range: markers a millimetre along the longer side, their radius over their
 # pitch, the lens as a share of the longest, thickness and pressure times the file's (evenly in

@@ -8,10 +8,10 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from mjtactile.core.design import SensorDesign
-from mjtactile.study import files, given
-from mjtactile.study.check import check, verdict
-from mjtactile.study.score import score
-from mjtactile.study.sweep import Tried, Wish, best, sweep
+from mjtactile.design_study import predict_file, sensor_file_edit
+from mjtactile.design_study.design_sweep import Tried, Wish, best, sweep
+from mjtactile.design_study.prediction_check import check, verdict
+from mjtactile.design_study.score import score
 
 _WRITTEN = 3
 
@@ -33,7 +33,7 @@ def of_file(
     Returns:
         The JSON's object.
     """
-    result = given.as_table(given.study(design, force, say=say))
+    result = predict_file.as_table(predict_file.study(design, force, say=say))
     if check:
         result["checked"] = [_checked(design, check, seed, say)]
     return result
@@ -114,7 +114,7 @@ def _text(name: str, one: Tried, force: float) -> str:
         f"touch by noise {reached['touch_by_noise_mN']:.1f} mN, largest force "
         f"{reached['force_most_N']:.1f} N."
     )
-    return files.sensor_text(replace(one.design, name=name), head)
+    return sensor_file_edit.sensor_text(replace(one.design, name=name), head)
 
 
 def _checked(design: SensorDesign, places: int, seed: int, say: Say) -> dict[str, Any]:

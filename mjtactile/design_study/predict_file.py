@@ -13,8 +13,9 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError, MjtactileError
 from mjtactile.core.optics import Camera, project
 from mjtactile.core.types import Array
-from mjtactile.sim.picture.sighting import Sighter
-from mjtactile.study.files import (
+from mjtactile.design_study.resolution import Reach, Reacher
+from mjtactile.design_study.score import Score, score
+from mjtactile.design_study.sensor_file_edit import (
     extent_of,
     radius_share,
     rebuilt,
@@ -22,9 +23,8 @@ from mjtactile.study.files import (
     scaled_pixels,
     with_markers,
 )
-from mjtactile.study.reach import Reach, Reacher
-from mjtactile.study.score import Score, score
-from mjtactile.study.stand import Stand
+from mjtactile.design_study.virtual_bench import Stand
+from mjtactile.sim.rendering.synthetic_ellipses import Sighter
 
 _MARGIN = 5e-3  # m from the frame to the outermost places of the map
 _SPACING = 5e-3  # m between them, about

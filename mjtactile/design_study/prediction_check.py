@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjtactile.core.design import SensorDesign
-from mjtactile.experiments.press import PressPlan, press
+from mjtactile.design_study.resolution import BALL_RADIUS, Reacher
+from mjtactile.design_study.virtual_bench import Stand
+from mjtactile.experiments.indentation import PressPlan, press
 from mjtactile.sim.scenes.indentation import Indenter
-from mjtactile.study.reach import BALL_RADIUS, Reacher
-from mjtactile.study.stand import Stand
 
 _SPACING = 1.7e-3  # m between the sheet's vertices: a coarser mesh is stiffer than rubber
 _SAME = 1e-9  # m

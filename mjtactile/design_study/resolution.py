@@ -10,15 +10,15 @@ import numpy as np
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, Touch
-from mjtactile.film import obstacle
-from mjtactile.sensing.body.bodies import Hint, room_in
-from mjtactile.sensing.body.families import FAMILIES, Family
-from mjtactile.sensing.body.fit import Fit
-from mjtactile.sensing.body.forward import Forward
-from mjtactile.sensing.body.slopes import find_slopes
-from mjtactile.sensing.body.standing import Data, Prior, begin
-from mjtactile.sensing.body.words import said_cov
-from mjtactile.study.stand import Coming, Stand
+from mjtactile.design_study.virtual_bench import Coming, Stand
+from mjtactile.quasistatic import obstacle
+from mjtactile.sensing.contact_shape.fit_state import Data, Prior, begin
+from mjtactile.sensing.contact_shape.forward_model import Forward
+from mjtactile.sensing.contact_shape.gauss_newton import Fit
+from mjtactile.sensing.contact_shape.jacobian import find_slopes
+from mjtactile.sensing.contact_shape.primitives import Hint, room_in
+from mjtactile.sensing.contact_shape.shape_models import FAMILIES, Family
+from mjtactile.sensing.contact_shape.shape_result import said_cov
 
 EDGE_RADIUS = 2.5e-3
 """m: what an edge is rounded by; the sheet leaves what is sharper before its faces begin."""

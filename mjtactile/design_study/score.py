@@ -10,8 +10,8 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
-from mjtactile.study.reach import Reacher, ball
-from mjtactile.study.stand import Stand
+from mjtactile.design_study.resolution import Reacher, ball
+from mjtactile.design_study.virtual_bench import Stand
 
 RADII = (2e-3, 3e-3, 4e-3, 6e-3, 8e-3, 12e-3, 16e-3)  # m, that are tried
 TOLD = 0.25

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from mjtactile.core.config_fields import write_fields
 from mjtactile.core.design import SensorDesign, sensor_from_table
 from mjtactile.core.errors import InputError
-from mjtactile.core.fields import write_fields
 
 
 def sensor_text(design: SensorDesign, head: str = "") -> str:

@@ -13,13 +13,13 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.status import OK
 from mjtactile.core.types import Array, Markers, Sighting, Touch
-from mjtactile.film import Film, FilmState, Obstacle
-from mjtactile.film.places import carried_with_slopes
-from mjtactile.sensing.chain import Chain
-from mjtactile.sensing.force.gain import Shape
-from mjtactile.sensing.force.inverse import InverseMembrane
-from mjtactile.sensing.state import ChainState, Reference
-from mjtactile.sim.picture.sighting import Sighter
+from mjtactile.quasistatic import Film, FilmState, Obstacle
+from mjtactile.quasistatic.interpolation import carried_with_slopes
+from mjtactile.sensing.force.inverse_fem import InverseMembrane
+from mjtactile.sensing.force.linearization import Shape
+from mjtactile.sensing.pipeline import Chain
+from mjtactile.sensing.pipeline_state import ChainState, Reference
+from mjtactile.sim.rendering.synthetic_ellipses import Sighter
 
 _SPACING = 1.3e-3  # m between the film's nodes, as the shape's films have
 _STEP = 2.5e-4  # m by which a body comes down until it presses with the force asked for

@@ -11,10 +11,10 @@ from pathlib import Path
 import serial
 from serial.tools import list_ports
 
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.core.errors import DeviceError
 from mjtactile.devices.dynamixel.bus import BusError, DynamixelBus
-from mjtactile.devices.dynamixel.tables import MODEL_BY_NUMBER, NO_CURRENT_CONTROL
+from mjtactile.devices.dynamixel.servo_models import MODEL_BY_NUMBER, NO_CURRENT_CONTROL
 from mjtactile.devices.valve import protocol
 from mjtactile.devices.valve.board import open_port
 
@@ -108,8 +108,8 @@ def valve_board_at(port: str) -> str:
     line = open_port(port, VALVE_BAUD)
     heard = bytearray()
     try:
-        deadline = pace.monotonic() + _BOOT_TIME
-        while pace.monotonic() < deadline:
+        deadline = scaled_clock.monotonic() + _BOOT_TIME
+        while scaled_clock.monotonic() < deadline:
             line.write(protocol.encode(0, "id"))
             heard += line.read(64)
             *lines, rest = heard.split(b"\n")
@@ -119,7 +119,7 @@ def valve_board_at(port: str) -> str:
                 if words[:2] == ["id", protocol.NAME] and len(words) == 6:
                     sensors = "with" if words[4] == "1" else "without"
                     return f"{words[1]} {words[2]}, {words[3]} channels, {sensors} pressure sensors"
-            pace.sleep(0.02)
+            scaled_clock.sleep(0.02)
         return ""
     except (serial.SerialException, OSError) as error:
         raise DeviceError(f"{port} went away: {' '.join(str(error).split())}") from error

@@ -9,16 +9,16 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from mjtactile.core import pace, signals
+from mjtactile.core import scaled_clock, signals
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.devices.dynamixel.gripper import DynamixelGripper
 from mjtactile.devices.shutdown import close_all
 from mjtactile.devices.valve.driver import ValveBoard, connect_valves
+from mjtactile.rig.command_limits import Limits
 from mjtactile.rig.file import CameraConfig, RigFile
 from mjtactile.rig.finger import Rig, make_fingers
-from mjtactile.rig.gripper import calibrated_gripper
-from mjtactile.rig.limits import Limits
+from mjtactile.rig.gripper_calibration import calibrated_gripper
 from mjtactile.rig.protocols import CameraDevice
 from mjtactile.rig.registry import CAMERAS, RigRequest, load_backend, require_file
 from mjtactile.rig.sensors import finger_calibration, finger_design
@@ -33,7 +33,7 @@ class MonotonicClock:
     """The computer's monotonic clock; a change of the wall clock does not touch it."""
 
     def now(self) -> float:
-        return pace.monotonic()
+        return scaled_clock.monotonic()
 
     def start(self, time: float) -> None:
         """The real world moves by itself."""
@@ -69,9 +69,9 @@ class FrameClock(MonotonicClock):
 
 
 def _sleep_until(deadline: float) -> None:
-    remaining = deadline - pace.monotonic()
+    remaining = deadline - scaled_clock.monotonic()
     if remaining > 0:
-        pace.sleep(remaining)
+        scaled_clock.sleep(remaining)
 
 
 def build_device_rig(
@@ -136,7 +136,7 @@ def build_device_rig(
 
 
 def _check_pace(rig_file: RigFile) -> None:
-    if pace.slow() != 1 and not rig_file.bus.port.startswith(_EMULATED):
+    if scaled_clock.slow() != 1 and not rig_file.bus.port.startswith(_EMULATED):
         raise InputError(
             f"{rig_file.bus.port}: only emulated devices can be slow",
             source=rig_file.path,

@@ -14,12 +14,12 @@ import os
 import sys
 from typing import Any, TextIO
 
-from mjtactile.core import pace, process, system
+from mjtactile.core import platform_support, process, scaled_clock
 from mjtactile.core.errors import InputError, MjtactileError
 from mjtactile.emulator.faults import KINDS, Faults
 from mjtactile.emulator.hardware import EmulatedHardware
 from mjtactile.emulator.options import EmulatorOptions
-from mjtactile.emulator.shared import FROM_WORLD, SharedState
+from mjtactile.emulator.shared_memory import FROM_WORLD, SharedState
 
 _STOP_TIME = 3.0  # s for the world's process to end in order
 
@@ -29,7 +29,7 @@ class WorldProcess:
     start."""
 
     def __init__(self, options: str):
-        descriptor = system.memory_file("mjtactile-emulator")
+        descriptor = platform_support.memory_file("mjtactile-emulator")
         self.shared = SharedState(descriptor)
         self._process = process.start(
             "mjtactile.emulator.world", descriptor, descriptors=[descriptor], talk=True
@@ -92,7 +92,7 @@ class Emulator:
             self._hardware.bus.close()
         if kind == "valve_unplug" and value and self._hardware.valve:
             self._hardware.valve.close()
-        return {"ok": True, "time": pace.monotonic()}
+        return {"ok": True, "time": scaled_clock.monotonic()}
 
     def _truth(self) -> dict[str, Any]:
         """What really is; for tests and benchmarks."""
@@ -100,7 +100,7 @@ class Emulator:
         firmware = self._hardware.firmware
         return {
             **{name: self._world.shared[name] for name in FROM_WORLD},
-            "now": pace.monotonic(),
+            "now": scaled_clock.monotonic(),
             "torque": {str(i): bool(s.get("Torque Enable")) for i, s in servos.items()},
             "drive": {str(i): s.drive().torque_max for i, s in servos.items()},
             "watchdog": {str(i): s.get("Bus Watchdog") for i, s in servos.items()},

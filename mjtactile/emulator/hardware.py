@@ -6,12 +6,12 @@ from __future__ import annotations
 import math
 import threading
 
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.emulator.faults import Faults
 from mjtactile.emulator.mechanism import GearedJaws, Jaw
 from mjtactile.emulator.servo import EmulatedServo
 from mjtactile.emulator.servo_bus import ServoBus
-from mjtactile.emulator.shared import SharedState
+from mjtactile.emulator.shared_memory import SharedState
 from mjtactile.emulator.valve import ValveFirmware, ValvePort
 from mjtactile.rig.file import EmulatorConfig, RigFile
 
@@ -46,7 +46,7 @@ class EmulatedHardware:
         self.bus = ServoBus(self.servos, faults, usb_latency=emulator.usb_latency)
         self.firmware = ValveFirmware(self, faults, zeros=zeros, sensors=emulator.valve_sensors)
         self.valve = ValvePort(self.firmware) if rig_file.valves else None
-        self._stop = pace.Event()
+        self._stop = scaled_clock.Event()
         self._thread = threading.Thread(target=self._run, name="hardware", daemon=True)
         self._thread.start()
 
@@ -109,9 +109,9 @@ class EmulatedHardware:
         return self._build_servo(lift.id, lift.model, 0.0)
 
     def _run(self) -> None:
-        last = pace.monotonic()
+        last = scaled_clock.monotonic()
         while not self._stop.wait(_TICK):
-            now = pace.monotonic()
+            now = scaled_clock.monotonic()
             self._tick(now, now - last)
             last = now
 

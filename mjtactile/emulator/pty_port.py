@@ -10,7 +10,7 @@ import threading
 import tty
 from collections.abc import Callable
 
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 
 _OPEN_POLL = 0.005  # s between looks at whether a host has opened the port
 
@@ -92,7 +92,7 @@ class PtyPort:
             event = events.get(self._master, 0)
             if event & select.POLLHUP and not event & select.POLLIN:
                 host_is_there = False
-                pace.sleep(_OPEN_POLL)
+                scaled_clock.sleep(_OPEN_POLL)
                 if not self._host_opened(poll):
                     continue
             if not host_is_there:

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.emulator import control_table as ct
-from mjtactile.emulator.motion import FAR, MotorDrive
+from mjtactile.emulator.motor_profile import FAR, MotorDrive
 from mjtactile.emulator.registers import RANGE_ERROR, RESULT_FAIL, TRIPPED
 from mjtactile.emulator.servo_registers import ServoRegisters
 
@@ -305,4 +305,4 @@ class EmulatedServo(ServoRegisters):
         if self.get("Profile Velocity"):
             profile = 0x30 if self.get("Profile Acceleration") else 0x10
         self.set("Moving Status", profile | ongoing << 1 | (arrived and in_position_mode))
-        self.set("Realtime Tick", int(pace.monotonic() * 1e3) % 32768)
+        self.set("Realtime Tick", int(scaled_clock.monotonic() * 1e3) % 32768)

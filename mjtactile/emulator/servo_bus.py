@@ -10,7 +10,7 @@ from __future__ import annotations
 import termios
 from collections.abc import Callable, Mapping, Sequence
 
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.emulator import protocol2 as p2
 from mjtactile.emulator.control_table import BAUDS
 from mjtactile.emulator.faults import Faults
@@ -59,7 +59,7 @@ class ServoBus:
         baud = _TERMIOS_BAUD.get(self._port.baud)
         if baud is None or all(servo.baud != baud for servo in self._servos.values()):
             return  # another baud rate: the servos hear noise
-        now = pace.monotonic()
+        now = scaled_clock.monotonic()
         for packet in self._decoder.feed(data):
             if self._on_packet is not None:
                 self._on_packet(now, packet)
@@ -206,7 +206,7 @@ class ServoBus:
             place = self._faults.rng.randrange(len(answer))
             changed = answer[place] ^ (1 << self._faults.rng.randrange(8))
             answer = answer[:place] + bytes([changed]) + answer[place + 1 :]
-        pace.sleep(delay)
+        scaled_clock.sleep(delay)
         self._port.write(answer)
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import threading
 
-from mjtactile.core import pace
-from mjtactile.devices.dynamixel.tables import MODELS
+from mjtactile.core import scaled_clock
+from mjtactile.devices.dynamixel.servo_models import MODELS
 from mjtactile.emulator import control_table as ct
-from mjtactile.emulator.motion import Path
+from mjtactile.emulator.motor_profile import Path
 from mjtactile.emulator.registers import INSTRUCTION_ERROR, Registers
 
 _TICKS_PER_RAD = 4096 / (2 * math.pi)
@@ -29,7 +29,7 @@ class ServoRegisters(Registers):
         self.angle = angle
         self._path = Path(angle)
         self._registered: tuple[int, bytes] | None = None
-        self.last_packet = pace.monotonic()
+        self.last_packet = scaled_clock.monotonic()
 
     def _publish(self) -> None:
         """Write what is measured into the registers that show it."""
@@ -77,7 +77,7 @@ class ServoRegisters(Registers):
         elif name in ct.GOALS and self.get("Drive Mode") & 0x08 and not self.get("Torque Enable"):
             self.set("Torque Enable", 1)  # "Torque On by Goal Update", Drive Mode(10)
         elif name == "Bus Watchdog":
-            self.last_packet = pace.monotonic()
+            self.last_packet = scaled_clock.monotonic()
 
     def _torque_on(self) -> None:
         if self.get("Operating Mode") == 3:

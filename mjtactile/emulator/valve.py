@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Protocol
 
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.emulator.faults import Faults
 from mjtactile.emulator.pty_port import PtyPort
 
@@ -121,7 +121,7 @@ class ValveFirmware:
         self.channels = {number: _Channel() for number in range(1, channels + 1)}
         self.heartbeat = 0.0
         self.hold = 0.0
-        self.last_heard = pace.monotonic()
+        self.last_heard = scaled_clock.monotonic()
         self.vent_time: float | None = None
         """When the heartbeat vented last (monotonic s), None if it did not."""
         self._since_sample = 0.0
@@ -292,13 +292,15 @@ class ValvePort:
     def _reset(self) -> None:
         self.firmware.reset()
         self._buffer.clear()
-        self._boot_end = pace.monotonic() + _BOOT_TIME
-        self._timer = threading.Timer(pace.wall(_BOOT_TIME), lambda: self._port.write(self._BANNER))
+        self._boot_end = scaled_clock.monotonic() + _BOOT_TIME
+        self._timer = threading.Timer(
+            scaled_clock.wall(_BOOT_TIME), lambda: self._port.write(self._BANNER)
+        )
         self._timer.daemon = True
         self._timer.start()
 
     def _receive(self, data: bytes) -> None:
-        now = pace.monotonic()
+        now = scaled_clock.monotonic()
         if now < self._boot_end:
             return
         self._buffer += data

@@ -20,20 +20,20 @@ from typing import Any
 import cv2
 import numpy as np
 
-from mjtactile.core import pace, process
+from mjtactile.core import process, scaled_clock
 from mjtactile.core.errors import MjtactileError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import FINGERS
+from mjtactile.emulator.mjpeg_server import StreamServer
 from mjtactile.emulator.options import EmulatorOptions
-from mjtactile.emulator.shared import SharedState
-from mjtactile.emulator.stream import StreamServer
+from mjtactile.emulator.shared_memory import SharedState
+from mjtactile.rig.as_built_sensor import camera_pose, marker_radii, true_design
+from mjtactile.rig.domain_randomization import Drawn
 from mjtactile.rig.file import EmulatorConfig, load_sim_rig
-from mjtactile.rig.specimen import camera_pose, marker_radii, true_design
-from mjtactile.rig.variation import Drawn
-from mjtactile.sim import truth
-from mjtactile.sim.log import route_warnings
-from mjtactile.sim.picture.renderer import Effects, Renderer
-from mjtactile.sim.picture.troubles import TroubledPicture
+from mjtactile.sim import ground_truth
+from mjtactile.sim.mujoco_log import route_warnings
+from mjtactile.sim.rendering.image_faults import TroubledPicture
+from mjtactile.sim.rendering.renderer import Effects, Renderer
 from mjtactile.sim.rig import build_sim_rig
 
 # s; a world that is further behind the clock lets time go rather than race after it
@@ -79,7 +79,7 @@ class EmulatedWorld:
         self._picture_period = 1 / options.rig_file.cameras[0].rate
         self._next_picture = 0.0
         self._flagged: set[str] = set()
-        self._stop = pace.Event()
+        self._stop = scaled_clock.Event()
         self._thread = threading.Thread(target=self._run, name="world", daemon=True)
         self._publish()
 
@@ -94,10 +94,10 @@ class EmulatedWorld:
 
     def _run(self) -> None:
         """Step when the clock says so."""
-        begin = pace.monotonic()
+        begin = scaled_clock.monotonic()
         try:
             while not self._stop.is_set():
-                behind = pace.monotonic() - begin - self.scene.time
+                behind = scaled_clock.monotonic() - begin - self.scene.time
                 if behind < self.scene.timestep:
                     self._stop.wait(self.scene.timestep - behind)
                     continue
@@ -194,7 +194,9 @@ class EmulatedWorld:
     def _publish_forces(self) -> None:
         """What load cells behind the membranes would show; as often as pictures are taken."""
         for number in range(len(self.scene.sensors)):
-            self._shared[f"contact_{number + 1}"] = -truth.contact_force(self.scene, number)[2]
+            self._shared[f"contact_{number + 1}"] = -ground_truth.contact_force(self.scene, number)[
+                2
+            ]
 
 
 class Cameras:
@@ -227,14 +229,14 @@ class Cameras:
         self._rng = random.Random(options.seed)
         self._queue: queue.Queue[Any] = queue.Queue(2)
         self._last: dict[str, Any] = {}
-        self._stop = pace.Event()
+        self._stop = scaled_clock.Event()
         self._thread = threading.Thread(target=self._run, name="pictures", daemon=True)
         self._thread.start()
 
     def expose(self, poses: list[Any]) -> None:
         """Hand over the poses of this moment."""
         try:
-            self._queue.put_nowait((pace.monotonic(), poses))
+            self._queue.put_nowait((scaled_clock.monotonic(), poses))
         except queue.Full:
             return
 
@@ -254,7 +256,7 @@ class Cameras:
             ):
                 self._send(name, renderer, p_SM, n_S)
             self._shared["picture_delay"] += 0.1 * (
-                pace.monotonic() - exposed - self._shared["picture_delay"]
+                scaled_clock.monotonic() - exposed - self._shared["picture_delay"]
             )
             self._shared["pictures"] += 1
 

@@ -24,7 +24,7 @@ from mjtactile.evaluate.pool import HERE, Running
 from mjtactile.evaluate.run import evaluate
 from mjtactile.evaluate.statistics import paired, summarise
 from mjtactile.evaluate.wilson import Line, wilson
-from mjtactile.run.judge import VERSION
+from mjtactile.runtime.task_scoring import VERSION
 
 FOLDER = "models/suites"
 _LETTERS = {
@@ -47,7 +47,7 @@ class Suite:
 
     Attributes:
         name: Of the file.
-        judge: Version of who judges (`mjtactile.run.judge`).
+        judge: Version of who judges (`mjtactile.runtime.task_scoring`).
         tasks: Names of tasks.
         objects: Grasped in turn.
         seed: Of the first episode. Nothing is tuned on these seeds; `develop` are for that.

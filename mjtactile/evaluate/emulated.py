@@ -11,9 +11,9 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.task import load_task
 from mjtactile.recording.observer import Observer
+from mjtactile.rig.domain_randomization import NONE
 from mjtactile.rig.file import RigFile, read_rig_file
-from mjtactile.rig.variation import NONE
-from mjtactile.run.cycle import Cycle
+from mjtactile.runtime.cycle import Cycle
 
 _COMES_ALONG = 0.9  # of what the hand has risen: a thing rolls a little as it is lifted
 _STANDS = 3e-3  # m off the height at which it stood
@@ -92,7 +92,7 @@ class TrueOutcome(Observer):
         """A run's summary with what is true in place of what the controller believes.
 
         Args:
-            summary: Of `mjtactile.run.grasp.GraspResult`.
+            summary: Of `mjtactile.runtime.grasp.GraspResult`.
 
         Returns:
             The same, with `outcome` by what stands and what came along, and true forces, N, of the

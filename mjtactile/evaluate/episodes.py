@@ -19,18 +19,18 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile.core.errors import Interrupted, MjtactileError
-from mjtactile.core.levels import LEFT_OUT
+from mjtactile.core.fidelity_levels import LEFT_OUT
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.task import load_task
 from mjtactile.evaluate import emulated
 from mjtactile.recording.observer import Observer
 from mjtactile.recording.writer import Recorder
+from mjtactile.rig.domain_randomization import draw
 from mjtactile.rig.file import load_sim_rig
-from mjtactile.rig.variation import draw
-from mjtactile.run.controller import LoadedController
-from mjtactile.run.cycle import Cycle
-from mjtactile.run.grasp import run_grasp
-from mjtactile.run.session import Session
+from mjtactile.runtime.controller import LoadedController
+from mjtactile.runtime.cycle import Cycle
+from mjtactile.runtime.grasp import run_grasp
+from mjtactile.runtime.session import Session
 from mjtactile.sim.devices import SimClock
 from mjtactile.sim.scenes.objects import load_object
 from mjtactile.sim.scenes.random_objects import object_text as object_text

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.core.levels import level_texts
+from mjtactile.core.fidelity_levels import level_texts
 from mjtactile.evaluate import svg
 from mjtactile.evaluate.episodes import OUTCOMES
+from mjtactile.evaluate.parameter_sensitivity import measures
 from mjtactile.evaluate.statistics import pair_text, stopped_text, summarise
-from mjtactile.evaluate.varied import measures
 from mjtactile.evaluate.wilson import Line
 from mjtactile.report.html import data_uri, document, table
 

@@ -7,19 +7,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mjtactile.core import resources, system
+from mjtactile.core import platform_support, resources
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.task import load_task
-from mjtactile.evaluate import emulated, report, store, worst
+from mjtactile.evaluate import emulated, report, store, worst_episodes
 from mjtactile.evaluate.episodes import RANDOM, Episode, name_of, plan
 from mjtactile.evaluate.pool import HERE, Pool, Running, Say, run_all
 from mjtactile.evaluate.statistics import summarise
 from mjtactile.recording.files import RECORDINGS
+from mjtactile.rig.domain_randomization import load_variation
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.scenario import scenario_from_table
-from mjtactile.rig.variation import load_variation
-from mjtactile.run.controller import load_controller
+from mjtactile.runtime.controller import load_controller
 
 _NAMED = 5  # missing episodes
 
@@ -96,7 +96,7 @@ def _recorded(episode: Episode, folder: Path) -> Episode:
 
 def _workers(scenario: Scenario) -> int:
     """Processes: one a processor; an emulated world, which keeps time, has them all."""
-    return 1 if emulated.check(scenario) else system.processors()
+    return 1 if emulated.check(scenario) else platform_support.processors()
 
 
 def write_report(folder: Path, worst_count: int, say: Say = lambda _: None) -> Path:
@@ -105,14 +105,14 @@ def write_report(folder: Path, worst_count: int, say: Say = lambda _: None) -> P
     known = store.read_manifest(folder)
     lines = store.read_lines(folder)
     pictures = {}
-    chosen = worst.worst(lines, worst_count)
+    chosen = worst_episodes.worst(lines, worst_count)
     for k, line in enumerate(chosen, 1):
         say(
             f"picture {k} of {len(chosen)}: {line['controller']}, {line['object']}, seed "
             f"{line['seed']}"
         )
         name = name_of(line["controller"], line["episode"])
-        pictures[name] = worst.draw(
+        pictures[name] = worst_episodes.draw(
             _episode(known, line, folder / store.MANIFEST), folder / "worst" / name
         )
     path = folder / "report.html"

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from mjtactile.core.levels import LEFT_OUT, level_texts
+from mjtactile.core.fidelity_levels import LEFT_OUT, level_texts
 from mjtactile.evaluate.episodes import JUDGED, OUTCOMES, STOPPED
-from mjtactile.evaluate.varied import MEASURES, against, measures
+from mjtactile.evaluate.parameter_sensitivity import MEASURES, against, measures
 from mjtactile.evaluate.wilson import Line, wilson
 
 FORCES = {

@@ -10,12 +10,12 @@ from typing import Any
 
 from mjtactile.core.errors import MjtactileError
 from mjtactile.evaluate.episodes import OUTCOMES, Episode
-from mjtactile.evaluate.varied import measures
+from mjtactile.evaluate.parameter_sensitivity import measures
 from mjtactile.evaluate.wilson import Line
-from mjtactile.recording.strip import Strip
+from mjtactile.recording.decimated_history import Strip
 from mjtactile.recording.writer import Recorder
 from mjtactile.report.summary import write_pictures
-from mjtactile.run.grasp import run_grasp
+from mjtactile.runtime.grasp import run_grasp
 
 _RANKS = dict.fromkeys(OUTCOMES, 2) | {"error": 1, "held": 0}
 _SLIP = 5.0  # mm that are as bad as breaking

@@ -9,7 +9,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.sim.effects.catalog import choose, film_serves, parse
 from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR, Fidelity
 from mjtactile.sim.scenes.objects import load_object
-from mjtactile.sim.sensor.switches import set_design
+from mjtactile.sim.sensor.effect_switches import set_design
 
 
 def effects_of(

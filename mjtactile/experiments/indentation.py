@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.ritz import GRAVITY, inflated_height
+from mjtactile.core.ritz_bulge import GRAVITY, inflated_height
 from mjtactile.core.types import FeltShape, Touch
-from mjtactile.experiments.station import View, take_references
-from mjtactile.run.estimate import press_errors
-from mjtactile.sim import truth
+from mjtactile.experiments.test_bench import View, take_references
+from mjtactile.runtime.discretization_error import press_errors
+from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
-from mjtactile.sim.sensor.switches import Effect
+from mjtactile.sim.sensor.effect_switches import Effect
 
 _COARSEST = 1.7e-3  # m between vertices: heights of markers 25 um off, as from pixels
 _NOWHERE = Indenter("sphere", 1e-3)
@@ -184,7 +184,7 @@ def _bare_steps(
         world.press(depth)
         if plan.shear:
             world.press(depth, plan.shear)
-        steps.append({"force_true_N": truth.contact_force(world, 0)})
+        steps.append({"force_true_N": ground_truth.contact_force(world, 0)})
         if plan.shear:
             world.press(depth)
     return steps
@@ -198,14 +198,14 @@ def _step(world: PressWorld, touch: Touch, converged: bool) -> dict[str, Any]:
 
     return {
         "depth_mm": 1e3 * world.depth,
-        "force_true_N": truth.contact_force(world, 0),
+        "force_true_N": ground_truth.contact_force(world, 0),
         "drive_force_N": world.drive_force,
         "force_estimated_N": wrench[:3],
         "wrench_estimated": wrench,
         "force_estimated_sd_N": touch.force_normal_sd,
         "contact_area_mm2": 1e6 * area,
-        "contact_area_true_mm2": 1e6 * truth.contact_area(world, 0),
-        "penetration_mm": 1e3 * truth.penetration(world, 0),
+        "contact_area_true_mm2": 1e6 * ground_truth.contact_area(world, 0),
+        "penetration_mm": 1e3 * ground_truth.penetration(world, 0),
         "pressure_kPa": 1e-3 * sensor.pressure_gauge,
         "volume_mL": 1e6 * sensor.volume,
         "converged": converged,

@@ -18,11 +18,11 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.status import Status, StatusCode
 from mjtactile.core.types import Command, GripperState, Image, Touch, ValveState
-from mjtactile.recording.stage import Move, Stage, describe
+from mjtactile.recording.stage_protocol import Move, Stage, describe
 from mjtactile.recording.writer import Recorder
-from mjtactile.sim.picture.renderer import Renderer
+from mjtactile.sim.rendering.renderer import Renderer
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
-from mjtactile.sim.scenes.stage import StageDrive, current
+from mjtactile.sim.scenes.stage_drive import StageDrive, current
 
 PRESSURE_NOISE = 5.0  # Pa, sd; of the emulated valve board, too
 LOAD_CELL_NOISE = 2e-3  # N, sd of a reading

@@ -11,10 +11,10 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Image, Touch
-from mjtactile.sensing.perception import Perception
+from mjtactile.sensing.stateful_pipeline import Perception
 from mjtactile.sensing.touch.squeeze import contact_face
-from mjtactile.sim import truth
-from mjtactile.sim.picture.renderer import Renderer
+from mjtactile.sim import ground_truth
+from mjtactile.sim.rendering.renderer import Renderer
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 _REFERENCE_IMAGES = 10
@@ -83,7 +83,7 @@ class Station:
     def load_cell(self) -> float:
         """Normal force, N, that a load cell behind the indenter's face reads, also while the drive
         moves."""
-        return -float(truth.contact_force(self.world, 0)[2])
+        return -float(ground_truth.contact_force(self.world, 0)[2])
 
     def look(self, images: int = 1) -> dict[str, float]:
         """Means over some images: normal force, area of the whole membrane, how far the contact is

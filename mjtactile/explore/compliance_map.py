@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.explore.patch import Patch
-from mjtactile.explore.plan import Mesh
+from mjtactile.explore.next_best_touch import Mesh
+from mjtactile.explore.surface_patch import Patch
 
 _REACH = 8e-3  # m: so far a touch speaks for its neighbourhood
 _TOLD = 2.0  # sd

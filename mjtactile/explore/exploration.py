@@ -12,14 +12,14 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError, SimulationError
-from mjtactile.explore.felt import Pressed, patch_of
-from mjtactile.explore.fuse import fuse, shares
-from mjtactile.explore.patch import Patch
-from mjtactile.explore.plan import Aim, Mesh, next_aim
-from mjtactile.explore.size import Sizes, news_of_size, rivals, sizes
-from mjtactile.explore.solid import mesh_of
-from mjtactile.explore.stiffness import ComplianceMap
-from mjtactile.explore.surface import BelievedSurface
+from mjtactile.explore.compliance_map import ComplianceMap
+from mjtactile.explore.meshing import mesh_of
+from mjtactile.explore.next_best_touch import Aim, Mesh, next_aim
+from mjtactile.explore.object_size import Sizes, news_of_size, rivals, sizes
+from mjtactile.explore.patch_from_touch import Pressed, patch_of
+from mjtactile.explore.surface_fusion import fuse, shares
+from mjtactile.explore.surface_patch import Patch
+from mjtactile.explore.surface_posterior import BelievedSurface
 from mjtactile.recording.files import to_json
 
 _PLAN_EDGE = 1.5e-3  # m, of triangles while it goes on

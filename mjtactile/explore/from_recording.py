@@ -13,14 +13,14 @@ from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Array
-from mjtactile.explore.felt import Pressed, patch_of
-from mjtactile.explore.grip import GripCycle, grips_of, patches_of_grip
-from mjtactile.explore.patch import Patch
+from mjtactile.explore.grip_scan import GripCycle, grips_of, patches_of_grip
+from mjtactile.explore.patch_from_touch import Pressed, patch_of
+from mjtactile.explore.surface_patch import Patch
 from mjtactile.recording.reader import Recording
-from mjtactile.recording.stage import Move, stage_from_note
+from mjtactile.recording.stage_protocol import Move, stage_from_note
 from mjtactile.rig.registry import build_rig
-from mjtactile.run.session import Session
-from mjtactile.sensing.perception import Perception
+from mjtactile.runtime.session import Session
+from mjtactile.sensing.stateful_pipeline import Perception
 
 _SEEN = 0.08  # N, from which on images tell of the body
 _MOST = 8  # images of a press, its whole way

@@ -13,12 +13,12 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Command, Observation, Touch
-from mjtactile.explore.felt import Pressed, patch_of
-from mjtactile.explore.patch import Patch
+from mjtactile.explore.patch_from_touch import Pressed, patch_of
+from mjtactile.explore.surface_patch import Patch
 from mjtactile.recording.observer import Observer
-from mjtactile.run.cycle import Cycle
-from mjtactile.run.perceive import Perceiver
-from mjtactile.sensing.perception import Perception
+from mjtactile.runtime.cycle import Cycle
+from mjtactile.runtime.perception_threads import Perceiver
+from mjtactile.sensing.stateful_pipeline import Perception
 
 LOOSE = 1e-3
 """m, sd: so far a grip may have pushed the object aside, both of its patches alike."""

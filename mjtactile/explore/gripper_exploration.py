@@ -8,7 +8,8 @@ from pathlib import Path
 
 from mjtactile.core.errors import InputError, Interrupted
 from mjtactile.core.scenario import Scenario
-from mjtactile.explore.grip import (
+from mjtactile.explore.exploration import Explored, Wanted, explored
+from mjtactile.explore.grip_scan import (
     HEIGHTS,
     GripController,
     Log,
@@ -16,13 +17,12 @@ from mjtactile.explore.grip import (
     patches_of_grip,
     require_two,
 )
-from mjtactile.explore.patch import Patch
-from mjtactile.explore.run import Explored, Wanted, explored
+from mjtactile.explore.surface_patch import Patch
 from mjtactile.recording.observer import Observer, Observers
 from mjtactile.rig.file import read_rig_file
 from mjtactile.rig.finger import Rig
 from mjtactile.rig.simulated import SimRigFile
-from mjtactile.run.session import open_session
+from mjtactile.runtime.session import open_session
 
 _GRIP_TIME = 30.0  # s
 

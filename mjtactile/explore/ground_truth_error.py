@@ -8,9 +8,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mjtactile.core.types import Array
-from mjtactile.explore.plan import Mesh
-from mjtactile.explore.run import Explored
-from mjtactile.explore.size import principal_sizes
+from mjtactile.explore.exploration import Explored
+from mjtactile.explore.next_best_touch import Mesh
+from mjtactile.explore.object_size import principal_sizes
 from mjtactile.sim.true_surface import TrueSurface
 
 _FACETS = 5e-5  # m, that a triangle's edge takes off a size

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.explore.files import SOFT, colours
-from mjtactile.explore.plan import Mesh
-from mjtactile.explore.run import Explored
-from mjtactile.explore.size import principal_sizes
-from mjtactile.explore.solid import mesh_of
-from mjtactile.explore.stiffness import ComplianceMap
+from mjtactile.explore.compliance_map import ComplianceMap
+from mjtactile.explore.exploration import Explored
+from mjtactile.explore.meshing import mesh_of
+from mjtactile.explore.next_best_touch import Mesh
+from mjtactile.explore.object_size import principal_sizes
+from mjtactile.explore.surface_export import SOFT, colours
 from mjtactile.recording.files import to_json
 from mjtactile.report.html import document, table
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
-from mjtactile.explore.plan import Mesh
-from mjtactile.explore.surface import BelievedSurface
+from mjtactile.explore.next_best_touch import Mesh
+from mjtactile.explore.surface_posterior import BelievedSurface
 
 _MARGIN = 4e-3  # m around what was touched and believed
 _ACROSS = 90  # triangles along its longest side, at most

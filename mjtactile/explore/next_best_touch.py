@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mjtactile.core.types import Array
-from mjtactile.explore.patch import Patch, tangents
+from mjtactile.explore.surface_patch import Patch, tangents
 
 _REACH = 5e-3  # m, of a touch
 _BENT = 6.0  # power of the mean normal's length: 0.1 on a right angle's edge

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from mjtactile.core.types import Array
-from mjtactile.explore.fuse import shares
-from mjtactile.explore.patch import Patch
-from mjtactile.explore.plan import Mesh
-from mjtactile.explore.surface import ALIKE, BelievedSurface
+from mjtactile.explore.next_best_touch import Mesh
+from mjtactile.explore.surface_fusion import shares
+from mjtactile.explore.surface_patch import Patch
+from mjtactile.explore.surface_posterior import ALIKE, BelievedSurface
 
 _END = 5e-4  # m from the outermost point: what counts as an end
 _FACING = 0.8  # cosine of an end's normal with the axis

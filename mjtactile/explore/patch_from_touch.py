@@ -10,7 +10,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, FeltShape, Surface, Touch
-from mjtactile.explore.patch import Patch
+from mjtactile.explore.surface_patch import Patch
 
 _RINGS = (0.45, 0.85)  # of the way from a patch's middle to its border, where points are taken
 _SPOKES = 8

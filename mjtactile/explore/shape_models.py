@@ -1,8 +1,8 @@
 """What an explored body may be: round, round with a flat end, a cylinder, a box, of few numbers
 each, or anything.
 
-All are the superquadric of `mjtactile.explore.body`; a family says beforehand which of its fourteen
-numbers are free, and how much of a field on top it needs. The evidence decides
+All are the superquadric of `mjtactile.explore.superquadric`; a family says beforehand which of its
+fourteen numbers are free, and how much of a field on top it needs. The evidence decides
 (docs/theory/equations.md, Eq. E5): what few numbers explain as well is believed, since it told more
 beforehand.
 """
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.explore.body import WHOLE
+from mjtactile.explore.superquadric import WHOLE
 
 HALF = 15.0
 """mm: half size of what a hand explores, before it is touched."""

@@ -13,17 +13,17 @@ from scipy.spatial.transform import Rotation
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Array
-from mjtactile.explore.fuse import fuse
-from mjtactile.explore.grip import HEIGHTS, GripController, Log, patches_of_grip, require_two
-from mjtactile.explore.patch import Patch
-from mjtactile.explore.plan import Mesh
-from mjtactile.explore.run import Explored, Wanted, explore, explored
-from mjtactile.explore.score import score
-from mjtactile.explore.solid import mesh_of
+from mjtactile.explore.exploration import Explored, Wanted, explore, explored
+from mjtactile.explore.grip_scan import HEIGHTS, GripController, Log, patches_of_grip, require_two
+from mjtactile.explore.ground_truth_error import score
+from mjtactile.explore.meshing import mesh_of
+from mjtactile.explore.next_best_touch import Mesh
 from mjtactile.explore.stage import SimulatedStage
+from mjtactile.explore.surface_fusion import fuse
+from mjtactile.explore.surface_patch import Patch
+from mjtactile.rig.domain_randomization import Drawn, ObjectChange
 from mjtactile.rig.file import load_sim_rig
-from mjtactile.rig.variation import Drawn, ObjectChange
-from mjtactile.run.session import Session
+from mjtactile.runtime.session import Session
 from mjtactile.sim.rig import build_sim_rig
 from mjtactile.sim.scenes.objects import ObjectModel, load_object
 from mjtactile.sim.true_surface import TrueSurface

@@ -13,10 +13,10 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, FeltShape, Touch
-from mjtactile.experiments.station import View, take_references
-from mjtactile.explore.felt import Pressed
-from mjtactile.explore.plan import Aim
-from mjtactile.sim.scenes.mounted import Mounted, MountedWorld
+from mjtactile.experiments.test_bench import View, take_references
+from mjtactile.explore.next_best_touch import Aim
+from mjtactile.explore.patch_from_touch import Pressed
+from mjtactile.sim.scenes.object_on_stage import Mounted, MountedWorld
 from mjtactile.sim.scenes.objects import ObjectModel
 
 MESH = (25, 21)

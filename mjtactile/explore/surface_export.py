@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.explore.run import Explored
+from mjtactile.explore.exploration import Explored
 
 SOFT = 4e-3
 """m/N: what gives way so much has the colour of the softest."""

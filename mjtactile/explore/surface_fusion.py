@@ -14,11 +14,11 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial.transform import Rotation
 
 from mjtactile.core.types import Array
-from mjtactile.explore import body
-from mjtactile.explore.families import FAMILIES, HALF, ObjectFamily
-from mjtactile.explore.foretold import excess
-from mjtactile.explore.patch import Patch, between
-from mjtactile.explore.surface import BelievedSurface, kernel, unknown
+from mjtactile.explore import superquadric
+from mjtactile.explore.shape_models import FAMILIES, HALF, ObjectFamily
+from mjtactile.explore.surface_patch import Patch, between
+from mjtactile.explore.surface_posterior import BelievedSurface, kernel, unknown
+from mjtactile.explore.variance_inflation import excess
 
 _MM = 1e3
 _FIRST_FIELD = (0.05, 8.0)  # mm: with more, bumps take up what is of doubtful patches
@@ -101,7 +101,7 @@ def _of_family(
 def _ends_flat(data: _Data, theta: Array) -> bool:
     """Whether a body's flat end was touched: what nobody touched may as well be round."""
     touched = data.points[: data.parts[-1].stop]
-    off = body.beyond_cut(theta[None], touched)[0]
+    off = superquadric.beyond_cut(theta[None], touched)[0]
     return bool((np.abs(off) < _ON_END).sum() >= _END_POINTS)
 
 
@@ -141,7 +141,7 @@ class _Data:
 
     def left(self, theta: Array) -> Array:
         """What a body leaves unexplained at the points, mm."""
-        return self.outside - body.distance(theta, self.points)
+        return self.outside - superquadric.distance(theta, self.points)
 
     def with_doubt(self, theta: Array) -> _Data:
         """With less belief in patches, and then in points, that a body says are elsewhere: where an
@@ -170,7 +170,7 @@ class _Data:
 
     def with_free(self, theta: Array) -> _Data:
         """With some of what was free, where the body would be there: as points a little outside."""
-        inside = body.distance(theta, self.free)
+        inside = superquadric.distance(theta, self.free)
         chosen: list[Array] = []
         for index in np.argsort(inside)[: np.count_nonzero(inside < 0)]:
             place = self.free[index]
@@ -197,24 +197,29 @@ Told = Callable[[Array], Array]
 
 
 def _least_squares(left: Told, slopes: Any, start: Array, rounds: int) -> OptimizeResult:
-    start = np.clip(start, body.LOW + 1e-6, body.HIGH - 1e-6)
+    start = np.clip(start, superquadric.LOW + 1e-6, superquadric.HIGH - 1e-6)
     return least_squares(
-        left, start, slopes, bounds=(body.LOW, body.HIGH), x_scale=_SCALE, max_nfev=rounds
+        left,
+        start,
+        slopes,
+        bounds=(superquadric.LOW, superquadric.HIGH),
+        x_scale=_SCALE,
+        max_nfev=rounds,
     )
 
 
 def _free_and_prior(data: _Data, family: ObjectFamily, theta: Array) -> list[Array]:
-    free = np.clip(body.distance(theta, data.free), -_FREE_MOST, 0.0) / _FREE_SD
+    free = np.clip(superquadric.distance(theta, data.free), -_FREE_MOST, 0.0) / _FREE_SD
     return [free, family.root @ (theta - family.mean)]
 
 
 def _slopes(data: _Data, family: ObjectFamily, theta: Array) -> tuple[Array, list[Array]]:
     """By the body's numbers: of its distances at the points, and of what is free and the prior."""
-    inside = body.distance(theta, data.free)
+    inside = superquadric.distance(theta, data.free)
     pulls = np.flatnonzero((inside < 0) & (inside > -_FREE_MOST))
-    rows = body.by_numbers(theta, np.concatenate([data.points, data.free[pulls]]))
+    rows = superquadric.by_numbers(theta, np.concatenate([data.points, data.free[pulls]]))
     count = len(data.points)
-    free = np.zeros((len(data.free), body.COUNT))
+    free = np.zeros((len(data.free), superquadric.COUNT))
     free[pulls] = rows[count:] / _FREE_SD
     return rows[:count], [free, family.root]
 
@@ -262,7 +267,7 @@ def _solve(
 
 def _expected(data: _Data, family: ObjectFamily, theta: Array) -> Array:
     """What is left at the points of the body that the family expects, mm, to first order."""
-    rows = body.by_numbers(theta, data.points)
+    rows = superquadric.by_numbers(theta, data.points)
     return data.left(theta) - rows @ (family.mean - theta)
 
 
@@ -271,7 +276,7 @@ def _with_field(
 ) -> BelievedSurface:
     """The field and the body's numbers about `theta`, from what was touched (Eq. E3), and how
     likely all of it is (Eq. E5)."""
-    rows = body.by_numbers(theta, data.points)
+    rows = superquadric.by_numbers(theta, data.points)
     own = kernel(data.points, data.points, *field) + data.noise
     cov = rows @ family.cov @ rows.T + own
     factor = cho_factor(cov, lower=True)

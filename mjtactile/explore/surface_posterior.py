@@ -10,8 +10,8 @@ from scipy.linalg import cho_solve
 from scipy.spatial.distance import cdist
 
 from mjtactile.core.types import Array
-from mjtactile.explore import body
-from mjtactile.explore.families import FREE, ObjectFamily
+from mjtactile.explore import superquadric
+from mjtactile.explore.shape_models import FREE, ObjectFamily
 
 _MM = 1e3
 ALIKE = 0.04
@@ -25,7 +25,7 @@ class BelievedSurface:
 
     Attributes:
         family: What the body is one of.
-        theta: (14,) The body's numbers (`mjtactile.explore.body.NAMES`).
+        theta: (14,) The body's numbers (`mjtactile.explore.superquadric.NAMES`).
         field: mm, sd and length of the field on top.
         points: (N, 3) mm, that were touched.
         weights: (N,) 1/mm, of the field's covariances with the points.
@@ -46,12 +46,12 @@ class BelievedSurface:
     def distance(self, p: Array) -> Array:
         """How far points (N, 3) m are outside, (N,) m; 0 on the surface."""
         across = kernel(_MM * p, self.points, *self.field)
-        return (body.distance(self.theta, _MM * p) + across @ self.weights) / _MM
+        return (superquadric.distance(self.theta, _MM * p) + across @ self.weights) / _MM
 
     def distance_sd(self, p: Array) -> Array:
         """Its standard deviation, (N,) m, with what all touches share."""
         p_mm = _MM * p
-        rows = body.by_numbers(self.theta, p_mm)
+        rows = superquadric.by_numbers(self.theta, p_mm)
         across = self._across(p_mm, rows)
         before = np.einsum("ni,ij,nj->n", rows, self.family.cov, rows) + self.field[0] ** 2
         told = np.einsum("nm,mn->n", across, cho_solve(self.factor, across.T))
@@ -61,7 +61,7 @@ class BelievedSurface:
         """Covariance (N, M) m^2 of the distances at points with those at others, without what all
         touches share: another touch tells nothing of that."""
         p_mm, q_mm = _MM * p, _MM * q
-        rows, others = (body.by_numbers(self.theta, at) for at in (p_mm, q_mm))
+        rows, others = (superquadric.by_numbers(self.theta, at) for at in (p_mm, q_mm))
         before = rows @ self.family.cov @ others.T + kernel(p_mm, q_mm, *self.field)
         if not len(self.points):
             return self.excess * before / _MM**2
@@ -70,7 +70,7 @@ class BelievedSurface:
 
     def _across(self, p_mm: Array, rows: Array) -> Array:
         """Covariance (N, M) mm^2 of the distances at points with those that were touched."""
-        theirs = body.by_numbers(self.theta, self.points)
+        theirs = superquadric.by_numbers(self.theta, self.points)
         return rows @ self.family.cov @ theirs.T + kernel(p_mm, self.points, *self.field)
 
 

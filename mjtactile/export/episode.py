@@ -22,11 +22,11 @@ from mjtactile.core.calibration import Calibration, calibration_from_table, pres
 from mjtactile.core.design import SensorDesign, load_sensor, sensor_from_table
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.core.types import Array, Ellipses, Image, PressureReading, Touch
-from mjtactile.recording.columns import SENSED, TRUE
 from mjtactile.recording.files import LOG, RECORDINGS, to_json
+from mjtactile.recording.log_schema import SENSED, TRUE
 from mjtactile.recording.reader import Recording, load_recording
 from mjtactile.report.overlay import followed
-from mjtactile.sensing.perception import Perception
+from mjtactile.sensing.stateful_pipeline import Perception
 
 NOT_OF_A_FINGER = ("object_position_true", "object_quaternion_true")
 """Columns of several numbers that are not one set a finger."""

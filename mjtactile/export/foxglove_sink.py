@@ -15,9 +15,9 @@ import numpy as np
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
-from mjtactile.export import stream
-from mjtactile.export.drawing import FLAGGED, TRUSTED, Arrows, DrawnMesh, ImageCurves
+from mjtactile.export import messages
 from mjtactile.export.episode import meanings
+from mjtactile.export.viewer_entities import FLAGGED, TRUSTED, Arrows, DrawnMesh, ImageCurves
 from mjtactile.recording.files import to_json
 
 PORT = 8765
@@ -34,12 +34,12 @@ class FoxgloveSink:
         self.context = foxglove.Context()
         self._channels: dict[str, Any] = {}
 
-    def log(self, item: stream.Message) -> None:
+    def log(self, item: messages.Message) -> None:
         """Send one item."""
         if item.topic not in self._channels:
             self._channels[item.topic] = _channel(item, self.context)
         message = _MESSAGES[item.kind](item)
-        self._channels[item.topic].log(message, log_time=stream.nanoseconds(item.time))
+        self._channels[item.topic].log(message, log_time=messages.nanoseconds(item.time))
 
 
 class FoxgloveFile(FoxgloveSink):
@@ -84,7 +84,7 @@ class FoxgloveServer(FoxgloveSink):
         self._server.stop()
 
 
-def _channel(item: stream.Message, context: Any) -> Any:
+def _channel(item: messages.Message, context: Any) -> Any:
     from foxglove import Channel, channels
 
     typed = {
@@ -103,7 +103,7 @@ def _channel(item: stream.Message, context: Any) -> Any:
     return Channel(item.topic, schema=_schema(item), context=context)
 
 
-def _schema(item: stream.Message) -> dict[str, Any]:
+def _schema(item: messages.Message) -> dict[str, Any]:
     """JSON schema of a touch, a wrench or a line of the log, with units and meanings."""
     what = meanings()
     if item.kind == "wrench":
@@ -127,21 +127,21 @@ def _schema(item: stream.Message) -> dict[str, Any]:
     }
 
 
-def _stamp(item: stream.Message) -> Any:
+def _stamp(item: messages.Message) -> Any:
     from foxglove.messages import Timestamp
 
-    return Timestamp(*divmod(stream.nanoseconds(item.time), 10**9))
+    return Timestamp(*divmod(messages.nanoseconds(item.time), 10**9))
 
 
-def _image(item: stream.Message) -> Any:
+def _image(item: messages.Message) -> Any:
     from foxglove.messages import CompressedImage
 
     return CompressedImage(
-        timestamp=_stamp(item), frame_id=item.frame, data=stream.png_of(item), format="png"
+        timestamp=_stamp(item), frame_id=item.frame, data=messages.png_of(item), format="png"
     )
 
 
-def _curves(item: stream.Message) -> Any:
+def _curves(item: messages.Message) -> Any:
     from foxglove.messages import Color, ImageAnnotations, Point2, PointsAnnotation
     from foxglove.messages import PointsAnnotationType as Type
 
@@ -163,7 +163,7 @@ def _curves(item: stream.Message) -> Any:
     )
 
 
-def _mesh(item: stream.Message) -> Any:
+def _mesh(item: messages.Message) -> Any:
     from foxglove.messages import Color, Point3, TriangleListPrimitive
 
     mesh: DrawnMesh = item.value
@@ -176,7 +176,7 @@ def _mesh(item: stream.Message) -> Any:
     return _entity(item, triangles=[surface])
 
 
-def _arrows(item: stream.Message) -> Any:
+def _arrows(item: messages.Message) -> Any:
     from foxglove.messages import ArrowPrimitive, Color
 
     arrows: Arrows = item.value
@@ -198,7 +198,7 @@ def _arrows(item: stream.Message) -> Any:
     return _entity(item, arrows=drawn)
 
 
-def _entity(item: stream.Message, **drawn: Any) -> Any:
+def _entity(item: messages.Message, **drawn: Any) -> Any:
     """A thing in a 3D scene, in place of what was drawn of it before."""
     from foxglove.messages import SceneEntity, SceneUpdate
 
@@ -221,7 +221,7 @@ def _rgba(rgba: Sequence[float]) -> dict[str, float]:
     return dict(zip("rgba", map(float, rgba), strict=True))
 
 
-def _camera(item: stream.Message) -> Any:
+def _camera(item: messages.Message) -> Any:
     from foxglove.messages import CameraCalibration
 
     c = item.value
@@ -239,10 +239,10 @@ def _camera(item: stream.Message) -> Any:
     )
 
 
-def _cloud(item: stream.Message) -> Any:
+def _cloud(item: messages.Message) -> Any:
     from foxglove.messages import PackedElementField, PackedElementFieldNumericType, PointCloud
 
-    cloud: stream.Cloud = item.value
+    cloud: messages.Cloud = item.value
     fields = [
         PackedElementField(name=name, offset=8 * k, type=PackedElementFieldNumericType.Float64)
         for k, name in enumerate(cloud.names)
@@ -257,7 +257,7 @@ def _cloud(item: stream.Message) -> Any:
     )
 
 
-def _joints(item: stream.Message) -> Any:
+def _joints(item: messages.Message) -> Any:
     from foxglove.messages import JointState, JointStates
 
     def known(value: float) -> float | None:
@@ -274,7 +274,7 @@ def _joints(item: stream.Message) -> Any:
     )
 
 
-def _frames(item: stream.Message) -> Any:
+def _frames(item: messages.Message) -> Any:
     from foxglove.messages import FrameTransform, FrameTransforms, Quaternion, Vector3
 
     return FrameTransforms(
@@ -284,7 +284,7 @@ def _frames(item: stream.Message) -> Any:
                 parent_frame_id=t.parent,
                 child_frame_id=t.child,
                 translation=Vector3(**_xyz(t.p)),
-                rotation=Quaternion(**dict(zip("xyzw", stream.quaternion(t.R), strict=True))),
+                rotation=Quaternion(**dict(zip("xyzw", messages.quaternion(t.R), strict=True))),
             )
             for t in item.value
         ]
@@ -296,7 +296,7 @@ def _pose(R: Array, p: Array) -> Any:
 
     return Pose(
         position=Vector3(**_xyz(p)),
-        orientation=Quaternion(**dict(zip("xyzw", stream.quaternion(R), strict=True))),
+        orientation=Quaternion(**dict(zip("xyzw", messages.quaternion(R), strict=True))),
     )
 
 
@@ -304,16 +304,16 @@ def _xyz(p: Array) -> dict[str, float]:
     return {name: float(value) for name, value in zip("xyz", p, strict=True)}
 
 
-def _json(item: stream.Message) -> Any:
+def _json(item: messages.Message) -> Any:
     if item.kind == "wrench":
         values = dict(zip(_WRENCH, item.value, strict=True))
     else:
         values = dict(item.value)
-    sec, nsec = divmod(stream.nanoseconds(item.time), 10**9)
+    sec, nsec = divmod(messages.nanoseconds(item.time), 10**9)
     return to_json({"timestamp": {"sec": sec, "nsec": nsec}, "frame_id": item.frame, **values})
 
 
-_MESSAGES: dict[str, Callable[[stream.Message], Any]] = {
+_MESSAGES: dict[str, Callable[[messages.Message], Any]] = {
     "image": _image,
     "curves": _curves,
     "mesh": _mesh,

@@ -15,10 +15,10 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
-from mjtactile.export import stream
-from mjtactile.export.drawing import Drawing
+from mjtactile.export import messages
 from mjtactile.export.episode import Perceived
-from mjtactile.recording.columns import make_row
+from mjtactile.export.viewer_entities import Drawing
+from mjtactile.recording.log_schema import make_row
 from mjtactile.recording.observer import Observer
 from mjtactile.report.overlay import followed
 
@@ -44,7 +44,7 @@ class Sink(Protocol):
     where: str
     forgets: bool
 
-    def log(self, item: stream.Message) -> None: ...
+    def log(self, item: messages.Message) -> None: ...
     def close(self) -> None: ...
 
 
@@ -186,8 +186,8 @@ def _show(sink: Sink, drawing: Drawing, seen: Perceived, *, first: bool) -> None
     """Send all of one cycle; the `first` time also where the cameras stand."""
     source = drawing.source
     if first:
-        sink.log(stream.cameras(source, seen.time))
-    for item in stream.of_cycle(source, seen):
+        sink.log(messages.cameras(source, seen.time))
+    for item in messages.of_cycle(source, seen):
         sink.log(item)
     for item in drawing.of(seen):
         sink.log(item)

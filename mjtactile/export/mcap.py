@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from mjtactile.export import stream
-from mjtactile.export.drawing import drawn_items
+from mjtactile.export import messages
 from mjtactile.export.episode import RecordedEpisode
 from mjtactile.export.foxglove_sink import FoxgloveFile
+from mjtactile.export.viewer_entities import drawn_items
 
 
 def write(
@@ -37,7 +37,7 @@ def _write_one(episode: RecordedEpisode, path: Path) -> None:
 
 def _attach(episode: RecordedEpisode, writer: Any) -> None:
     """The recording's facts, files and reference images."""
-    start = stream.nanoseconds(float(episode.recording.columns["time"][0]))
+    start = messages.nanoseconds(float(episode.recording.columns["time"][0]))
     facts = {
         key: value if isinstance(value, str) else json.dumps(value)
         for key, value in episode.facts.items()

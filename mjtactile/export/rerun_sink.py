@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.errors import InputError
-from mjtactile.export import stream
-from mjtactile.export.drawing import FLAGGED, TRUSTED, Arrows, DrawnMesh, ImageCurves
+from mjtactile.export import messages
+from mjtactile.export.viewer_entities import FLAGGED, TRUSTED, Arrows, DrawnMesh, ImageCurves
 
 PORT = 9876
 _ARROW_RADIUS = 3e-4  # m
@@ -39,7 +39,7 @@ class RerunSink:
             self._parents[f"{finger}_sensor"] = "world" if pictured else "gripper_start/gripper"
         self._fingers = tuple(fingers)
         self._phase = ""
-        self._log: dict[str, Callable[[stream.Message], None]] = {
+        self._log: dict[str, Callable[[messages.Message], None]] = {
             "image": self._image,
             "curves": self._curves,
             "mesh": self._mesh,
@@ -54,7 +54,7 @@ class RerunSink:
             "cycle": self._cycle,
         }
 
-    def log(self, item: stream.Message) -> None:
+    def log(self, item: messages.Message) -> None:
         """Send one item."""
         self.stream.set_time("rig", duration=item.time)
         self._log[item.kind](item)
@@ -90,22 +90,22 @@ class RerunSink:
     def _send(self, path: str, what: Any, *, static: bool = False) -> None:
         self.stream.log(path.split("/"), what, static=static)  # parts are escaped
 
-    def _in_frame(self, item: stream.Message) -> str:
+    def _in_frame(self, item: messages.Message) -> str:
         """The entity of what is drawn in a frame."""
         place = self._place(item.frame)
         name = item.topic.strip("/").removesuffix("/drawn").split("/")[-1]
         return place if item.topic == f"/{item.frame}" else f"{place}/{name}"
 
-    def _image(self, item: stream.Message) -> None:
-        picture = self._rr.EncodedImage(contents=stream.png_of(item), media_type="image/png")
+    def _image(self, item: messages.Message) -> None:
+        picture = self._rr.EncodedImage(contents=messages.png_of(item), media_type="image/png")
         self._send(self._in_frame(item), picture)
 
-    def _curves(self, item: stream.Message) -> None:
+    def _curves(self, item: messages.Message) -> None:
         curves: ImageCurves = item.value
         colours = np.where(curves.trusted[:, None], _rgba(TRUSTED), _rgba(FLAGGED))
         self._send(self._in_frame(item), self._rr.LineStrips2D(curves.points, colors=colours))
 
-    def _mesh(self, item: stream.Message) -> None:
+    def _mesh(self, item: messages.Message) -> None:
         mesh: DrawnMesh = item.value
         drawn = self._rr.Mesh3D(
             vertex_positions=mesh.points,
@@ -115,7 +115,7 @@ class RerunSink:
         )
         self._send(self._in_frame(item), drawn)
 
-    def _arrows(self, item: stream.Message) -> None:
+    def _arrows(self, item: messages.Message) -> None:
         arrows: Arrows = item.value
         drawn = self._rr.Arrows3D(
             origins=arrows.tails,
@@ -125,7 +125,7 @@ class RerunSink:
         )
         self._send(self._in_frame(item), drawn)
 
-    def _camera(self, item: stream.Message) -> None:
+    def _camera(self, item: messages.Message) -> None:
         lens = item.value
         place = self._place(item.frame)
         pinhole = self._rr.Pinhole(
@@ -135,30 +135,30 @@ class RerunSink:
         )
         self._send(place, pinhole, static=True)
 
-    def _cloud(self, item: stream.Message) -> None:
+    def _cloud(self, item: messages.Message) -> None:
         """Markers; of membrane and tractions surface and arrows are drawn."""
         if item.topic.endswith("/markers"):
-            cloud: stream.Cloud = item.value
+            cloud: messages.Cloud = item.value
             points = self._rr.Points3D(cloud.values[:, :3], radii=_POINT_RADIUS)
             self._send(self._in_frame(item), points)
 
-    def _joints(self, item: stream.Message) -> None:
+    def _joints(self, item: messages.Message) -> None:
         for name, (position, _, effort) in item.value.items():
             self._number(f"gripper/{name}", position)
             self._number(f"gripper/{name}_effort", effort)
 
-    def _frames(self, item: stream.Message) -> None:
+    def _frames(self, item: messages.Message) -> None:
         for t in item.value:
             self._parents.setdefault(t.child, self._place(t.parent))
             pose = self._rr.Transform3D(translation=t.p, mat3x3=t.R)
             self._send(self._place(t.child), pose, static=item.kind == "static")
 
-    def _wrench(self, item: stream.Message) -> None:
+    def _wrench(self, item: messages.Message) -> None:
         if np.isfinite(item.value).all():
             finger = item.topic.split("/")[1]
             self._send(f"wrench/{finger}", self._rr.Scalars(item.value))
 
-    def _touch(self, item: stream.Message) -> None:
+    def _touch(self, item: messages.Message) -> None:
         finger = item.topic.split("/")[1]
         self._number(f"force/{finger}", item.value["force_normal"])
         if "pressure_gauge" in item.value:
@@ -166,7 +166,7 @@ class RerunSink:
         if item.value["status_code"] != "ok":
             self._send(f"log/{finger}", self._rr.TextLog(str(item.value["status"]), level="WARN"))
 
-    def _cycle(self, item: stream.Message) -> None:
+    def _cycle(self, item: messages.Message) -> None:
         row = item.value
         phase = str(row["phase"])
         if phase != self._phase:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.export import stream
+from mjtactile.export import messages
 from mjtactile.export.episode import RecordedEpisode
 from mjtactile.recording.files import to_json
 
@@ -115,7 +115,7 @@ class _Bag:
     def __init__(self, episode: RecordedEpisode):
         self._episode = episode
         self._store = typestore()
-        self._make: dict[str, tuple[str, Callable[[stream.Message], Any]]] = {
+        self._make: dict[str, tuple[str, Callable[[messages.Message], Any]]] = {
             "image": ("sensor_msgs/msg/Image", self._image),
             "camera": ("sensor_msgs/msg/CameraInfo", self._camera),
             "wrench": ("geometry_msgs/msg/WrenchStamped", self._wrench),
@@ -144,7 +144,7 @@ class _Bag:
                     )
                 bag.write(
                     connections[item.topic],
-                    stream.nanoseconds(item.time),
+                    messages.nanoseconds(item.time),
                     self._store.serialize_cdr(make(item), kind),
                 )
             for name, value in self._episode.facts.items():
@@ -158,30 +158,30 @@ class _Bag:
         for reference in recording.references:
             for k, finger in enumerate(self._episode.fingers):
                 for image in reference.images(k) if reference.names else ():
-                    yield stream.Message(
+                    yield messages.Message(
                         f"/{finger}/reference/{reference.stage}",
                         "image",
                         image.time,
                         f"{finger}_camera",
                         (image,),
                     )
-        for item in stream.items(self._episode):
+        for item in messages.items(self._episode):
             yield item
             if item.kind == "cycle":
-                yield stream.Message("/command", "command", item.time, "", item.value)
+                yield messages.Message("/command", "command", item.time, "", item.value)
 
     def _of(self, kind: str, /, **values: Any) -> Any:
         return self._store.types[kind](**values)
 
-    def _header(self, item: stream.Message, frame: str | None = None) -> Any:
-        sec, nanosec = divmod(stream.nanoseconds(item.time), 10**9)
+    def _header(self, item: messages.Message, frame: str | None = None) -> Any:
+        sec, nanosec = divmod(messages.nanoseconds(item.time), 10**9)
         return self._of(
             "std_msgs/msg/Header",
             stamp=self._of("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec),
             frame_id=item.frame if frame is None else frame,
         )
 
-    def _image(self, item: stream.Message) -> Any:
+    def _image(self, item: messages.Message) -> Any:
         pixels = item.value[0].pixels
         height, width = pixels.shape
         return self._of(
@@ -195,7 +195,7 @@ class _Bag:
             data=np.ascontiguousarray(pixels).ravel(),
         )
 
-    def _camera(self, item: stream.Message) -> Any:
+    def _camera(self, item: messages.Message) -> Any:
         c = item.value
         whole = self._of(
             "sensor_msgs/msg/RegionOfInterest",
@@ -226,7 +226,7 @@ class _Bag:
             **{name: float(v) for name, v in zip("xyz", values, strict=True)},
         )
 
-    def _wrench(self, item: stream.Message) -> Any:
+    def _wrench(self, item: messages.Message) -> Any:
         wrench = self._of(
             "geometry_msgs/msg/Wrench",
             force=self._vector(item.value[:3]),
@@ -234,7 +234,7 @@ class _Bag:
         )
         return self._of("geometry_msgs/msg/WrenchStamped", header=self._header(item), wrench=wrench)
 
-    def _touch(self, item: stream.Message) -> Any:
+    def _touch(self, item: messages.Message) -> Any:
         name = f"{PACKAGE}/msg/Touch"
         fields = [
             (field, kind) for field, kind in self._store.fielddefs[name][1] if field != "header"
@@ -248,8 +248,8 @@ class _Bag:
             },
         )
 
-    def _cloud(self, item: stream.Message) -> Any:
-        cloud: stream.Cloud = item.value
+    def _cloud(self, item: messages.Message) -> Any:
+        cloud: messages.Cloud = item.value
         fields = [
             self._of("sensor_msgs/msg/PointField", name=name, offset=4 * k, datatype=7, count=1)
             for k, name in enumerate(cloud.names)
@@ -268,7 +268,7 @@ class _Bag:
             is_dense=bool(np.isfinite(data).all()),
         )
 
-    def _joints(self, item: stream.Message) -> Any:
+    def _joints(self, item: messages.Message) -> Any:
         position, velocity, effort = np.ascontiguousarray(
             np.array(list(item.value.values()), float).T
         )
@@ -281,11 +281,11 @@ class _Bag:
             effort=effort,
         )
 
-    def _frames(self, item: stream.Message) -> Any:
-        def one(t: stream.Transform) -> Any:
+    def _frames(self, item: messages.Message) -> Any:
+        def one(t: messages.Transform) -> Any:
             q = self._of(
                 "geometry_msgs/msg/Quaternion",
-                **dict(zip("xyzw", map(float, stream.quaternion(t.R)), strict=True)),
+                **dict(zip("xyzw", map(float, messages.quaternion(t.R)), strict=True)),
             )
             transform = self._of(
                 "geometry_msgs/msg/Transform", translation=self._vector(t.p), rotation=q
@@ -299,7 +299,7 @@ class _Bag:
 
         return self._of("tf2_msgs/msg/TFMessage", transforms=[one(t) for t in item.value])
 
-    def _command(self, item: stream.Message) -> Any:
+    def _command(self, item: messages.Message) -> Any:
         row: Mapping[str, Any] = item.value
         return self._of(
             f"{PACKAGE}/msg/Command",
@@ -311,7 +311,7 @@ class _Bag:
             },
         )
 
-    def _line(self, item: stream.Message) -> Any:
+    def _line(self, item: messages.Message) -> Any:
         return self._of("std_msgs/msg/String", data=json.dumps(to_json(item.value)))
 
 

@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from mjtactile.export.drawing import drawn_items
 from mjtactile.export.episode import RecordedEpisode
 from mjtactile.export.rerun_sink import RerunSink, to_file
+from mjtactile.export.viewer_entities import drawn_items
 
 
 def write(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array, Ellipses, Surface, Traction
 from mjtactile.export.episode import Perceived, RecordedEpisode
-from mjtactile.export.stream import Message, Source, Transform, cameras, of_cycle, stamp_of
+from mjtactile.export.messages import Message, Source, Transform, cameras, of_cycle, stamp_of
 from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
 
 FORCE = 0.02  # m of arrow for each N

@@ -6,10 +6,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from mjtactile.make.camera import Optics
-from mjtactile.make.layout import Layout
-from mjtactile.make.limits import MM
-from mjtactile.make.patterns import sheet_size
+from mjtactile.fabrication.camera_check import Optics
+from mjtactile.fabrication.housing_layout import Layout
+from mjtactile.fabrication.manufacturability import MM
+from mjtactile.fabrication.print_templates import sheet_size
 
 _FORCE = 2.5  # N, the most of the paper's measurements
 _FORCE_STEP = 0.004  # N: a tenth of the paper's error, for the pressure sensor's resolution

@@ -12,17 +12,17 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError, MjtactileError
-from mjtactile.make import bill, manual, mesh, patterns, pictures
-from mjtactile.make.camera import Optics, plan_camera
-from mjtactile.make.hardware import Hardware
-from mjtactile.make.layout import Layout
-from mjtactile.make.parts import PEG, make_parts, pegs
-from mjtactile.make.sheets import write_pdf, write_png, write_svg
-from mjtactile.make.solid import Contour, Part, circle, crossing, plate
-from mjtactile.make.states import SheetState, press_depth, simulate
-from mjtactile.make.step import write_step
+from mjtactile.fabrication import bill_of_materials, manual, mesh, part_renderings, print_templates
+from mjtactile.fabrication.camera_check import Optics, plan_camera
+from mjtactile.fabrication.drawing_pages import write_pdf, write_png, write_svg
+from mjtactile.fabrication.housing_layout import Layout
+from mjtactile.fabrication.layered_solid import Contour, Part, circle, crossing, plate
+from mjtactile.fabrication.marker_positions import SheetState, press_depth, simulate
+from mjtactile.fabrication.parts import PEG, make_parts, pegs
+from mjtactile.fabrication.purchased_parts import Hardware
+from mjtactile.fabrication.step_file import write_step
 from mjtactile.report.figures import new_figure
-from mjtactile.sim.picture.renderer import Renderer
+from mjtactile.sim.rendering.renderer import Renderer
 
 _VOLUME = 2e-3  # of a part's volume: chords in place of arcs
 _APART = (("clamp_ring", "frame"), ("glass", "frame"), ("camera", "led_ring"), ("camera", "glass"))
@@ -88,7 +88,7 @@ def _check_parts(parts: dict[str, Part], solids: dict[str, Any]) -> None:
             raise InputError(
                 f"holes and edges of the {name} would meet; other camera or lens dimensions "
                 "(--camera-holes-mm, --lens-mm, --pupil-mm) may help",
-                source="make",
+                source="fabricate",
                 field="parts",
             )
         volume = solids[name].volume()
@@ -101,23 +101,23 @@ def _check_parts(parts: dict[str, Part], solids: dict[str, Any]) -> None:
         raise InputError(
             f"the {one} and the {other} would intersect by {volume:.3g} mm3; other camera or lens "
             "dimensions (--camera-holes-mm, --lens-mm, --pupil-mm) may help",
-            source="make",
+            source="fabricate",
             field="parts",
         )
 
 
 def _papers(layout: Layout) -> dict[str, bytes]:
-    pages = patterns.marker_pages(layout)
-    board = patterns.board_page(layout.design)
+    pages = print_templates.marker_pages(layout)
+    board = print_templates.board_page(layout.design)
     svgs = {
         "markers": pages[0],
         "stencil": pages[1],
         "board": board,
-        "led_ring": patterns.led_page(layout),
-        "gasket": patterns.cut_page(layout),
+        "led_ring": print_templates.led_page(layout),
+        "gasket": print_templates.cut_page(layout),
     }
     pdfs = {"markers": pages, "board": [board]}
-    fiducials = patterns.fiducial_page(layout)
+    fiducials = print_templates.fiducial_page(layout)
     if fiducials is not None:
         svgs["fiducials"] = fiducials
         pdfs["fiducials"] = [fiducials]
@@ -126,10 +126,11 @@ def _papers(layout: Layout) -> dict[str, bytes]:
 
 
 def _bill(layout: Layout, optics: Optics) -> str:
-    items = bill.bill(layout, optics)
+    items = bill_of_materials.bill(layout, optics)
     return (
         f"# What to buy for {layout.design.name!r}\n\nFor one finger, worked out of the sensor "
-        f"file; what is called typical is a kind of part, not a shop's.\n\n{bill.table(items)}\n"
+        f"file; what is called typical is a kind of part, not a shop's.\n\n"
+        f"{bill_of_materials.table(items)}\n"
     )
 
 
@@ -149,13 +150,15 @@ def _pictures(layout: Layout, optics: Optics, parts: dict[str, Part]) -> dict[st
             if step.cut:
                 shifts = dict.fromkeys(step.parts, 0.0)
             else:
-                shifts = pictures.pulled_apart(parts, step.parts)
-            bodies = pictures.bodies_of(parts, solids, shifts)
-            found[step.picture] = pictures.save_png(bodies, f"{step.picture}.png", **step.view)
+                shifts = part_renderings.pulled_apart(parts, step.parts)
+            bodies = part_renderings.bodies_of(parts, solids, shifts)
+            found[step.picture] = part_renderings.save_png(
+                bodies, f"{step.picture}.png", **step.view
+            )
     found["camera_view"] = _camera_view(layout.design, optics)
-    half = patterns.sheet_size(layout)
-    found["print"] = write_png(patterns.marker_pages(layout)[0], half[0] + 2, half[1] + 2)
-    fiducials = patterns.fiducial_page(layout)
+    half = print_templates.sheet_size(layout)
+    found["print"] = write_png(print_templates.marker_pages(layout)[0], half[0] + 2, half[1] + 2)
+    fiducials = print_templates.fiducial_page(layout)
     if fiducials is not None:
         found["fiducials"] = write_png(fiducials, layout.outer_x, layout.outer_y)
     return {name: png for name, png in found.items() if png is not None}

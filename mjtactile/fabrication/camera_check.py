@@ -28,10 +28,10 @@ from mjtactile.core import optics
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
-from mjtactile.make import hardware as hw
-from mjtactile.make.hardware import Hardware
-from mjtactile.make.limits import Limit
-from mjtactile.make.states import SheetState
+from mjtactile.fabrication import purchased_parts as hw
+from mjtactile.fabrication.manufacturability import Limit
+from mjtactile.fabrication.marker_positions import SheetState
+from mjtactile.fabrication.purchased_parts import Hardware
 
 _AROUND = 24  # points of a marker's edge
 _STOPS = (2.0, 2.8, 4.0, 5.6, 8.0)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
-from mjtactile.make.solid import Contour, Traced
+from mjtactile.fabrication.layered_solid import Contour, Traced
 
 # A4, A3, upright and across
 _PAPERS = ((210.0, 297.0), (297.0, 210.0), (297.0, 420.0), (420.0, 297.0))

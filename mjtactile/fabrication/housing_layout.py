@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.sensor_parts import FrameShape
-from mjtactile.make import hardware as hw
-from mjtactile.make.hardware import BOLTS, PORTS, AirPort, Bolt, Hardware
-from mjtactile.make.limits import MM, Limit, check_all, limits_of
+from mjtactile.fabrication import purchased_parts as hw
+from mjtactile.fabrication.manufacturability import MM, Limit, check_all, limits_of
+from mjtactile.fabrication.purchased_parts import BOLTS, PORTS, AirPort, Bolt, Hardware
 
 _FLAT = 0.5  # mm of a wall beside the port's bore
 _SMALL = 25.0  # mm: openings below it get the smaller bolts

@@ -7,16 +7,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from mjtactile.make import hardware as hw
-from mjtactile.make.bill import hose_volume
-from mjtactile.make.camera import Optics, mirrored_in_picture
-from mjtactile.make.layout import Layout
-from mjtactile.make.limits import MM, glass_stress, opening_margins
-from mjtactile.make.patterns import board_of, sheet_size
-from mjtactile.make.pictures import FRONT, SIDE
-from mjtactile.make.solid import Part
-from mjtactile.make.states import SheetState, growth
-from mjtactile.sim.sensor.limits import STRETCHED
+from mjtactile.fabrication import purchased_parts as hw
+from mjtactile.fabrication.bill_of_materials import hose_volume
+from mjtactile.fabrication.camera_check import Optics, mirrored_in_picture
+from mjtactile.fabrication.housing_layout import Layout
+from mjtactile.fabrication.layered_solid import Part
+from mjtactile.fabrication.manufacturability import MM, glass_stress, opening_margins
+from mjtactile.fabrication.marker_positions import SheetState, growth
+from mjtactile.fabrication.part_renderings import FRONT, SIDE
+from mjtactile.fabrication.print_templates import board_of, sheet_size
+from mjtactile.sim.sensor.validity_checks import STRETCHED
 
 
 @dataclass(frozen=True)
@@ -276,7 +276,7 @@ def readme(
         )
     return f"""# Sensor {layout.design.name!r}: all that a bench needs
 
-Made by `mjtactile make` from `{source}`; `sensor.toml` is a copy of it. Begin with
+Made by `mjtactile fabricate` from `{source}`; `sensor.toml` is a copy of it. Begin with
 [assembly.md](assembly.md); buy what is in [bill.md](bill.md).
 
 | file | what |

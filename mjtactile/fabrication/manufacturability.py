@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
-from mjtactile.make import hardware as hw
-from mjtactile.make.hardware import Hardware
+from mjtactile.fabrication import purchased_parts as hw
+from mjtactile.fabrication.purchased_parts import Hardware
 
 MM = 1e3  # mm in a m
 # mm: what a stencil's film can be cut to, and a sheet be laid to by hand

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjtactile.core import theory
+from mjtactile.core import analytical_solutions
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.core.types import Array
-from mjtactile.make.hardware import Hardware
-from mjtactile.make.limits import Limit
+from mjtactile.fabrication.manufacturability import Limit
+from mjtactile.fabrication.purchased_parts import Hardware
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 _BALL = 0.008  # m, of the indenter, or a quarter of the frame's shorter side
@@ -87,8 +87,8 @@ def simulate(
     )
     if (
         supply > 0
-        and np.isnan(theory.bulge_height(design, supply))
-        and not np.isnan(theory.bulge_height(design, 1.0))
+        and np.isnan(analytical_solutions.bulge_height(design, supply))
+        and not np.isnan(analytical_solutions.bulge_height(design, 1.0))
     ):
         Limit(
             "chamber.supply_gauge_kPa",
@@ -140,7 +140,7 @@ def _pressure_limit(design: SensorDesign) -> float:
     high = design.chamber.supply_gauge
     for _ in range(40):
         middle = (low + high) / 2
-        if np.isnan(theory.bulge_height(design, middle)):
+        if np.isnan(analytical_solutions.bulge_height(design, middle)):
             high = middle
         else:
             low = middle

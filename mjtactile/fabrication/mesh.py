@@ -12,7 +12,7 @@ import numpy as np
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
-from mjtactile.make.solid import Layer, Part
+from mjtactile.fabrication.layered_solid import Layer, Part
 
 # chords of a quarter circle, of files (0.12 % of a radius off) and of pictures
 PER_QUARTER = 16
@@ -26,7 +26,8 @@ def require_libraries() -> None:
     missing = [name for name in ("manifold3d", "matplotlib") if find_spec(name) is None]
     if missing:
         raise InputError(
-            f"needs {' and '.join(missing)}: pip install 'mjtactile[make]'", source="make"
+            f"needs {' and '.join(missing)}: pip install 'mjtactile[fabrication]'",
+            source="fabricate",
         )
 
 

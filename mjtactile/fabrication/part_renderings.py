@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
+from mjtactile.fabrication.layered_solid import Part
+from mjtactile.fabrication.mesh import triangles_of
 from mjtactile.kernels import kernel
-from mjtactile.make.mesh import triangles_of
-from mjtactile.make.solid import Part
 from mjtactile.report.figures import new_figure
 
 _LIGHT = np.array([-0.35, 0.60, 0.72])  # right, up, towards the viewer

@@ -7,10 +7,19 @@ import math
 from itertools import pairwise
 
 from mjtactile.core.sensor_parts import FrameShape
-from mjtactile.make import hardware as hw
-from mjtactile.make.layout import Layout
-from mjtactile.make.limits import MM
-from mjtactile.make.solid import Bore, Contour, Layer, Part, Region, Traced, circle, plate
+from mjtactile.fabrication import purchased_parts as hw
+from mjtactile.fabrication.housing_layout import Layout
+from mjtactile.fabrication.layered_solid import (
+    Bore,
+    Contour,
+    Layer,
+    Part,
+    Region,
+    Traced,
+    circle,
+    plate,
+)
+from mjtactile.fabrication.manufacturability import MM
 
 _PRINTED = (0.36, 0.40, 0.46)
 _LIGHT = (0.55, 0.60, 0.66)

@@ -13,9 +13,11 @@ import math
 
 from mjtactile.calibrate.camera import Board
 from mjtactile.core.design import SensorDesign
-from mjtactile.make.layout import Layout
-from mjtactile.make.limits import MM, marker_shrink
-from mjtactile.make.parts import (
+from mjtactile.fabrication.drawing_pages import DrawnShape, PrintedSheet, cross, line, page
+from mjtactile.fabrication.housing_layout import Layout
+from mjtactile.fabrication.layered_solid import Contour, circle
+from mjtactile.fabrication.manufacturability import MM, marker_shrink
+from mjtactile.fabrication.parts import (
     PEG,
     bolt_holes,
     flange,
@@ -25,8 +27,6 @@ from mjtactile.make.parts import (
     opening,
     pegs,
 )
-from mjtactile.make.sheets import DrawnShape, PrintedSheet, cross, line, page
-from mjtactile.make.solid import Contour, circle
 
 _SHEET_EDGE = 6.0  # mm of rubber beyond the pegs, mounted
 _FILM_PLAY = 0.1  # mm of the fiducials' film to the groove's walls

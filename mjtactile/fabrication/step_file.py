@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.make.solid import Bore, Contour, Layer, Part
+from mjtactile.fabrication.layered_solid import Bore, Contour, Layer, Part
 
 _NUDGE = 1e-4  # mm off a contour, to ask what is on either side of it
 _X, _Y, _Z = np.eye(3)

@@ -16,9 +16,9 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
-from mjtactile.fit.evidence import Evidence
-from mjtactile.fit.least import Scale, differences, gauss_newton
-from mjtactile.fit.statics import Simulated, is_fast
+from mjtactile.fit.gauss_newton import Scale, differences, gauss_newton
+from mjtactile.fit.measurements import Evidence
+from mjtactile.fit.membrane_fit import Simulated, is_fast
 from mjtactile.sim.sensor.gas import ChamberGas
 
 _OUTLIER = 3.0  # sd: from there on a reading counts less

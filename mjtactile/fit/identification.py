@@ -16,13 +16,13 @@ from mjtactile.core import resources
 from mjtactile.core.design import SensorDesign, load_sensor, sensor_from_table
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
-from mjtactile.fit.evidence import Evidence, read_evidence
 from mjtactile.fit.gas import GasFit, fit_gas, predict, sealed_runs
-from mjtactile.fit.picture import fit_picture
+from mjtactile.fit.image_noise import fit_picture
+from mjtactile.fit.measurements import Evidence, read_evidence
+from mjtactile.fit.membrane_fit import SheetFit, fit_sheet, replay, simulate
+from mjtactile.fit.parameter_info import ABOUT, GAS_SHARE, correlations
 from mjtactile.fit.result import FIELD, SI, FitResult, HeldOut, covariance_of, numbers_of
-from mjtactile.fit.statics import SheetFit, fit_sheet, replay, simulate
-from mjtactile.fit.toml import rewrite
-from mjtactile.fit.words import ABOUT, GAS_SHARE, correlations
+from mjtactile.fit.rewrite_sensor_file import rewrite
 from mjtactile.recording.reader import load_recording
 
 TOUCH_SD = 5e-5  # m: how well a person finds first touch

@@ -18,9 +18,9 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.optics import Camera
 from mjtactile.core.types import Array, Image
 from mjtactile.sensing.image.candidates import find
-from mjtactile.sensing.image.fit import fit_candidates
+from mjtactile.sensing.image.ellipse_fit import fit_candidates
 from mjtactile.sensing.settings import DEFAULTS
-from mjtactile.sim.picture.light import Light
+from mjtactile.sim.rendering.led_illumination import Light
 
 # variance of rounding to whole grey levels; and, in px^2, of a pixel's own width
 _ROUNDING = 1 / 12

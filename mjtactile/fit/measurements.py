@@ -19,9 +19,9 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, Image, Markers
 from mjtactile.recording.reader import Recording, load_recording
-from mjtactile.recording.stage import Move, Stage, stage_from_note
-from mjtactile.sensing.chain import Chain
-from mjtactile.sensing.state import ChainState
+from mjtactile.recording.stage_protocol import Move, Stage, stage_from_note
+from mjtactile.sensing.pipeline import Chain
+from mjtactile.sensing.pipeline_state import ChainState
 
 _SETTLING = 0.3  # s after a move before its hold counts
 _HOLD_MOST = 0.7  # s at the end of a hold that are averaged

@@ -15,12 +15,12 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
-from mjtactile.fit.evidence import Evidence, Hold
-from mjtactile.fit.least import Scale, Solution, gauss_newton
-from mjtactile.recording.stage import Move
+from mjtactile.fit.gauss_newton import Scale, Solution, gauss_newton
+from mjtactile.fit.measurements import Evidence, Hold
+from mjtactile.recording.stage_protocol import Move
 from mjtactile.sim.attach import default_mesh
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
-from mjtactile.sim.scenes.stage import LIFTED, StageDrive
+from mjtactile.sim.scenes.stage_drive import LIFTED, StageDrive
 
 # m: what a marker is off by besides its noise; much the same in every hold, so that holds do not
 # average it
@@ -51,7 +51,7 @@ SCALES = {
     "friction": Scale(0.02, 5.0),
 }
 """What of `Membrane` is fitted. Thickness and modulus enter as their product: see
-`mjtactile.fit.words`."""
+`mjtactile.fit.parameter_info`."""
 
 
 @dataclass(frozen=True, eq=False)

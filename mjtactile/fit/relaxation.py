@@ -21,12 +21,12 @@ from scipy.optimize import nnls
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
-from mjtactile.fit.evidence import calibration_of, pressures_at
+from mjtactile.fit.measurements import calibration_of, pressures_at
 from mjtactile.recording.reader import Recording, load_recording
-from mjtactile.sensing.force.inverse import InverseMembrane
-from mjtactile.sensing.force.rest import InverseRest
-from mjtactile.sensing.force.sheet import Gas
-from mjtactile.sensing.perception import Perception
+from mjtactile.sensing.force.inverse_fem import InverseMembrane
+from mjtactile.sensing.force.rest_equilibrium import InverseRest
+from mjtactile.sensing.force.spline_fem import Gas
+from mjtactile.sensing.stateful_pipeline import Perception
 
 SHORTEST = 1.0  # s: what fades faster is gone before the membrane stands still
 _FREE_LEAST = 10.0  # s of a free membrane that say anything

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from mjtactile.fit.parameter_info import NOT_FITTED, SD95, FittedNumber, digits
 from mjtactile.fit.result import FitResult
-from mjtactile.fit.words import NOT_FITTED, SD95, FittedNumber, digits
 
 
 def text_of(result: FitResult) -> str:

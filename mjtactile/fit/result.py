@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from mjtactile.core.config_fields import scalars
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.fields import scalars
 from mjtactile.core.types import Array
-from mjtactile.fit.evidence import Evidence
 from mjtactile.fit.gas import GasFit
-from mjtactile.fit.picture import PictureFit
-from mjtactile.fit.statics import SheetFit
-from mjtactile.fit.words import ABOUT, FittedNumber, judge, missing
+from mjtactile.fit.image_noise import PictureFit
+from mjtactile.fit.measurements import Evidence
+from mjtactile.fit.membrane_fit import SheetFit
+from mjtactile.fit.parameter_info import ABOUT, FittedNumber, judge, missing
 
 _UNKNOWN_SHARE = 0.3  # of the thickness, before somebody measured it
 SI = {

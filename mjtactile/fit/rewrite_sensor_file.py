@@ -6,7 +6,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from mjtactile.fit.words import FittedNumber, digits
+from mjtactile.fit.parameter_info import FittedNumber, digits
 
 
 def rewrite(text: str, numbers: Sequence[FittedNumber], head: str) -> str:

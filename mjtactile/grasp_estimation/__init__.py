@@ -2,8 +2,13 @@
 (`felt`: of one moment; `follow`: the test for slip; `belief`,
 `frames`, `load`, `spring` and `trial`: friction, load and stiffness, from image to image)."""
 
-from mjtactile.hold.belief import Belief
-from mjtactile.hold.felt import (
+from mjtactile.grasp_estimation.frame_load import Frames
+from mjtactile.grasp_estimation.friction_estimator import Belief
+from mjtactile.grasp_estimation.friction_probe import Trial
+from mjtactile.grasp_estimation.grip_stiffness import Spring
+from mjtactile.grasp_estimation.load_estimator import Load
+from mjtactile.grasp_estimation.slip_test import Following, follows
+from mjtactile.grasp_estimation.touch_statics import (
     GAIN_SD,
     GRAVITY,
     Friction,
@@ -17,11 +22,6 @@ from mjtactile.hold.felt import (
     support,
     weigh,
 )
-from mjtactile.hold.follow import Following, follows
-from mjtactile.hold.frames import Frames
-from mjtactile.hold.load import Load
-from mjtactile.hold.spring import Spring
-from mjtactile.hold.trial import Trial
 
 __all__ = [
     "GAIN_SD",

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjtactile.core.types import Touch
-from mjtactile.hold.felt import friction, shear
+from mjtactile.grasp_estimation.touch_statics import friction, shear
 
 # Tried in simulation (docs/how-to/controllers.md). s that a slip is said late, and within which all
 # fingers must say it; s until it counts again, and until a proof is forgotten (things get wet)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mjtactile.core.types import Touch
-from mjtactile.hold.felt import shear
+from mjtactile.grasp_estimation.touch_statics import shear
 
 _LOOSE = 0.75  # of the grip meanwhile: what passes holds with a third to spare
 _TIME = 0.4  # s, of which a command takes 0.12 to be felt

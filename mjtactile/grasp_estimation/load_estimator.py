@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mjtactile.core.types import Array, Touch
-from mjtactile.hold.felt import GRAVITY, downward, load_vector, shear
+from mjtactile.grasp_estimation.touch_statics import GRAVITY, downward, load_vector, shear
 
 _KEPT = 1.5  # s in which a load that has gone is forgotten: half of a shake is light
 _SPARE = 0.02  # N of shear beside what is felt: its noise, and what begins to come on

@@ -17,23 +17,23 @@ import gymnasium
 import numpy as np
 
 from mjtactile.core.errors import DeviceError, InputError, SimulationError
-from mjtactile.core.levels import left_out_of
+from mjtactile.core.fidelity_levels import left_out_of
 from mjtactile.core.policy import policy_command, share_let_go
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.task import load_task
 from mjtactile.core.types import Array
-from mjtactile.gym.observe import show, space_of
+from mjtactile.gym.observation_space import show, space_of
 from mjtactile.recording.observer import Observer
+from mjtactile.rig.domain_randomization import NONE
 from mjtactile.rig.finger import Rig
 from mjtactile.rig.registry import SIMULATES, build_rig
-from mjtactile.rig.variation import NONE
-from mjtactile.run.cycle import ENDS, ControlCycle
-from mjtactile.run.judge import Judge
-from mjtactile.run.perceive import Perceivers
-from mjtactile.run.scoring import GraspScore
-from mjtactile.run.session import Session
-from mjtactile.run.supervisor import Supervisor
-from mjtactile.sim.restart import Restart, movable
+from mjtactile.runtime.cycle import ENDS, ControlCycle
+from mjtactile.runtime.grasp_scoring import GraspScore
+from mjtactile.runtime.perception_threads import Perceivers
+from mjtactile.runtime.session import Session
+from mjtactile.runtime.supervisor import Supervisor
+from mjtactile.runtime.task_scoring import Judge
+from mjtactile.sim.fast_reset import Restart, movable
 
 RANDOM = "random"
 """As an object: of each seed its own."""

@@ -15,7 +15,7 @@ from typing import Any
 import gymnasium
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from mjtactile.core import system
+from mjtactile.core import platform_support
 from mjtactile.core.types import Array
 from mjtactile.gym.env import GraspEnv
 
@@ -38,7 +38,7 @@ class ThreadedVectorEnv(SyncVectorEnv):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         **how: Any,
     ):
-        self._threads = min(threads or system.processors(), num_envs)
+        self._threads = min(threads or platform_support.processors(), num_envs)
         self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="environments")
         super().__init__(
             [lambda: _Ahead(GraspEnv(**how))] * num_envs, autoreset_mode=autoreset_mode

@@ -6,6 +6,6 @@ The rooms that use a kernel say what it computes and hold its Python face; here 
 docs/decisions/0015-compiled-chain.md.
 """
 
-from mjtactile.kernels.library import band_stride, bound, kernel, words
+from mjtactile.kernels.bindings import band_stride, bound, kernel, words
 
 __all__ = ["band_stride", "bound", "kernel", "words"]

@@ -1,4 +1,4 @@
-#include "panels.h"
+#include "band_cholesky_f32.h"
 
 #include <math.h>
 

@@ -1,4 +1,4 @@
-#include "band.h"
+#include "band_cholesky_f64.h"
 
 #include <math.h>
 #include <string.h>

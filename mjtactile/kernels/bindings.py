@@ -99,7 +99,7 @@ def _word(value: Any) -> int:
 
 
 def band_stride(width: int) -> int:
-    """Numbers from a column of a band to the next, as kernels/band.h has them."""
+    """Numbers from a column of a band to the next, as kernels/band_cholesky_f64.h has them."""
     return _macros()["BAND_STRIDE"](width)
 
 

@@ -3,7 +3,7 @@
 #include <string.h>
 
 #include "kernels.h"
-#include "small.h"
+#include "small_linalg.h"
 
 #define UNSETTLED 1e3 /* grey levels in the residual of a fit that did not converge: image/edges.py */
 

@@ -3,7 +3,7 @@
 
 #include "kernels.h"
 #include "optics.h"
-#include "small.h"
+#include "small_linalg.h"
 
 #define POINTS 8           /* on an ellipse's boundary: five are the least, and what lens and pane add has few harmonics */
 #define LEAST_TILT 1e-3    /* rad; below it the normal's derivative vanishes and only its bound is left */

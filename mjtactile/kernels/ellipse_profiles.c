@@ -1,4 +1,4 @@
-/* Ellipses from profiles across their edges; the equations are those of sensing/image/profiles.py's docstring.
+/* Ellipses from profiles across their edges; the equations are those of sensing/image/profile_fit.py's docstring.
 
    K profiles cross each ellipse along its normals, 17 samples each. Six filters read a profile: the levels inside and
    outside, its area, its second moment, and, matched to a blurred edge, the edge's offset and its blur. */
@@ -6,7 +6,7 @@
 #include <string.h>
 
 #include "kernels.h"
-#include "small.h"
+#include "small_linalg.h"
 
 #define SAMPLES 17
 #define ENDS 5           /* samples at either end, for the levels */

@@ -1,11 +1,11 @@
-/* Tractions from markers: one linearisation, and one step with it. The equations are those of sensing/force/inverse.py. */
+/* Tractions from markers: one linearisation, and one step with it. The equations are those of sensing/force/inverse_fem.py. */
 #include <stdlib.h>
 #include <string.h>
 
-#include "band.h"
+#include "band_cholesky_f64.h"
 #include "kernels.h"
-#include "sheet.h"
-#include "small.h"
+#include "spline_fem.h"
+#include "small_linalg.h"
 #include "splines.h"
 
 #define PRODUCTS 16 /* splines that do not vanish at a marker */

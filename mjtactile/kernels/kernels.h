@@ -11,7 +11,7 @@ enum { NO_MEMORY = -1, REFUSED = -2, NOT_DEFINITE = -3 };
 #define SHEET_WIDTH(ny) (9 * (ny) + 11) /* of the band of a sheet's stiffness */
 #define SURFACE_WIDTH(nx) (3 * (nx) + 3) /* of that of a surface's normal equations */
 
-/* sim/picture/renderer.py: blurred discs and a closed curve added to an image `coverage`. `across` and `down`: see discs.c;
+/* sim/rendering/renderer.py: blurred discs and a closed curve added to an image `coverage`. `across` and `down`: see discs.c;
    `per_px` nodes to a pixel of a rim. `nodes` px, `weights` dx. */
 int64_t draw_discs(int64_t n, const double *p_CM /* n, 3 */, const double *n_C /* n, 3 */, const double *radii /* n */,
                    const double *camera /* 12 */, double per_px, int64_t bins, int64_t taps,
@@ -27,7 +27,7 @@ void shade(int64_t count, double marker, double gain, const float *contrast /* c
 void expose(int64_t count, const float *gray /* count */, const float *noise /* count */, double noise_dn,
             uint8_t *pixels /* count */);
 
-/* sim/picture/shadows.py: `out` of `grid` at `places`, fractional columns and rows, cut to the grid. */
+/* sim/rendering/shadows.py: `out` of `grid` at `places`, fractional columns and rows, cut to the grid. */
 int64_t bilinear(int64_t rows, int64_t columns, int64_t channels, const double *grid /* rows, columns, channels */,
                  int64_t count, const double *places /* count, 2 */, double *out /* count, channels */);
 
@@ -179,18 +179,18 @@ void apply_gas_load(int64_t k, const double *gradient /* k, 3 */, const double *
                     double least, double pressure, double stiffness, double *coefficients /* k */, double *spring /* 1 */,
                     double *rest /* 2 */, double *forces /* k, 3 */);
 /* Here and below, MuJoCo's `contacts`: how many, the address of the first one's `dist`, and the `layout` of the `list`, see
-   sim/sensor/contacts.py; `rows` of its constraints. */
-/* sim/truth.py: out: total forces `loads` N, frame W, on n `membranes`: first and last sphere, flex. */
+   sim/sensor/contact_list.py; `rows` of its constraints. */
+/* sim/ground_truth.py: out: total forces `loads` N, frame W, on n `membranes`: first and last sphere, flex. */
 int64_t membrane_loads(int64_t contacts, int64_t list, const int64_t *layout /* 9 */, int64_t rows,
                        const double *force /* rows */, int64_t n, const int64_t *membranes /* n, 3 */, double *loads /* n, 3 */);
-/* sim/sensor/rubber.py: MuJoCo's stiffness `rows`, of which six are written, from the strain of m triangles of `edges` between
+/* sim/sensor/neo_hookean_flex.py: MuJoCo's stiffness `rows`, of which six are written, from the strain of m triangles of `edges` between
    `ends` of n vertices `p`. `law`: mu, Poisson's ratio, lambda', its least and most. Out, too: `thin`, the square of the
    thickness's stretch over that of the area. */
 int64_t rubber_stiffness(int64_t m, const int64_t *edges /* m, 3 */, int64_t e, const int64_t *ends /* e, 2 */, int64_t n,
                          const double *p /* n, 3 */, const double *metric /* m, 3, 3 */, const double *law /* 5 */,
                          const double *by_mu /* m, 6 */, const double *by_lambda /* m, 6 */, double *thin /* m */,
                          double *rows /* m, 21 */);
-/* sim/sensor/relaxing.py: m triangles of n vertices `p`, whose edges' `inverse` and area times thickness, `section`, are those of
+/* sim/sensor/stress_relaxation.py: m triangles of n vertices `p`, whose edges' `inverse` and area times thickness, `section`, are those of
    the flat sheet. `law`: mu, Poisson's ratio, the pre-stretch squared, softening and its energy; `thin`: of rubber_stiffness at
    the same `p`; each term has a share and what is `kept` of it. In and out: `memory`, the stress before and what each term has
    faded by, `most` energy, `rows`, which become as stiff as the quick rubber, and `forces` on k `interior` vertices, to which
@@ -201,7 +201,7 @@ int64_t rubber_remembers(int64_t m, const int64_t *triangles /* m, 3 */, int64_t
                          const double *kept /* terms */, double *memory /* terms + 1, 3, m */, double *most /* m */,
                          double *work /* 12 * m + 3 * n */, int64_t k, const int64_t *interior /* k */,
                          double *rows /* m, 21 or NULL */, double *forces /* 3 * k */);
-/* sim/sensor/facets.py: sums of the principal curvatures `out` 1/m of MuJoCo's geoms of `kinds` and `sizes` where their surfaces
+/* sim/sensor/curvature_standoff.py: sums of the principal curvatures `out` 1/m of MuJoCo's geoms of `kinds` and `sizes` where their surfaces
    have the `normals` in their frames; `end`: the least cosine of a normal to a cylinder's end. */
 void curvatures(int64_t n, const int32_t *kinds /* n */, const double *sizes /* n, 3 */, const double *normals /* n, 3 */,
                 double end, double *out /* n */);
@@ -262,7 +262,7 @@ int64_t film_share(const double *numbers /* 19 */, const double *law /* 11 */, i
                    const double *from_found /* environments, 14 or NULL */, double *x /* environments, 3, columns, rows */,
                    double *force /* environments, columns, rows */, double *trend /* environments, 4, columns, rows */,
                    double *found /* environments, 14 */);
-/* sim/sensor/film_sensor.py: a film in a scene that moves. `given` and `memory`: see film_hold.h. From the poses of MuJoCo's bodies and
+/* sim/sensor/quasistatic_sensor.py: a film in a scene that moves. `given` and `memory`: see film_hold.h. From the poses of MuJoCo's bodies and
    geoms: `body` in the frame of the body `carrier`, the film at rest on them as film_solve has it (or, where they hardly went, as
    a spring), what sticks and slides. `touched`: nodes in the grip, and at the last solution; `before`: x and y then, and room. */
 int64_t film_follow(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
@@ -281,11 +281,11 @@ int64_t film_push(const double *given /* 8 */, const double *memory /* 69 */, in
                   const int32_t *type /* njnt */, const int32_t *dof /* njnt */, const double *anchor /* njnt, 3 */,
                   const double *axis /* njnt, 3 */, const double *xpos /* nbody, 3 */, const double *xmat /* nbody, 9 */,
                   int64_t nv, double *push /* nv */, double *hold /* 43 */);
-/* sim/sensor/pushes.py: adds `pushes` of all films to what somebody else has `applied`, and to `undamped` what `holds` damp. */
+/* sim/sensor/quasistatic_forces.py: adds `pushes` of all films to what somebody else has `applied`, and to `undamped` what `holds` damp. */
 int64_t film_add(int64_t nv, int64_t films, const double *pushes /* films, nv */, const double *holds /* films, 43 */, double step,
                  const double *inertia /* nv */, const double *velocity /* nv */, double *base /* nv */, double *left /* nv */,
                  double *applied /* nv */, const double *undamped /* nv */, double *damping /* nv */);
-/* sim/film_stepper.py: `count` steps, or fewer: `told` says how many were done, in how many the solver ran out of iterations, and
+/* sim/batched_quasistatic_step.py: `count` steps, or fewer: `told` says how many were done, in how many the solver ran out of iterations, and
    whether something hurries or a film found no rest, which end it. `mujoco`: addresses of mj_kinematics, mj_step, model and data;
    `follows`, `pushes`, `adds`: arguments of film_follow (and where it says whether it pushed), film_push (and where that goes) and film_add.
    `goals`: of opening and lift now and wanted, m; most that they go in a step, and that the jaws' is ahead; opening at qpos 0. */
@@ -296,7 +296,7 @@ int64_t film_steps(int64_t count, const int64_t *mujoco /* 4 */, double time, do
                    const double *affine /* drives, 3 */, int64_t nu, double *ctrl /* nu */, int64_t nv, const double *qvel /* nv */,
                    int64_t movers, const int64_t *mover /* movers */, const double *hurry /* movers */, int64_t iterations,
                    const int32_t *solver_iterations /* 20 */, double *wrenches /* count, films, 6 */, int64_t *told /* 4 */);
-/* sim/drawn.py: the wrench that a chain would say, and its covariance, for a true one. `table`: mean, sd, sd of what is new and said sd (6 each), shares
+/* sim/synthetic_touch.py: the wrench that a chain would say, and its covariance, for a true one. `table`: mean, sd, sd of what is new and said sd (6 each), shares
    of outliers and of unknown images, area and its sd, centroid's sd, spread between grasps, at each `load`; `row`: the same at this load. `settings`: time s
    of what lasts, normal number of the grasp, its gain of shear, s since the image before, a uniform number. In place: `slow`. */
 int64_t draw_errors(int64_t loads, const double *load /* loads */, const double *table /* loads, 30 */, const double *gain /* 6, 6 */,

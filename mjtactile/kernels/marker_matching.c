@@ -4,7 +4,7 @@
 
 #include "kernels.h"
 #include "optics.h"
-#include "small.h"
+#include "small_linalg.h"
 
 #define ROUNDS 3 /* match, learn how the neighbourhood moved, match again */
 

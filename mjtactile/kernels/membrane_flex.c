@@ -50,7 +50,7 @@ void apply_gas_load(int64_t k, const double *gradient, const double *moved, doub
     spring[0] = stiffness, rest[0] = rest[1] = length - offset;
 }
 
-/* MuJoCo's contacts where they lie: sim/sensor/contacts.py. In the order of its `layout`. */
+/* MuJoCo's contacts where they lie: sim/sensor/contact_list.py. In the order of its `layout`. */
 enum { STRIDE, DIST, MARGIN, FRAME, FRICTION, DIM, GEOMS, FLEXES, FIRST_ROW };
 
 typedef struct { double dist, margin; const double *frame, *friction; const int32_t *geoms, *flexes; int32_t dim, row; } Contact;
@@ -85,7 +85,7 @@ int64_t membrane_loads(int64_t contacts, int64_t list, const int64_t *layout, in
     return 0;
 }
 
-/* ln c, the square of the thickness's stretch, by two Newton steps: core/rubber.py. */
+/* ln c, the square of the thickness's stretch, by two Newton steps: core/neo_hookean.py. */
 static double thickness_over_area(double log_det, double poisson) {
     double half = poisson / (1 - 2 * poisson), x = log_det * (-poisson / (1 - poisson));
     for (int i = 0; i < 2; i++) {
@@ -121,7 +121,7 @@ int64_t rubber_stiffness(int64_t m, const int64_t *edges, int64_t e, const int64
     return 0;
 }
 
-/* W over the shear modulus of neo-Hookean rubber at C11, C22, C12: core/rubber.py. `q` = c / det C. */
+/* W over the shear modulus of neo-Hookean rubber at C11, C22, C12: core/neo_hookean.py. `q` = c / det C. */
 static double energy(const double *C, double q, double poisson) {
     double det = fmax(C[0] * C[1] - C[2] * C[2], FLATTEST), c = q * det, log_volume = log(c * det) / 2;
     return (C[0] + C[1] + c - 3 - 2 * log_volume) / 2 + poisson / (1 - 2 * poisson) * log_volume * log_volume;

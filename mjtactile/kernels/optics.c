@@ -1,5 +1,5 @@
 #include "optics.h"
-#include "small.h"
+#include "small_linalg.h"
 
 #define STEPS 30
 #define UNDISTORT_NEAR 1e-7  /* one more Newton step from here is exact to about 1e-13 */

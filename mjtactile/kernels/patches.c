@@ -3,7 +3,7 @@
 #include <string.h>
 
 #include "kernels.h"
-#include "small.h"
+#include "small_linalg.h"
 
 /* As the dataclass PatchSettings: one number a field, in its order. */
 typedef struct {

@@ -1,4 +1,4 @@
-#include "film_learn.h"
+#include "qs_anderson.h"
 
 #include <math.h>
 #include <string.h>

@@ -1,7 +1,7 @@
 /* Films of many environments at rest, shared out among threads: each takes the next one that nobody has yet. */
 #include <string.h>
 
-#include "film_work.h"
+#include "qs_workspace.h"
 #include "kernels.h"
 
 /* One environment's fields, or nothing where there are none. */

@@ -1,7 +1,7 @@
 /* How a film's sheet gives in the plane to forces in the plane while its heights are free. */
 #include <string.h>
 
-#include "band.h"
+#include "band_cholesky_f64.h"
 
 /* Place among all unknowns, x, y and height of a node together, of one in the plane. */
 static long place_of(long in_plane) { return 3 * (in_plane / 2) + in_plane % 2; }

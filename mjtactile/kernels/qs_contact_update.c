@@ -3,9 +3,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "film_lowest.h"
-#include "film_work.h"
-#include "small.h"
+#include "qs_lowest_obstacle.h"
+#include "qs_workspace.h"
+#include "small_linalg.h"
 
 #define CORRECTION (1 / 24.) /* of curvature times spacing^2, by which the grid makes a smooth body too high */
 #define THIN 5              /* places looked at on each side of a node for what is thinner than the spacing */

@@ -1,14 +1,14 @@
 /* A film in a scene that moves: where its bodies are, where it rests on them, what sticks and slides; film_push.c has what that pushes.
-   sim/sensor/film_sensor.py says what each array is; frame S unless a name says W. */
+   sim/sensor/quasistatic_sensor.py says what each array is; frame S unless a name says W. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "film.h"
-#include "film_hold.h"
-#include "film_work.h"
+#include "quasistatic.h"
+#include "qs_friction.h"
+#include "qs_workspace.h"
 #include "kernels.h"
-#include "small.h"
+#include "small_linalg.h"
 
 #define AWAY 10.0       /* m, where what is not near is put */
 #define LEAST 1e-4      /* N, below which nothing sticks */

@@ -2,8 +2,8 @@
    down, and it is where that is below the least of those that face up, and within those that stand upright. */
 #include <math.h>
 
-#include "film_work.h"
-#include "small.h"
+#include "qs_workspace.h"
+#include "small_linalg.h"
 
 #define UPRIGHT 1e-12 /* of a unit normal, along z */
 

@@ -1,8 +1,8 @@
-#include "film_plane.h"
+#include "qs_inplane_solver.h"
 
 #include <string.h>
 
-#include "panels.h"
+#include "band_cholesky_f32.h"
 
 #define HALF 0.70710678f /* a pair's even and odd parts are its sum and difference over sqrt(2) */
 enum { EVEN, ODD };      /* along x; along y it is the other way round. A lopsided outline has all in what is even */

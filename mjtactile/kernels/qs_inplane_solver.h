@@ -2,7 +2,7 @@
    is even and what is odd are solved apart, each on half of the nodes. Single precision. */
 #ifndef MJTACTILE_FILM_PLANE_H
 #define MJTACTILE_FILM_PLANE_H
-#include "film_stencil.h"
+#include "qs_stiffness_stencil.h"
 
 /* Numbers of the factor, and of what stands to be solved. */
 long film_plane_size(const Film *film);

@@ -1,11 +1,11 @@
 /* See film_step.h, and film_solve.c for what its steps do together. */
-#include "film_step.h"
+#include "qs_step.h"
 
 #include <math.h>
 #include <string.h>
 
 #include "kernels.h"
-#include "small.h"
+#include "small_linalg.h"
 
 #define RELEASED 2.0       /* Pa that may pull at a node before it is let go */
 #define ATTACHED 2e-7      /* m that a node may be in a body before it is held */

@@ -3,9 +3,9 @@
 #include <math.h>
 #include <string.h>
 
-#include "film_hold.h"
+#include "qs_friction.h"
 #include "kernels.h"
-#include "small.h"
+#include "small_linalg.h"
 
 #define TILT 0.25       /* of stiffness times radius^2: a disc on an even bed */
 #define SHARE 0.75      /* of stiffness times step that damps a free body; every step is stable from 0.5 on, where a heavy one swings on */

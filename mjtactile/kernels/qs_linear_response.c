@@ -2,7 +2,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "film_step.h"
+#include "qs_step.h"
 #include "kernels.h"
 
 /* Where a film that is at rest on bodies makes a step of its heights: all that this takes but the bodies' own change. */

@@ -2,8 +2,8 @@
 #include <math.h>
 #include <string.h>
 
-#include "film_work.h"
-#include "small.h"
+#include "qs_workspace.h"
+#include "small_linalg.h"
 
 #define SPREAD 0.15 /* of the frame's sides: how far from the contact's middle tangents are taken */
 

@@ -3,8 +3,8 @@
 #define MJTACTILE_FILM_LOWEST_H
 #include <math.h>
 
-#include "film_work.h"
-#include "small.h"
+#include "qs_workspace.h"
+#include "small_linalg.h"
 
 /* Lowest height, and its slopes, of all bodies over a place; 1 where there is none. */
 static inline int lowest(const Film *f, const Bodies *bodies, double x, double y, double *height, double slope[2]) {

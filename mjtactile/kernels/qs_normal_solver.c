@@ -1,10 +1,10 @@
-#include "film_heights.h"
+#include "qs_normal_solver.h"
 
 #include <math.h>
 #include <string.h>
 
-#include "panels.h"
-#include "small.h"
+#include "band_cholesky_f32.h"
+#include "small_linalg.h"
 
 #define SHELL 0.3
 #define LEAST_SCALE 0.1f

@@ -3,7 +3,7 @@
    A sheet at rest is the same turned by half a turn, so that this serves the right as well. */
 #ifndef MJTACTILE_FILM_HEIGHTS_H
 #define MJTACTILE_FILM_HEIGHTS_H
-#include "film_work.h"
+#include "qs_workspace.h"
 
 /* The sheet at rest: its tension, its factor by lines, and, of each line, what the lines before leave of its stiffness. */
 typedef struct { float *tension, *factor, *left; } RestHeights;

@@ -1,11 +1,11 @@
 /* Lower sides of bodies, seen along the film's z from below: the first point of a vertical line that lies in the body. */
-#include "film.h"
+#include "quasistatic.h"
 
 #include <math.h>
 #include <string.h>
 
 #include "kernels.h"
-#include "small.h"
+#include "small_linalg.h"
 
 #define FAR 1.0          /* m below everything: where lines start */
 #define SHARP 1.0 /* where a rim that is rounded by less than the spacing ends as an edge does */

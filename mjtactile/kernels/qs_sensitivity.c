@@ -5,7 +5,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "film_tangent.h"
+#include "qs_tangent.h"
 #include "kernels.h"
 
 #define AT_ONCE (LANES - 1)  /* changes that are solved together; the last lane is the gas's */

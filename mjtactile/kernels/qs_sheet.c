@@ -1,12 +1,12 @@
 /* The sheet of a film: elastic forces (film_cells.h), in double and in single precision, and their stiffness. */
-#include "film_sheet.h"
+#include "qs_sheet.h"
 
 #include <math.h>
 #include <stdint.h>
 #include <string.h>
 
-#include "film_cut.h"
-#include "small.h"
+#include "qs_cut_cells.h"
+#include "small_linalg.h"
 
 #define INLINE static inline __attribute__((always_inline)) /* else loops over them are no vectors */
 #ifdef __clang__
@@ -35,7 +35,7 @@ Film film_of(const double *numbers, const double *law) {
 #define REAL double
 #define SQRT sqrt
 #define TYPE(name) name
-#include "film_cells.h"
+#include "qs_elastic_forces.h"
 #undef REAL
 #undef SQRT
 #undef TYPE
@@ -43,7 +43,7 @@ Film film_of(const double *numbers, const double *law) {
 #define REAL float
 #define SQRT sqrtf
 #define TYPE(name) name##Float
-#include "film_cells.h"
+#include "qs_elastic_forces.h"
 #undef REAL
 #undef SQRT
 #undef TYPE

@@ -1,7 +1,7 @@
 /* The sheet of a film, at one place and as a whole. */
 #ifndef MJTACTILE_FILM_SHEET_H
 #define MJTACTILE_FILM_SHEET_H
-#include "film.h"
+#include "quasistatic.h"
 
 /* What a deformation (3, count) does: `elastic` (3, count) forces, the volume's `gradient` (3, count), and, between lines `first` and
    `last`, the stiffness by which links of nodes resist heights, to the next node along x and along y. */

@@ -9,9 +9,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "film_step.h"
+#include "qs_step.h"
 #include "kernels.h"
-#include "small.h"
+#include "small_linalg.h"
 
 #define PATIENCE 8         /* steps after which RELEASED and ATTACHED (film_step.c) grow, up to MOST_LOOSE times: on flat faces nodes
                               come and go for next to nothing */

@@ -1,10 +1,10 @@
 /* A step of a film's solution: what it works with, of the heights, and in the plane. */
 #ifndef MJTACTILE_FILM_STEP_H
 #define MJTACTILE_FILM_STEP_H
-#include "film_heights.h"
-#include "film_learn.h"
-#include "film_plane.h"
-#include "film_work.h"
+#include "qs_normal_solver.h"
+#include "qs_anderson.h"
+#include "qs_inplane_solver.h"
+#include "qs_workspace.h"
 
 /* What tension and gas add to the heights' stiffness: tension a a^T + gas v v^T, a the area's and v the volume's slopes by heights,
    (count) each; y1 and y2 are what they move. */

@@ -2,8 +2,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "band.h"
-#include "film_step.h"
+#include "band_cholesky_f64.h"
+#include "qs_step.h"
 #include "kernels.h"
 
 /* The sheet's stiffness at `x`, less that of a gas, in memory of its own, to be freed by `block[0]`; 1: there is none left. */

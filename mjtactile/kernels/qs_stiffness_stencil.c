@@ -1,6 +1,6 @@
-#include "film_stencil.h"
+#include "qs_stiffness_stencil.h"
 
-#include "film_cut.h"
+#include "qs_cut_cells.h"
 
 #include <math.h>
 #include <string.h>

@@ -2,9 +2,9 @@
    displacements, columns for those of the other, which is itself, or the next along y, along x, or along both. */
 #ifndef MJTACTILE_FILM_STENCIL_H
 #define MJTACTILE_FILM_STENCIL_H
-#include "band.h"
-#include "film.h"
-#include "panels.h"
+#include "band_cholesky_f64.h"
+#include "quasistatic.h"
+#include "band_cholesky_f32.h"
 
 enum { PAIR_OWN, PAIR_UP, PAIR_BESIDE, PAIR_RISING, PAIR_FALLING, PAIRS };
 typedef struct {

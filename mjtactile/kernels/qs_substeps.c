@@ -1,5 +1,5 @@
 /* Several steps of a scene whose sensors are films, without going back to Python: films, their pushes, the goals of jaws and lift,
-   and MuJoCo's own step, which is called by its address. sim/film_stepper.py says what each array is. */
+   and MuJoCo's own step, which is called by its address. sim/batched_quasistatic_step.py says what each array is. */
 #include <math.h>
 #include <string.h>
 

@@ -1,4 +1,4 @@
-#include "film_tangent.h"
+#include "qs_tangent.h"
 
 #include <math.h>
 #include <string.h>

@@ -2,10 +2,10 @@
    bodies' slopes, factored once; and the fields that changes of bodies are solved in with it (film_derive.c). */
 #ifndef MJTACTILE_FILM_TANGENT_H
 #define MJTACTILE_FILM_TANGENT_H
-#include "film_stencil.h"
-#include "film_work.h"
-#include "panels.h"
-#include "small.h"
+#include "qs_stiffness_stencil.h"
+#include "qs_workspace.h"
+#include "band_cholesky_f32.h"
+#include "small_linalg.h"
 
 typedef struct {
     Seen seen;

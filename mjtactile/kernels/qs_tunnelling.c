@@ -1,9 +1,9 @@
 /* Whether a body goes through the sheet between its nodes, where none of them can tell. */
 #include <math.h>
 
-#include "film_lowest.h"
-#include "film_work.h"
-#include "small.h"
+#include "qs_lowest_obstacle.h"
+#include "qs_workspace.h"
+#include "small_linalg.h"
 
 #define BEHIND 1.5          /* spacings */
 #define BEHIND_UNSEEN 0.2

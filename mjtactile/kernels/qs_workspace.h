@@ -1,8 +1,8 @@
 /* What a film's kernels share: their room, the bodies as nodes see them, and the gas. */
 #ifndef MJTACTILE_FILM_WORK_H
 #define MJTACTILE_FILM_WORK_H
-#include "film.h"
-#include "film_sheet.h"
+#include "quasistatic.h"
+#include "qs_sheet.h"
 
 enum { CONVERGED, NOT_CONVERGED, AT_THE_RIM, ON_THE_GLASS, INSIDE_OUT, BROKEN_DOWN, GOES_THROUGH, OVERSTRETCHED };
 

@@ -1,6 +1,6 @@
 /* Triangles painted where they are the nearest: run/scene_picture.py. */
 #include "kernels.h"
-#include "small.h"
+#include "small_linalg.h"
 
 static int64_t within(double x, int64_t count) {
     return x < 0 ? 0 : x > (double)count ? count : (int64_t)x;

@@ -1,11 +1,11 @@
-/* Blurred discs and closed curves in an image; the equations are those of sim/picture/renderer.py's docstrings. For the
+/* Blurred discs and closed curves in an image; the equations are those of sim/rendering/renderer.py's docstrings. For the
    simulated camera alone. */
 #include <stdlib.h>
 #include <string.h>
 
 #include "kernels.h"
 #include "optics.h"
-#include "small.h"
+#include "small_linalg.h"
 
 #define RIM 32          /* points of a circle sent through pane and lens */
 #define HARMONICS 15    /* that they tell */

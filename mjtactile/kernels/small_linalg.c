@@ -1,4 +1,4 @@
-#include "small.h"
+#include "small_linalg.h"
 
 double upper_median(double *values, long n) {
     /* Hoare's selection of rank n / 2; what cannot be compared (NaN) ends up anywhere */

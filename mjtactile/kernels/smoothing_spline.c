@@ -1,10 +1,10 @@
-/* The smoothing spline through markers and what is measured of it; the equations are those of sensing/shape/surface.py. */
+/* The smoothing spline through markers and what is measured of it; the equations are those of sensing/surface/surface.py. */
 #include <stdlib.h>
 #include <string.h>
 
-#include "band.h"
+#include "band_cholesky_f64.h"
 #include "kernels.h"
-#include "small.h"
+#include "small_linalg.h"
 #include "splines.h"
 
 #define PRODUCTS 16 /* splines that do not vanish at a point */

@@ -1,11 +1,11 @@
-#include "sheet.h"
+#include "spline_fem.h"
 
 #include <stdlib.h>
 #include <string.h>
 
-#include "band.h"
+#include "band_cholesky_f64.h"
 #include "kernels.h"
-#include "small.h"
+#include "small_linalg.h"
 #include "splines.h"
 
 #define GAUSS 2    /* points in each interval */
@@ -121,7 +121,7 @@ static void strain(const Sheet *s, const Point *p, double *C) {
     C[0] = by * dot(p->g1, p->g1), C[1] = by * dot(p->g2, p->g2), C[2] = by * dot(p->g1, p->g2);
 }
 
-/* q (row 0) or q' (row 1) of sensing/law.py at this strain, from its table; beyond its ends the ends. */
+/* q (row 0) or q' (row 1) of sensing/constitutive_law.py at this strain, from its table; beyond its ends the ends. */
 static double law(const Sheet *s, const double *C, int row) {
     const SheetNumbers *o = &s->numbers;
     double at = (log(most(C[0] * C[1] - C[2] * C[2], LEAST_DET)) - o->table_first) * o->table_per_unit;

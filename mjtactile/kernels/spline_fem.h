@@ -1,4 +1,4 @@
-/* The membrane as a spline finite element: sensing/force/sheet.py has the equations. Displacements and forces are (3, n),
+/* The membrane as a spline finite element: sensing/force/spline_fem.py has the equations. Displacements and forces are (3, n),
    component by component, n = nx * ny splines with y fastest; inside, for narrow bands, the three components of a spline stand
    together. */
 #ifndef MJTACTILE_SHEET_H

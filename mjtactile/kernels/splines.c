@@ -3,7 +3,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "small.h"
+#include "small_linalg.h"
 
 static double knot(long i, long spans) { return i < 0 ? 0 : i > spans ? spans : i; }
 

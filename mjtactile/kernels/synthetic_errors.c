@@ -1,8 +1,8 @@
-/* What a sensing chain would say of a wrench: sim/chain_errors.py has the model. */
+/* What a sensing chain would say of a wrench: sim/sensing_error_model.py has the model. */
 #include <math.h>
 
 #include "kernels.h"
-#include "small.h"
+#include "small_linalg.h"
 
 enum { SLOW_TIME, GRASP, SHEAR_GAIN, ELAPSED, UNIFORM };
 enum { MEAN, SD = 6, FRESH = 12, SAID = 18, OUTLIERS = 24, BETWEEN = 29, COLUMNS = 30 };

@@ -27,7 +27,7 @@ from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.plugin.sim_finger import OUTPUTS, SimFinger
 from mjtactile.sim.attach import Attachment, attach_membrane
-from mjtactile.sim.sensor.switches import CAMERA, PHYSICS, Effect
+from mjtactile.sim.sensor.effect_switches import CAMERA, PHYSICS, Effect
 
 _LEAST_MESH = 8  # vertices along a side: the shipped sensors' references are in balance from there
 

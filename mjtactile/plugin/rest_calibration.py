@@ -17,10 +17,10 @@ import mujoco
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
 from mjtactile.rig.finger import Finger
-from mjtactile.run.references import take_references
-from mjtactile.sensing.chain import Chain
-from mjtactile.sensing.perception import Perception
-from mjtactile.sensing.state import ChainState
+from mjtactile.runtime.references import take_references
+from mjtactile.sensing.pipeline import Chain
+from mjtactile.sensing.pipeline_state import ChainState
+from mjtactile.sensing.stateful_pipeline import Perception
 from mjtactile.sim.attach import attach_membrane, recommend_options
 from mjtactile.sim.camera import SimCamera
 from mjtactile.sim.devices import SimClock, SimValve

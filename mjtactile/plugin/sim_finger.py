@@ -13,16 +13,16 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, FeltShape, Image, Surface, Touch
-from mjtactile.plugin.rest import at_rest
+from mjtactile.plugin.rest_calibration import at_rest
 from mjtactile.rig.finger import Finger
-from mjtactile.sensing.perception import Perception
+from mjtactile.sensing.stateful_pipeline import Perception
 from mjtactile.sim.attach import Attachment
 from mjtactile.sim.camera import SimCamera
+from mjtactile.sim.checked_stepper import Stepper
 from mjtactile.sim.devices import SimValve
-from mjtactile.sim.sensor.any import AnySensor
-from mjtactile.sim.sensor.loads import membrane_wrench
-from mjtactile.sim.step import advance
-from mjtactile.sim.stepper import Stepper
+from mjtactile.sim.fast_step import advance
+from mjtactile.sim.sensor.contact_loads import membrane_wrench
+from mjtactile.sim.sensor.sensor_types import AnySensor
 
 OUTPUTS = {"wrench": 6, "pressure": 1, "touching": 1}
 """MuJoCo sensors of type `user` that `attach` adds, and how many numbers each has."""

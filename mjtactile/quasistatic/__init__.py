@@ -34,11 +34,11 @@ Frame S, SI units; p V^gamma with the design's gamma, or a pressure that is held
 docs/theory/equations.md, X1-X8. Why so: docs/decisions/0025-film.md.
 """
 
-from mjtactile.film.bodies import KINDS, Obstacle, obstacle
-from mjtactile.film.derivatives import FilmDerivatives
-from mjtactile.film.film import Film
-from mjtactile.film.state import FilmState, FilmStatus
-from mjtactile.film.sticking import Held, StuckPatch, drag
+from mjtactile.quasistatic.membrane import Film
+from mjtactile.quasistatic.obstacles import KINDS, Obstacle, obstacle
+from mjtactile.quasistatic.sensitivities import FilmDerivatives
+from mjtactile.quasistatic.solution import FilmState, FilmStatus
+from mjtactile.quasistatic.stick_contact import Held, StuckPatch, drag
 
 __all__ = [
     "KINDS", "Film", "FilmDerivatives", "FilmState", "FilmStatus", "Held", "Obstacle", "StuckPatch",

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.errors import InputError
-from mjtactile.film.bodies import Obstacle
-from mjtactile.film.state import FilmBatch, FilmState
+from mjtactile.quasistatic.obstacles import Obstacle
+from mjtactile.quasistatic.solution import FilmBatch, FilmState
 
 _LEAST_NODES = 5
 _MOST_NODES = 400

@@ -9,7 +9,7 @@ from threading import Thread
 
 import numpy as np
 
-from mjtactile.film.state import FOUND, FilmBatch
+from mjtactile.quasistatic.solution import FOUND, FilmBatch
 
 
 def at_once(threads: int, work: Callable[[int], object]) -> None:

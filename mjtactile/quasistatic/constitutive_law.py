@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from mjtactile.core.rubber import Law, equibiaxial_stress, shear_modulus
+from mjtactile.core.neo_hookean import Law, equibiaxial_stress, shear_modulus
 from mjtactile.core.sensor_parts import Membrane
 from mjtactile.core.types import Array
 from mjtactile.core.types.arrays import fixed

@@ -23,7 +23,7 @@ from mjtactile.core.types import Array
 
 _POINTS = 4096  # of the outline, between which it is straight: 0.005 um of a circle of 30 mm
 _NEAREST = 0.01  # of a spacing: a node nearer to the outline than that is held on it
-_TOGETHER = 8  # triangles, as kernels/film_cut.h has them
+_TOGETHER = 8  # triangles, as kernels/qs_cut_cells.h has them
 _HEADER = 2  # numbers
 _NOTHING = 1e-9  # of a cell
 _SAME = 1e-6  # of a spacing, to which an outline is the same mirrored
@@ -43,7 +43,7 @@ def cut_by(frame: Frame, x: Array, y: Array) -> tuple[Array, float]:
         y: (ny,) m.
 
     Returns:
-        What kernels/film_cut.h reads, nothing of a rectangle; the area within, m^2.
+        What kernels/qs_cut_cells.h reads, nothing of a rectangle; the area within, m^2.
     """
     if frame.outline is None:
         return np.empty(0), frame.length * frame.width

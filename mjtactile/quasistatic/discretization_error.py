@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.film.bodies import KINDS, Obstacle
+from mjtactile.quasistatic.obstacles import KINDS, Obstacle
 
 REFINED = (1.0, 1.5, 2.0, 3.0, 4.0)  # times as fine, of grids that are tried
 SPACING = 2e-3  # m, of the grid that the table is of; on finer ones it falls in proportion

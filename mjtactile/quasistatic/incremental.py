@@ -14,12 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
-from mjtactile.film import bodies
-from mjtactile.film.film import Film
-from mjtactile.film.fineness import doubt_of_rows
-from mjtactile.film.state import AREA, FOUND, PRESSURE, STATUS, TENSION, VOLUME, WRENCH, FilmStatus
-from mjtactile.film.stiffness import compliance_of
 from mjtactile.kernels import bound, kernel
+from mjtactile.quasistatic import obstacles
+from mjtactile.quasistatic.discretization_error import doubt_of_rows
+from mjtactile.quasistatic.membrane import Film
+from mjtactile.quasistatic.solution import (
+    AREA,
+    FOUND,
+    PRESSURE,
+    STATUS,
+    TENSION,
+    VOLUME,
+    WRENCH,
+    FilmStatus,
+)
+from mjtactile.quasistatic.stiffness import compliance_of
 
 _TOLERANCE = 1e-6  # m, of what is left of the displacements
 _MOST_STEPS = 40
@@ -117,7 +126,7 @@ class LiveFilm:
 
     def doubt(self) -> float:
         """Share of the force within which 9 of 10 presses are, by the narrowest body whose reach is
-        over the frame and below the sheet's top (`mjtactile.film.fineness`)."""
+        over the frame and below the sheet's top (`mjtactile.quasistatic.discretization_error`)."""
         film, rows = self.film, self.rows
         place, reach = rows[:, 13:16], rows[:, 19]
         over = (np.abs(place[:, :2]) - reach[:, None] < (film.x[-1], film.y[-1])).all(axis=1)
@@ -214,4 +223,4 @@ class Sticking:
 
 def empty_rows(count: int) -> Array:
     """Rows (count, NUMBERS) for bodies that are not there."""
-    return np.zeros((count, bodies.NUMBERS))
+    return np.zeros((count, obstacles.NUMBERS))

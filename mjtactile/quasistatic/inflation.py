@@ -9,14 +9,14 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mjtactile.core import theory
+from mjtactile.core import analytical_solutions
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
-from mjtactile.film.bodies import NUMBERS
-from mjtactile.film.cutting import moving
-from mjtactile.film.state import FOUND, FilmState
 from mjtactile.kernels import kernel
+from mjtactile.quasistatic.cut_cells import moving
+from mjtactile.quasistatic.obstacles import NUMBERS
+from mjtactile.quasistatic.solution import FOUND, FilmState
 
 _INFLATING = (0.25, 0.5, 0.75, 1.0)  # of the pressure
 _TAUT = 1.02  # stretch that a sheet is inflated with at least, and then let go to its own
@@ -101,7 +101,7 @@ def _low_bulge(film: Uninflated) -> Array:
         if outline is None
         else replace(film.design, frame=replace(frame, shape="ellipse"))
     )
-    height = theory.bulge_height(known, _INFLATING[0] * film.pressure_gauge)
+    height = analytical_solutions.bulge_height(known, _INFLATING[0] * film.pressure_gauge)
     if not np.isfinite(height):
         height = 0.1 * min(frame.length, frame.width)
     x = np.zeros((3, *film.grid))

@@ -11,8 +11,8 @@ import numpy as np
 
 from mjtactile.core.bspline import interpolating
 from mjtactile.core.types import Array
-from mjtactile.film.cutting import moving
-from mjtactile.film.film import Film
+from mjtactile.quasistatic.cut_cells import moving
+from mjtactile.quasistatic.membrane import Film
 
 _BEYOND = 4.0  # spacings that are continued; a spline forgets to a quarter with each
 _ABOUT = 3.0  # spacings, about the nearest place, that are fitted

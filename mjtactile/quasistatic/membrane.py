@@ -11,11 +11,15 @@ from numpy.typing import ArrayLike
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
-from mjtactile.film import asked, bodies, stiffness
-from mjtactile.film.batch import at_once, new_batch
-from mjtactile.film.bodies import Obstacle
-from mjtactile.film.cutting import cut_by
-from mjtactile.film.derivatives import (
+from mjtactile.kernels import bound, kernel
+from mjtactile.quasistatic import argument_checks, obstacles, stiffness
+from mjtactile.quasistatic.batch import at_once, new_batch
+from mjtactile.quasistatic.constitutive_law import law_numbers, tension_slope
+from mjtactile.quasistatic.cut_cells import cut_by
+from mjtactile.quasistatic.discretization_error import REFINED, doubt
+from mjtactile.quasistatic.inflation import inflate
+from mjtactile.quasistatic.obstacles import Obstacle
+from mjtactile.quasistatic.sensitivities import (
     POSE_STEP,
     FilmDerivatives,
     Shape,
@@ -23,12 +27,8 @@ from mjtactile.film.derivatives import (
     derived,
     moved_rows,
 )
-from mjtactile.film.fineness import REFINED, doubt
-from mjtactile.film.inflating import inflate
-from mjtactile.film.law import law_numbers, tension_slope
-from mjtactile.film.state import FOUND, FilmBatch, FilmState, Pressing, judged
-from mjtactile.film.sticking import StuckPatch, patches_of
-from mjtactile.kernels import bound, kernel
+from mjtactile.quasistatic.solution import FOUND, FilmBatch, FilmState, Pressing, judged
+from mjtactile.quasistatic.stick_contact import StuckPatch, patches_of
 
 TOLERANCE = 5e-7  # m, of what is left of the displacements
 _MOST_STEPS = 40
@@ -64,9 +64,9 @@ class Film:
             InputError: a grid or a pressure that is none, or with which the sheet finds no rest.
         """
         self.design = design = load_sensor(design)
-        self.grid = asked.grid(grid)
+        self.grid = argument_checks.grid(grid)
         frame, chamber, sheet = design.frame, design.chamber, design.membrane
-        self.pressure_gauge = asked.pressure(
+        self.pressure_gauge = argument_checks.pressure(
             chamber.supply_gauge if pressure_gauge is None else pressure_gauge
         )
         self.sealed = sealed
@@ -124,7 +124,7 @@ class Film:
         *,
         data: ArrayLike | None = None,
     ) -> Obstacle:
-        """Make a body with a pose; see `mjtactile.film.bodies.obstacle`.
+        """Make a body with a pose; see `mjtactile.quasistatic.obstacles.obstacle`.
 
         Args:
             kind: One of KINDS, such as "sphere", "box", "cylinder".
@@ -136,7 +136,7 @@ class Film:
         Returns:
             The body.
         """
-        return bodies.obstacle(kind, sizes, p_SO, R_SO, data=data)
+        return obstacles.obstacle(kind, sizes, p_SO, R_SO, data=data)
 
     def solve(
         self, obstacles: Obstacle | Sequence[Obstacle] = (), state: FilmState | None = None
@@ -154,10 +154,10 @@ class Film:
             InputError: An obstacle touches the rim, lies on the glass, pulls the sheet inside out
                 or too far, or goes through between nodes.
         """
-        listed = bodies.listed(obstacles, "obstacles")
-        rows, pool = bodies.pooled(listed, self.grid)
+        listed = obstacles.listed(obstacles, "obstacles")
+        rows, pool = obstacles.pooled(listed, self.grid)
         if state is not None:
-            asked.require_state(state, self.rest.x.shape)
+            argument_checks.require_state(state, self.rest.x.shape)
         start = self.rest if state is None or not state.converged else state
         x, force, found = start.x.copy(), start.force.copy(), np.empty(FOUND)
         trend = np.zeros((4, *self.grid)) if start.trend is None else start.trend.copy()
@@ -195,18 +195,18 @@ class Film:
             InputError: no environment, or another number of bodies in one, or of environments in
                 `batch` or `into`, or an argument of another type.
         """
-        listed = asked.environments(obstacles)
+        listed = argument_checks.environments(obstacles)
         count = len(listed)
-        every = bodies.listed([body for one in listed for body in one], "obstacles")
-        rows, pool = bodies.pooled(every, self.grid)
+        every = obstacles.listed([body for one in listed for body in one], "obstacles")
+        rows, pool = obstacles.pooled(every, self.grid)
         for field, given in (("batch", batch), ("into", into)):
             if given is not None:
-                asked.require_batch(field, given, (count, 3, *self.grid))
+                argument_checks.require_batch(field, given, (count, 3, *self.grid))
         made = new_batch(count, self.grid) if into is None or into.trend is None else into
         settings = np.tile(
             [self._gas, self.sealed, TOLERANCE, most_steps, bool(again), 0.0], (count, 1)
         )
-        threads = asked.threads_among(threads, count)
+        threads = argument_checks.threads_among(threads, count)
         self._rooms += [np.empty_like(self._room) for _ in range(len(self._rooms), threads)]
 
         start = (None,) * 4 if batch is None else (batch.x, batch.force, batch.trend, batch.found)
@@ -225,11 +225,12 @@ class Film:
             obstacles: One body or several.
 
         Returns:
-            Share of the force within which 9 of 10 presses are (`mjtactile.film.fineness`): 0.03
-            for what is round and eight spacings wide, up to 0.25, at a cone's tip 0.4, on nodes
-            2 mm apart. Shallow contacts of few nodes are in `FilmState.doubt` as well.
+            Share of the force within which 9 of 10 presses are
+            (`mjtactile.quasistatic.discretization_error`): 0.03 for what is round and eight
+            spacings wide, up to 0.25, at a cone's tip 0.4, on nodes 2 mm apart. Shallow contacts of
+            few nodes are in `FilmState.doubt` as well.
         """
-        return doubt(bodies.listed(obstacles, "obstacles"), self.spacing)
+        return doubt(obstacles.listed(obstacles, "obstacles"), self.spacing)
 
     def fine_enough(self, obstacles: Obstacle | Sequence[Obstacle], within: float = 0.03) -> Film:
         """Find a film of this sensor on a grid that is as fine as what presses it wants.
@@ -246,7 +247,7 @@ class Film:
             nodes along each side that is, and where none is, the finest: ask its `doubt`. The
             same object each time. States are of their own film's grid.
         """
-        listed = bodies.listed(obstacles, "obstacles")
+        listed = obstacles.listed(obstacles, "obstacles")
         enough = (by for by in REFINED if doubt(listed, self.spacing / by) <= within)
         by = next(enough, REFINED[-1])
         if by == 1:
@@ -277,8 +278,8 @@ class Film:
         """
         self._require_rest(state)
         listed, by = changed_bodies(shape, numbers, steps)
-        rows, pool = bodies.pooled([body for one in listed for body in one], self.grid)
-        given = rows.reshape(len(listed), -1, bodies.NUMBERS), pool
+        rows, pool = obstacles.pooled([body for one in listed for body in one], self.grid)
+        given = rows.reshape(len(listed), -1, obstacles.NUMBERS), pool
         return derived(self, state, *given, by)
 
     def derivatives_by_pose(self, state: FilmState) -> FilmDerivatives:
@@ -302,7 +303,7 @@ class Film:
             raise InputError("is of a batch, and does not know its bodies", field="state")
         if any(body.kind == "heights" for body in pressing):
             raise InputError("rests on heights, which have no pose", field="state")
-        rows, pool = bodies.pooled(pressing, self.grid)
+        rows, pool = obstacles.pooled(pressing, self.grid)
         return derived(self, state, moved_rows(rows), pool, np.full(6, POSE_STEP))
 
     def _require_rest(self, state: FilmState) -> None:
@@ -347,8 +348,8 @@ class Film:
         Returns:
             (n,) m; infinite where there is no body.
         """
-        listed = bodies.listed(obstacles, "obstacles")
-        rows, pool = bodies.pooled(listed, self.grid)
+        listed = obstacles.listed(obstacles, "obstacles")
+        rows, pool = obstacles.pooled(listed, self.grid)
         where = np.asarray(places, dtype=float).reshape(-1, 2)
         heights = np.empty(len(where))
         pooled = 0 if pool is None else len(pool)

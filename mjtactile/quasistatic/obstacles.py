@@ -1,4 +1,4 @@
-"""What presses a film: bodies, each with a pose, as the kernel takes them (kernels/film_bodies.c).
+"""What presses a film: bodies, each with a pose, as the kernel takes them (kernels/qs_obstacles.c).
 SI units, frame S.
 
 Sizes are half sizes, as in MJCF. A body is what a line along the sensor's z meets first, from the

@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
-from mjtactile.film import bodies
-from mjtactile.film.bodies import Obstacle
-from mjtactile.film.state import AREA, FOUND, PRESSURE, VOLUME, WRENCH, FilmState
 from mjtactile.kernels import kernel
+from mjtactile.quasistatic import obstacles
+from mjtactile.quasistatic.obstacles import Obstacle
+from mjtactile.quasistatic.solution import AREA, FOUND, PRESSURE, VOLUME, WRENCH, FilmState
 
 Shape = Callable[[Array], Obstacle | Sequence[Obstacle]]
 _STEP = 1e-8  # of a number, or of one: differences of bodies alone, which are closed forms
@@ -95,14 +95,14 @@ def changed_bodies(
         InputError: numbers that are not finite, steps that are zero or not finite, or another
             number of bodies after a step.
     """
-    at = bodies.finite("numbers", numbers, (-1,))
+    at = obstacles.finite("numbers", numbers, (-1,))
     by = _STEP * np.maximum(1, np.abs(at))
     if steps is not None:
-        by = bodies.finite("steps", steps, at.shape)
+        by = obstacles.finite("steps", steps, at.shape)
         if not by.all():
             raise InputError("must not be zero", field="steps")
     made = [shape(place) for place in (at, *(at + np.diag(by)))]
-    listed = [bodies.listed(one, "shape") for one in made]
+    listed = [obstacles.listed(one, "shape") for one in made]
     if len({len(one) for one in listed}) != 1:
         raise InputError("gives another number of bodies after a step", field="shape")
     return listed, by

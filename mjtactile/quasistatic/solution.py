@@ -11,8 +11,14 @@ from numpy.typing import NDArray
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
-from mjtactile.film.bodies import Obstacle
-from mjtactile.film.fineness import doubt, doubt_of_area, doubt_of_few, doubt_of_gap, lowest_place
+from mjtactile.quasistatic.discretization_error import (
+    doubt,
+    doubt_of_area,
+    doubt_of_few,
+    doubt_of_gap,
+    lowest_place,
+)
+from mjtactile.quasistatic.obstacles import Obstacle
 
 
 class FilmStatus(IntEnum):
@@ -37,7 +43,7 @@ _COMPLAINTS = {
     FilmStatus.OVERSTRETCHED: "an obstacle stretches the sheet beyond what its law is known for",
 }
 
-# Places in `found`, as kernels/film_work.h has them.
+# Places in `found`, as kernels/qs_workspace.h has them.
 WRENCH = slice(0, 6)
 PRESSURE, VOLUME, AREA, STATUS, STEPS, STRETCHED, TENSION, LAST_STEP = range(6, 14)
 FOUND = 14

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
-from mjtactile.film.state import FilmState
+from mjtactile.quasistatic.solution import FilmState
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,8 @@ from typing import Protocol
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.film.state import FilmState
 from mjtactile.kernels import band_stride, kernel
+from mjtactile.quasistatic.solution import FilmState
 
 
 class Sheet(Protocol):
@@ -54,7 +54,7 @@ def compliance_of(film: Sheet, state: FilmState) -> Array:
 
 
 def _band(film: Sheet, state: FilmState) -> Array:
-    """The factor by columns, as kernels/band.h has it."""
+    """The factor by columns, as kernels/band_cholesky_f64.h has it."""
     columns, rows = film.grid
     band = np.empty((3 * (columns - 2) * (rows - 2), band_stride(3 * rows - 1)))
     fixed = (film._numbers, film._law, *film.grid)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mjtactile.recording.columns import Seen
+from mjtactile.recording.log_schema import Seen
 
 _MOST = 32  # cycles
 _ROOM = 96e6  # bytes of images

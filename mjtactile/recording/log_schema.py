@@ -33,7 +33,8 @@ class Seen(Protocol):
 
 
 class CycleLike(Seen, Protocol):
-    """What one control cycle offers to be recorded; `mjtactile.run.loop.Cycle` is one."""
+    """What one control cycle offers to be recorded; `mjtactile.runtime.control_loop.Cycle` is
+    one."""
 
     @property
     def gripper(self) -> GripperState: ...
@@ -271,7 +272,8 @@ TRUE: Mapping[str, tuple[str, str]] = {
     "object_position_true": ("m", "of the object's body (x, y, z), frame W"),
     "object_quaternion_true": ("", "its rotation (w, x, y, z), frame W"),
 }
-"""The same of the columns that only a simulation has; `mjtactile.run.scoring` gives them."""
+"""The same of the columns that only a simulation has; `mjtactile.runtime.grasp_scoring` gives
+them."""
 
 KEYS = ("images", *SENSED, *TRUE)
 

@@ -60,7 +60,8 @@ class Observer:
         Args:
             cycle: What was seen, felt, asked for and sent.
             view: The scene at that time; of a simulation alone, and where somebody looks at it.
-            **truth: Ground truth by column (`mjtactile.recording.columns`); of a simulation alone.
+            **truth: Ground truth by column (`mjtactile.recording.log_schema`); of a simulation
+                alone.
         """
 
 

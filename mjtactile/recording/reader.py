@@ -13,11 +13,11 @@ import cv2
 import numpy as np
 
 from mjtactile.core.errors import InputError
-from mjtactile.core.images import decode
+from mjtactile.core.image_decoding import decode
 from mjtactile.core.types import Array, Image, ValveState
-from mjtactile.recording.check import wrong_column, wrong_note
-from mjtactile.recording.columns import KEYS
 from mjtactile.recording.files import FORMAT, LOG, VERSION, finger_names
+from mjtactile.recording.log_schema import KEYS
+from mjtactile.recording.log_validation import wrong_column, wrong_note
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ from typing import Any, TextIO
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Image
 from mjtactile.recording import png
-from mjtactile.recording.columns import CycleLike, make_row
+from mjtactile.recording.decimated_history import Strip
 from mjtactile.recording.files import (
     FORMAT,
     FRAMES,
@@ -29,8 +29,8 @@ from mjtactile.recording.files import (
     provenance,
     to_json,
 )
+from mjtactile.recording.log_schema import CycleLike, make_row
 from mjtactile.recording.observer import Observer
-from mjtactile.recording.strip import Strip
 
 # that may wait for the disk: 2 s at 30 Hz, 40 MB with two cameras of 640 x 480 pixels
 _QUEUE_CYCLES = 64

@@ -17,8 +17,8 @@ from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.core.types import Command, GripperState, Image, ValveState
 from mjtactile.recording.reader import Recording, load_recording
+from mjtactile.rig.command_limits import Limits
 from mjtactile.rig.finger import Rig, make_fingers
-from mjtactile.rig.limits import Limits
 from mjtactile.rig.registry import RigRequest
 from mjtactile.rig.scenario import complete_scenario
 

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mjtactile.core.errors import DeviceError, MjtactileError
-from mjtactile.run.worker import Channel, WorkerProcess
+from mjtactile.runtime.worker_process import Channel, WorkerProcess
 
 if TYPE_CHECKING:  # what a run needs is imported while this process starts
     from mjtactile.core.types import Array
-    from mjtactile.recording.columns import CycleLike
+    from mjtactile.recording.log_schema import CycleLike
     from mjtactile.recording.reader import Recording
-    from mjtactile.report.scene_picture import SceneCamera
+    from mjtactile.report.software_renderer import SceneCamera
 
 _PATIENCE = 60.0  # s; a busy computer draws for some
 
@@ -61,7 +61,7 @@ class FigureWriter:
         scene: SceneCamera | None = None,
     ) -> None:
         from mjtactile.report.summary_figure import write_figure
-        from mjtactile.run.perceive import value_of
+        from mjtactile.runtime.perception_threads import value_of
 
         if self._worker is None:
             write_figure(path, recording, snapshot, summary, scene)
@@ -92,7 +92,7 @@ def drawing_beside() -> Iterator[FigureWriter]:
 def serve(channel: Channel) -> None:
     """Draw what comes, until the parent hangs up."""
     from mjtactile.report.summary_figure import import_matplotlib, write_figure
-    from mjtactile.run.perceive import outcome_of
+    from mjtactile.runtime.perception_threads import outcome_of
 
     with contextlib.suppress(MjtactileError):
         import_matplotlib()  # now: it takes as long as a figure

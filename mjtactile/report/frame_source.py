@@ -19,7 +19,7 @@ from mjtactile.report.overlay import find_ellipses
 from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
 from mjtactile.sensing.image.markers import grey_image
 from mjtactile.sensing.pose.circles import estimate_poses
-from mjtactile.sensing.pose.locate import IMAGE_SUFFIXES, load_image
+from mjtactile.sensing.pose.circles_from_images import IMAGE_SUFFIXES, load_image
 
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")
 

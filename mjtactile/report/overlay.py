@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Ellipses, Image, Sighting
 from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
-from mjtactile.sensing.image.fit import as_ellipses
+from mjtactile.sensing.image.ellipse_fit import as_ellipses
 from mjtactile.sensing.image.markers import detect, grey_image, search
 from mjtactile.sensing.image.tracking import Tracks
 

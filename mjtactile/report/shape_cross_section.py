@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array, FeltShape
-from mjtactile.report.body_lines import directions_of, lines_of, words_of
+from mjtactile.report.shape_wireframe import directions_of, lines_of, words_of
 
 _REACH = 9e-3  # m to either side
 _BELIEVED = (25, 25, 25)  # blue, green, red

@@ -9,7 +9,7 @@ import numpy as np
 
 from mjtactile.core.types import Array, FeltShape
 from mjtactile.recording.reader import Recording
-from mjtactile.report.scene_picture import SceneCamera
+from mjtactile.report.software_renderer import SceneCamera
 
 _ARC = 1.2  # rad to either side of the nearest point, of a bent body
 _REACH = 8e-3  # m, of a flat one, and at most of any

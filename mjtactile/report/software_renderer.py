@@ -28,7 +28,7 @@ _PER_NEWTON = 0.75  # length of a force's arrow, in halves of the picture
 
 
 class SceneCamera(Protocol):
-    """What `mjtactile.sim.scenes.view.SceneView` is."""
+    """What `mjtactile.sim.scenes.scene_triangles.SceneView` is."""
 
     @property
     def p_WS(self) -> Array: ...

@@ -12,14 +12,14 @@ from typing import Any
 from mjtactile.core.errors import MjtactileError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Image, Touch
-from mjtactile.recording.columns import Seen
+from mjtactile.recording.log_schema import Seen
 from mjtactile.recording.reader import Recording, load_recording
 from mjtactile.recording.writer import Recorder
 from mjtactile.report.page import write_page
 from mjtactile.report.summary_figure import write_figure
 from mjtactile.rig.registry import build_rig
-from mjtactile.run.session import Session
-from mjtactile.sensing.perception import Perception
+from mjtactile.runtime.session import Session
+from mjtactile.sensing.stateful_pipeline import Perception
 
 
 def write_pictures(

@@ -14,11 +14,11 @@ import numpy as np
 
 from mjtactile.core.errors import MjtactileError
 from mjtactile.core.types import Array, Ellipses, FeltShape, Image, Surface, Touch, TouchImage
-from mjtactile.recording.columns import CycleLike
+from mjtactile.recording.log_schema import CycleLike
 from mjtactile.recording.reader import Recording
-from mjtactile.report.body_lines import lines_of, true_lines, words_of
 from mjtactile.report.overlay import find_ellipses
-from mjtactile.report.scene_picture import SceneCamera, draw_scene
+from mjtactile.report.shape_wireframe import lines_of, true_lines, words_of
+from mjtactile.report.software_renderer import SceneCamera, draw_scene
 from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
 
 PHASE_COLOURS = {

@@ -20,10 +20,10 @@ import numpy as np
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, Image
 from mjtactile.recording.reader import Recording
-from mjtactile.report.body_lines import recorded_shape, true_lines
-from mjtactile.report.body_section import draw_section
 from mjtactile.report.overlay import with_ellipses
-from mjtactile.report.scene_picture import SceneCamera, picture_of
+from mjtactile.report.shape_cross_section import draw_section
+from mjtactile.report.shape_wireframe import recorded_shape, true_lines
+from mjtactile.report.software_renderer import SceneCamera, picture_of
 from mjtactile.report.summary_figure import FINGER_COLOURS, PHASE_COLOURS
 from mjtactile.report.video_file import NOTE, Pixels, Writer, write_frames
 

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mjtactile.core import geometry
+from mjtactile.core.config_fields import DEGREE, ML_S_KPA, MM, PERCENT, entry, number, numbers, part
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.entries import Numbers
-from mjtactile.core.fields import DEGREE, ML_S_KPA, MM, PERCENT, entry, number, numbers, part
+from mjtactile.core.field_types import Numbers
 from mjtactile.core.relaxation import Relaxation, decades
 from mjtactile.core.types import Array
-from mjtactile.rig.troubles import UNTROUBLED, CameraTroubles
+from mjtactile.rig.camera_faults import UNTROUBLED, CameraTroubles
 
 _CREEP_TIMES = (1.0, 1e3)  # s: shortest and longest
 

@@ -1,13 +1,13 @@
 """What a camera's picture suffers on its way: `[emulator.specimen.FINGER.camera]` of a rig file and
 `[camera]` of a variation. All is off unless asked; what each does is in
-mjtactile/sim/picture/troubles.
+mjtactile/sim/rendering/troubles.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mjtactile.core.fields import DEGREE, MS, PERCENT, number, numbers
+from mjtactile.core.config_fields import DEGREE, MS, PERCENT, number, numbers
 
 
 @dataclass(frozen=True)

@@ -20,14 +20,23 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core import resources
+from mjtactile.core.config_fields import (
+    DEGREE,
+    MM,
+    MS,
+    PERCENT,
+    entries,
+    from_table,
+    number,
+    numbers,
+)
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.entries import Number, Numbers
 from mjtactile.core.errors import InputError
-from mjtactile.core.fields import DEGREE, MM, MS, PERCENT, entries, from_table, number, numbers
+from mjtactile.core.field_types import Number, Numbers
 from mjtactile.core.toml import Section, read_toml
+from mjtactile.rig.as_built_sensor import SpecimenConfig
+from mjtactile.rig.camera_faults import CameraTroubles
 from mjtactile.rig.simulated import SimRigFile
-from mjtactile.rig.specimen import SpecimenConfig
-from mjtactile.rig.troubles import CameraTroubles
 
 MISSING = "missing_markers"
 NONE = "none"

@@ -2,7 +2,7 @@
 format: docs/how-to/hardware.md.
 
 Every quantity is SI inside; the file's keys carry the unit, and each field says its own
-(`mjtactile.core.fields`).
+(`mjtactile.core.config_fields`).
 """
 
 from __future__ import annotations
@@ -13,9 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile.core import resources
-from mjtactile.core.entries import Pairs
-from mjtactile.core.errors import InputError
-from mjtactile.core.fields import (
+from mjtactile.core.config_fields import (
     DEGREE,
     KPA,
     MM,
@@ -33,10 +31,12 @@ from mjtactile.core.fields import (
     text,
     whole,
 )
+from mjtactile.core.errors import InputError
+from mjtactile.core.field_types import Pairs
 from mjtactile.core.toml import Section, read_toml
 from mjtactile.core.types import FINGERS
+from mjtactile.rig.as_built_sensor import SpecimenConfig
 from mjtactile.rig.simulated import OPENING, SimRigFile, sim_rig_from_table
-from mjtactile.rig.specimen import SpecimenConfig
 
 _PORT_SCHEMES = ("socket", "rfc2217")
 _RATIO_LAWS = ("law", ("rack", "crank"))
@@ -62,8 +62,8 @@ class BusConfig:
 @dataclass(frozen=True)
 class ServoConfig:
     """One jaw servo. `opening_part` m of the gripper's opening belong to this servo at
-    `zero_ticks`; see `mjtactile.devices.dynamixel.jaws` for `law`, `per_rad` (m/rad) and `table`
-    (rad, m). `torque_per_A` N m/A (None: data sheet).
+    `zero_ticks`; see `mjtactile.devices.dynamixel.jaw_kinematics` for `law`, `per_rad` (m/rad) and
+    `table` (rad, m). `torque_per_A` N m/A (None: data sheet).
     """
 
     id: int = whole("id", 0, 252)

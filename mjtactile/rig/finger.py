@@ -11,7 +11,7 @@ from typing import Any
 from mjtactile.core.calibration import Calibration, pressure_reading
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import TOLD, PressureReading, Told, ValveState
-from mjtactile.rig.limits import Limits
+from mjtactile.rig.command_limits import Limits
 from mjtactile.rig.protocols import CameraDevice, Clock, Gripper, Valve
 
 

@@ -6,7 +6,7 @@ import hashlib
 from dataclasses import replace
 
 from mjtactile.core.calibration import PartState
-from mjtactile.core.fields import entries
+from mjtactile.core.config_fields import entries
 from mjtactile.core.toml import Section, read_json
 from mjtactile.rig.file import GripperConfig, ServoConfig
 

@@ -20,11 +20,11 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.task import load_task
+from mjtactile.rig.domain_randomization import NONE
 from mjtactile.rig.file import RigFile, read_rig_file
 from mjtactile.rig.finger import Rig
 from mjtactile.rig.scenario import with_sensors
 from mjtactile.rig.simulated import SimRigFile
-from mjtactile.rig.variation import NONE
 
 RIGS = "mjtactile.rigs"
 CAMERAS = "mjtactile.cameras"

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile.core import resources
+from mjtactile.core.config_fields import read
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
-from mjtactile.core.fields import read
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.toml import Section, read_json, read_toml
 from mjtactile.recording.reader import Recording, load_recording

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from mjtactile.core.calibration import Calibration, PartState, load_calibration
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
+from mjtactile.rig.doctor_finding import Finding
 from mjtactile.rig.file import CameraConfig, RigFile
-from mjtactile.rig.finding import Finding
-from mjtactile.rig.gripper import gripper_state
+from mjtactile.rig.gripper_calibration import gripper_state
 
 
 def finger_design(finger: CameraConfig, default: SensorDesign) -> SensorDesign:

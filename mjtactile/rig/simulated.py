@@ -12,9 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from mjtactile.core.design import SensorDesign
-from mjtactile.core.entries import FilePath, Span, Texts
-from mjtactile.core.fields import (
+from mjtactile.core.config_fields import (
     DEGREE,
     KPA,
     MM,
@@ -29,8 +27,10 @@ from mjtactile.core.fields import (
     read_fields,
     text,
 )
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.field_types import FilePath, Span, Texts
 from mjtactile.core.toml import Section
-from mjtactile.rig.jaws import CRANK, LINEAR, TABLE, JawLaw, make_law
+from mjtactile.rig.jaw_transmission import CRANK, LINEAR, TABLE, JawLaw, make_law
 
 FINGERS_MAX = 8
 LAWS = {

@@ -1,6 +1,6 @@
 """The control loop: image, touch, observation, controller, command, record. The same for every rig.
 
-`mjtactile.run.session` puts references and a rig around it.
+`mjtactile.runtime.session` puts references and a rig around it.
 """
 
 from __future__ import annotations
@@ -11,18 +11,18 @@ import time as wall
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from mjtactile.core import headroom
+from mjtactile.core import memory_limit
+from mjtactile.core.controller_state import plain
 from mjtactile.core.errors import ControllerError, Interrupted, SafeStop
-from mjtactile.core.notebook import plain
 from mjtactile.core.signals import Stop
 from mjtactile.core.types import Command, Observation, Touch
 from mjtactile.recording.observer import Observer
 from mjtactile.rig.finger import Rig
-from mjtactile.run.controller import ControllerThread, LoadedController
-from mjtactile.run.cycle import ENDS, WAIT_TIME, ControlCycle, Cycle
-from mjtactile.run.perceive import Perceiver, Perceivers
-from mjtactile.run.perception_pool import PerceptionPool
-from mjtactile.run.supervisor import HEIGHT_TOLERANCE, Supervisor
+from mjtactile.runtime.controller import ControllerThread, LoadedController
+from mjtactile.runtime.cycle import ENDS, WAIT_TIME, ControlCycle, Cycle
+from mjtactile.runtime.perception_processes import PerceptionPool
+from mjtactile.runtime.perception_threads import Perceiver, Perceivers
+from mjtactile.runtime.supervisor import HEIGHT_TOLERANCE, Supervisor
 
 # 0.2 s of 0.25 s, so that the devices never take the loop for dead
 _STEP_SHARE = 0.8
@@ -74,7 +74,7 @@ def run_loop(
         perceivers = pool.at_work(perceptions, names)
     # of a simulated world, which waits, nothing is lost
     is_real = math.isfinite(rig.host_timeout)
-    memory = headroom.limited() if is_real else contextlib.nullcontext(lambda: None)
+    memory = memory_limit.limited() if is_real else contextlib.nullcontext(lambda: None)
     with (
         ControllerThread(controller, min(_STEP_SHARE * rig.host_timeout, WAIT_TIME)) as guarded,
         perceivers as perceiving,

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from mjtactile.core import pace, resources
+from mjtactile.core import resources, scaled_clock
 from mjtactile.core.errors import ControllerError, InputError
 from mjtactile.core.types import Command, Observation
 
@@ -117,8 +117,8 @@ class ControllerThread:
         """Raises queue.Empty. Where the whole process stood still, the time is up before the
         controller could go on: it is given another moment."""
         with contextlib.suppress(queue.Empty):
-            return self._answers.get(timeout=pace.wall(self._patience))
-        return self._answers.get(timeout=pace.wall(_ANOTHER_MOMENT))
+            return self._answers.get(timeout=scaled_clock.wall(self._patience))
+        return self._answers.get(timeout=scaled_clock.wall(_ANOTHER_MOMENT))
 
     def _work(self) -> None:
         while (observation := self._questions.get()) is not None:

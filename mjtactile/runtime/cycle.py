@@ -14,10 +14,10 @@ from mjtactile.core.status import Status, StatusCode
 from mjtactile.core.types import Command, GripperState, Image, Observation, Touch, ValveState
 from mjtactile.recording.observer import Observer
 from mjtactile.rig.finger import Rig
-from mjtactile.run import air
-from mjtactile.run.perceive import unknown_touch
-from mjtactile.run.references import patient_read
-from mjtactile.run.supervisor import Supervisor
+from mjtactile.runtime import pressure_command
+from mjtactile.runtime.perception_threads import unknown_touch
+from mjtactile.runtime.references import patient_read
+from mjtactile.runtime.supervisor import Supervisor
 
 # s that a world which waits gives a perception or a controller; the real one gives a share of its
 # host_timeout
@@ -207,14 +207,14 @@ class ControlCycle:
     def _send(self, wanted: Command) -> Command:
         rig = self.rig
         wanted = wanted.checked()
-        air.check(rig, wanted)
+        pressure_command.check(rig, wanted)
         allowed = self.supervisor.decide(
             self.now, wanted, self.last, self.touch, self.valves, self.gripper.lift_height
         )
-        last = air.started(rig, allowed, self.last, self.valves)
+        last = pressure_command.started(rig, allowed, self.last, self.valves)
         limited = rig.limits.apply(allowed, last, rig.period)
         sent = rig.gripper.command(limited)
-        self.attempt(lambda: air.send(rig, limited, self.last))
+        self.attempt(lambda: pressure_command.send(rig, limited, self.last))
         kept = (allowed.phase, allowed.memory, allowed.reason)
         if (sent.phase, sent.memory, sent.reason) == kept:
             return sent

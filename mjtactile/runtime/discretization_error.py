@@ -16,7 +16,7 @@ import numpy as np
 
 from mjtactile.core.errors import SimulationError
 from mjtactile.core.types import Array
-from mjtactile.sim import truth
+from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 
 RATIO = 1.5  # of mesh widths, coarse over fine
@@ -123,7 +123,7 @@ class GraspEstimate:
         self._drive(world, pose, lift, np.linspace(start, opening, round(_CLOSING / timestep)))
         self._drive(world, pose, lift, np.full(round(_RESTING / timestep), opening))
         return float(
-            np.mean([-truth.contact_force(world, i)[2] for i in range(len(world.sensors))])
+            np.mean([-ground_truth.contact_force(world, i)[2] for i in range(len(world.sensors))])
         )
 
     def _drive(self, world: GraspWorld, pose: Array, lift: Array, openings: Array) -> None:

@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.errors import InputError, SimulationError
-from mjtactile.core.levels import left_out_of
-from mjtactile.core.levels import level_texts as level_texts
+from mjtactile.core.fidelity_levels import left_out_of
+from mjtactile.core.fidelity_levels import level_texts as level_texts
 from mjtactile.core.scenario import TIME_LIMIT, Scenario
 from mjtactile.core.task import load_task
 from mjtactile.recording.observer import Observer, Observers
 from mjtactile.rig.finger import Rig
-from mjtactile.run.controller import LoadedController, load_controller
-from mjtactile.run.cycle import Cycle
-from mjtactile.run.session import open_session
-from mjtactile.run.supervisor import HEIGHT_TOLERANCE
+from mjtactile.runtime.controller import LoadedController, load_controller
+from mjtactile.runtime.cycle import Cycle
+from mjtactile.runtime.session import open_session
+from mjtactile.runtime.supervisor import HEIGHT_TOLERANCE
 
 
 @dataclass(frozen=True)
@@ -221,7 +221,7 @@ def _estimate(rig: Rig) -> Any:
         raise InputError(
             "only a simulated rig can repeat its run on another mesh", field="--error-estimate"
         )
-    from mjtactile.run.estimate import GraspEstimate
+    from mjtactile.runtime.discretization_error import GraspEstimate
 
     return GraspEstimate(rig.scene)
 
@@ -230,8 +230,8 @@ def _score(scenario: Scenario, rig: Rig, observer: Observer) -> Any:
     """A score that looks at the truth after every physics step; None on a rig that has no truth."""
     if rig.scene is None:
         return None
-    from mjtactile.run.judge import Judge
-    from mjtactile.run.scoring import GraspScore
+    from mjtactile.runtime.grasp_scoring import GraspScore
+    from mjtactile.runtime.task_scoring import Judge
 
     score = GraspScore(rig.scene, Judge.of(scenario, rig))
     rig.scene.after_each_stretch(score.after_stretch, score.due)

@@ -12,10 +12,10 @@ import numpy as np
 
 from mjtactile.core.task import Counts
 from mjtactile.core.types import Array, Touch
-from mjtactile.run.judge import Judge
-from mjtactile.sim import truth
+from mjtactile.runtime.task_scoring import Judge
+from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.grasp_world import GraspWorld
-from mjtactile.sim.scenes.view import SceneView
+from mjtactile.sim.scenes.scene_triangles import SceneView
 
 _RISEN = 0.01  # m of the hand, from where on it can be told whether the object comes along
 # the object counts as held when it rose by at least this share of what the hand rose,
@@ -59,11 +59,11 @@ class GraspScore:
     _slip: float = 0.0
 
     def __post_init__(self) -> None:
-        self._bodies = truth.object_bodies(self.world)
+        self._bodies = ground_truth.object_bodies(self.world)
         self._friction = [sensor.design.membrane.friction for sensor in self.world.sensors]
         self._next_strain = -math.inf
         self._rest_height = self._object_position()[2]
-        self._hand_start = truth.hand_position(self.world)[2]
+        self._hand_start = ground_truth.hand_position(self.world)[2]
 
     def begin_cycle(self) -> None:
         """Images were taken: from now on the phase counts that was sent for."""
@@ -78,11 +78,11 @@ class GraspScore:
         moving. To keep its view, too, takes a tenth of what a cycle without images does."""
         self.begin_cycle()
         sensors = range(len(self.world.sensors))
-        self._wrenches = [truth.contact_wrench(self.world, i) for i in sensors]
+        self._wrenches = [ground_truth.contact_wrench(self.world, i) for i in sensors]
         # where touch is drawn nobody sees markers, and finding them takes a sixth of an episode
         sees = "chain" in self.world.effects
         self._markers = [self.world.marker_poses(i)[0] if sees else _NO_MARKERS for i in sensors]
-        p_WO, q_WO = truth.object_pose(self.world, self.world.solid)
+        p_WO, q_WO = ground_truth.object_pose(self.world, self.world.solid)
         self._object_pose = {
             "object_position_true": p_WO.tolist(),
             "object_quaternion_true": q_WO.tolist(),
@@ -90,7 +90,7 @@ class GraspScore:
         self.view = SceneView.of(self.world) if with_view else None
 
     def columns(self, touch: Sequence[Touch], phase: str) -> dict[str, list[Any]]:
-        """The columns of truth beside one cycle's touch (`mjtactile.recording.columns.TRUE`).
+        """The columns of truth beside one cycle's touch (`mjtactile.recording.log_schema.TRUE`).
 
         `phase` is that of the command which was sent for it.
         """
@@ -112,7 +112,7 @@ class GraspScore:
 
     def after_stretch(self) -> None:
         """Sample the truth; call after every physics step, or stretch of them."""
-        each = truth.stretch_forces(self.world)
+        each = ground_truth.stretch_forces(self.world)
         forces = each[-1].tolist()
         peak = float(each.max())
         self.peak_force = max(self.peak_force, peak)
@@ -125,7 +125,7 @@ class GraspScore:
         if self.phase not in ("lift", "hold"):
             return
         p_WO = self._object_position()
-        p_WH = truth.hand_position(self.world)
+        p_WH = ground_truth.hand_position(self.world)
         self._track_slip(p_WO - p_WH)
         self._carried = max(self._carried, float((each @ self._friction).max()))
         lifted = float(p_WH[2] - self._hand_start)
@@ -166,10 +166,10 @@ class GraspScore:
 
     def forces(self) -> list[float]:
         """Normal force of the object on each membrane, N, positive when pressing."""
-        return (-truth.contact_loads(self.world, self.world.sensors)[:, 2]).tolist()
+        return (-ground_truth.contact_loads(self.world, self.world.sensors)[:, 2]).tolist()
 
     def _object_position(self) -> Array:
-        return truth.object_position(self.world, self._bodies)
+        return ground_truth.object_position(self.world, self._bodies)
 
     def _track_slip(self, relative: Array) -> None:
         """Largest motion of the object against the hand since it was lifted, m; `relative` (3,) m

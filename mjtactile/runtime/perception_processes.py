@@ -15,10 +15,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
-from mjtactile.core import pace, system
+from mjtactile.core import platform_support, scaled_clock
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Image, PressureReading, Touch
-from mjtactile.run.perceive import (
+from mjtactile.runtime.perception_threads import (
     PATIENCE,
     Outcome,
     late_touch,
@@ -26,8 +26,8 @@ from mjtactile.run.perceive import (
     value_of,
     with_readings,
 )
-from mjtactile.run.worker import Channel, WorkerProcess
-from mjtactile.sensing.perception import Perception
+from mjtactile.runtime.worker_process import Channel, WorkerProcess
+from mjtactile.sensing.stateful_pipeline import Perception
 
 _START = 120.0  # s; a busy computer takes 10 to import what a chain needs
 
@@ -79,18 +79,18 @@ class PerceptionPool:
         patience: float = PATIENCE,
         readings: Sequence[PressureReading | None] = (),
     ) -> tuple[Touch, ...]:
-        """What every sensor feels; see `mjtactile.run.perceive.Perceivers.perceive`.
+        """What every sensor feels; see `mjtactile.runtime.perception_threads.Perceivers.perceive`.
 
         Raises DeviceError for a process that has ended, and what a chain raised, when all have
         answered.
         """
         for worker, own in self._shares(with_readings(images, readings)):
             worker.begin("feel", own, now)
-        end = pace.monotonic() + patience
+        end = scaled_clock.monotonic() + patience
         felt = list[Outcome | None]([None] * len(images))
         for first, (worker, own) in enumerate(self._shares(self._perceptions)):
             answer = list[tuple[Outcome, Any]](
-                worker.outcome(max(0.0, end - pace.monotonic())) or []
+                worker.outcome(max(0.0, end - scaled_clock.monotonic())) or []
             )
             for finger, (perception, (outcome, tracks)) in enumerate(
                 zip(own, answer, strict=False)
@@ -124,7 +124,7 @@ class PerceptionPool:
 def default_count(cameras: int) -> int:
     """How many processes are worth having beside a simulated world: one a camera, as far as there
     are processors for them."""
-    return min(cameras, system.processors() - 1)
+    return min(cameras, platform_support.processors() - 1)
 
 
 def serve(channel: Channel) -> None:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, Protocol
 
-from mjtactile.core import pace, system
+from mjtactile.core import platform_support, scaled_clock
 from mjtactile.core.status import Status, StatusCode
 from mjtactile.core.types import Image, PressureReading, Touch, TouchImage
 
@@ -23,7 +23,7 @@ PATIENCE = 10.0
 
 
 class Perceiver(Protocol):
-    """One sensor's perception; see `mjtactile.sensing.perception.Perception`."""
+    """One sensor's perception; see `mjtactile.sensing.stateful_pipeline.Perception`."""
 
     shapes: bool
 
@@ -107,9 +107,9 @@ class Perceivers:
             outcome_of(chain.perceive, *seen) if thread is None else None
             for (chain, _, thread), seen in zip(self._chains, given, strict=True)
         ]
-        end = pace.monotonic() + patience
+        end = scaled_clock.monotonic() + patience
         found = [
-            mine if thread is None else thread.outcome(max(0.0, end - pace.monotonic()))
+            mine if thread is None else thread.outcome(max(0.0, end - scaled_clock.monotonic()))
             for ((_, _, thread), _), mine in zip(pairs, own, strict=True)
         ]
         return tuple(
@@ -144,7 +144,7 @@ def unknown_touch(image: Image, now: float, status: Status) -> Touch:
 def default_threads(cameras: int = 2, busy: int = 0) -> int:
     """How many threads are worth having beside `busy` others, such as a simulated world's: one a
     camera where there are processors for all of them, else none."""
-    if cameras > 1 and system.processors() >= cameras + busy:
+    if cameras > 1 and platform_support.processors() >= cameras + busy:
         return cameras
     return 0
 
@@ -180,7 +180,7 @@ class _Thread:
         if self._is_late:
             return None
         try:
-            done = self._done.get(timeout=pace.wall(patience))
+            done = self._done.get(timeout=scaled_clock.wall(patience))
         except queue.Empty:
             return None
         self._due -= 1

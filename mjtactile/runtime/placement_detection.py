@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 
 from mjtactile.core.types import Array, Touch
-from mjtactile.hold import shear, support
+from mjtactile.grasp_estimation import shear, support
 
 _TABLE_FORCE = 0.3  # N on each finger, beyond what the load was: a nudge on the way down is less
 _FOLLOWS = 0.2  # of a new shear in what is taken for the load's, against noise

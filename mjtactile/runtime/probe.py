@@ -1,7 +1,7 @@
 """The second job: press, hold, release, touch again, and say what the object is made of. Live on a
 rig, or replayed.
 
-Like `mjtactile.run.grasp` it joins the control loop to a result; no truth takes part in it.
+Like `mjtactile.runtime.grasp` it joins the control loop to a result; no truth takes part in it.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from mjtactile.core.types import Material, Touch
 from mjtactile.recording.observer import Observer, Observers
 from mjtactile.recording.reader import Recording
 from mjtactile.rig.registry import build_rig
-from mjtactile.run.controller import load_controller
-from mjtactile.run.cycle import Cycle
-from mjtactile.run.session import Session, open_session
+from mjtactile.runtime.controller import load_controller
+from mjtactile.runtime.cycle import Cycle
+from mjtactile.runtime.session import Session, open_session
 from mjtactile.sensing.settings import DEFAULTS, Settings
 from mjtactile.sensing.touch.material import judge
 from mjtactile.sensing.touch.squeeze import Squeeze

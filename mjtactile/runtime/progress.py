@@ -15,7 +15,7 @@ from mjtactile.core.types import PHASES
 from mjtactile.recording.observer import Observer
 
 if TYPE_CHECKING:
-    from mjtactile.run.cycle import Cycle
+    from mjtactile.runtime.cycle import Cycle
 
 _BAR = 18
 _REFRESH = 0.1  # s of wall time between two drawings of the line

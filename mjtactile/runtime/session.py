@@ -22,18 +22,18 @@ from mjtactile.core.types import Command
 from mjtactile.recording.observer import CycleCallback, Observer, Observers
 from mjtactile.rig.finger import Rig
 from mjtactile.rig.registry import as_scenario, build_rig
-from mjtactile.run.controller import LoadedController
-from mjtactile.run.cycle import WAIT_TIME, Cycle
-from mjtactile.run.flags import FlagNotes
-from mjtactile.run.loop import run_loop
-from mjtactile.run.perceive import DrawnPerception, Perceiver
-from mjtactile.run.perception_pool import PerceptionPool, default_count
-from mjtactile.run.push import PushWatch
-from mjtactile.run.references import ReferenceImages, inflate, take_references
-from mjtactile.run.steps import Steps
-from mjtactile.run.supervisor import Supervisor
-from mjtactile.sensing.perception import Perception
+from mjtactile.runtime.control_loop import run_loop
+from mjtactile.runtime.controller import LoadedController
+from mjtactile.runtime.cycle import WAIT_TIME, Cycle
+from mjtactile.runtime.flag_observer import FlagNotes
+from mjtactile.runtime.perception_processes import PerceptionPool, default_count
+from mjtactile.runtime.perception_threads import DrawnPerception, Perceiver
+from mjtactile.runtime.references import ReferenceImages, inflate, take_references
+from mjtactile.runtime.stepwise_control import Steps
+from mjtactile.runtime.supervisor import Supervisor
+from mjtactile.runtime.unsensed_force_monitor import PushWatch
 from mjtactile.sensing.settings import DEFAULTS, Settings
+from mjtactile.sensing.stateful_pipeline import Perception
 
 Say = Callable[[str], None]
 
@@ -162,7 +162,8 @@ class Session:
         observer: Observer | None = None,
         supervisor: Supervisor | None = None,
     ) -> Command:
-        """Run the controller until it says "done" or "abort"; see `mjtactile.run.loop.run_loop`.
+        """Run the controller until it says "done" or "abort"; see
+        `mjtactile.runtime.control_loop.run_loop`.
 
         Args:
             controller: Is asked for a command in every cycle; where its file says `READS =

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from mjtactile.core.types import Command, Image, Observation
 from mjtactile.recording.observer import Observer
 from mjtactile.rig.finger import Rig
-from mjtactile.run.cycle import ControlCycle
-from mjtactile.run.perceive import Perceiver, Perceivers
-from mjtactile.run.supervisor import Supervisor
+from mjtactile.runtime.cycle import ControlCycle
+from mjtactile.runtime.perception_threads import Perceiver, Perceivers
+from mjtactile.runtime.supervisor import Supervisor
 
 
 class Steps:

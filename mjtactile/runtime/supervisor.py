@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from mjtactile.core.types import Command, Touch, ValveState
-from mjtactile.run.landing import HangingLoad
+from mjtactile.runtime.placement_detection import HangingLoad
 
 BLIND_TIME_MAX = 0.5  # s without a known force before the gripper opens by itself
 RETREAT_SPEED = 0.030  # m/s of opening, and of lowering

@@ -19,7 +19,7 @@ from mjtactile.core.scenario import Scenario
 from mjtactile.core.task import Task, load_task
 from mjtactile.core.types import Array
 from mjtactile.rig.finger import Rig
-from mjtactile.sim import truth
+from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 
 VERSION = "3"
@@ -54,9 +54,9 @@ class Judge:
 
     def __post_init__(self) -> None:
         model = self.world.model
-        self._bodies = truth.object_bodies(self.world)
+        self._bodies = ground_truth.object_bodies(self.world)
         self._friction = [sensor.design.membrane.friction for sensor in self.world.sensors]
-        self._hand_start = float(truth.hand_position(self.world)[2])
+        self._hand_start = float(ground_truth.hand_position(self.world)[2])
         self._places = model.body_weldid == 0
         self._start = self._standing()
 
@@ -78,7 +78,9 @@ class Judge:
             self.let_go_at = time - self._up_since
             self.torn = phase in ("lift", "hold")
         if phase in ("lower", "release") and not math.isnan(self._up_since):
-            pressed = max(truth.support_force(self.world, self._bodies) - self._weight(), 0.0)
+            pressed = max(
+                ground_truth.support_force(self.world, self._bodies) - self._weight(), 0.0
+            )
             self.bump = np.nan_to_num(self.bump) + pressed * steps * self.world.timestep
         is_pulled = time - self._up_since >= self.pulls  # then who pulls carries it, too
         if phase in ("lift", "hold") and height > _IN_AIR and time >= self._next_look:
@@ -168,7 +170,7 @@ class Judge:
     def _patch(self, number: int) -> tuple[Array, float]:
         """Middle (3,) m, frame W, of what presses on a membrane, and its mean distance from there,
         m, by force: friction's limit in torque over that in force. 0: nothing presses."""
-        middle, radius = truth.patch(self.world, number)
+        middle, radius = ground_truth.patch(self.world, number)
         if radius <= 0:
             return middle, 0.0
         data = self.world.data
@@ -190,7 +192,7 @@ class Judge:
 
     def _height(self) -> float:
         """m of the hand over where it began."""
-        return float(truth.hand_position(self.world)[2]) - self._hand_start
+        return float(ground_truth.hand_position(self.world)[2]) - self._hand_start
 
     def _weight(self) -> float:
         model = self.world.model
@@ -198,9 +200,9 @@ class Judge:
 
     def _standing(self) -> tuple[float, float]:
         """Tilt of the object's own z axis, rad, and height of its middle over its place, m."""
-        _, turn = truth.object_pose(self.world, self.world.solid)
+        _, turn = ground_truth.object_pose(self.world, self.world.solid)
         upright = 1 - 2 * float(turn[1] ** 2 + turn[2] ** 2)  # z of the turned z axis
         places = np.flatnonzero(self._places)
         moved = float(self.world.model.body_pos[places[-1], 2])
-        height = float(truth.object_position(self.world, self._bodies)[2]) - moved
+        height = float(ground_truth.object_position(self.world, self._bodies)[2]) - moved
         return math.acos(min(max(upright, -1.0), 1.0)), height

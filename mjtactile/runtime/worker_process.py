@@ -14,7 +14,7 @@ import tempfile
 from collections.abc import Sequence
 from typing import Any
 
-from mjtactile.core import pace, process
+from mjtactile.core import process, scaled_clock
 from mjtactile.core.errors import DeviceError
 
 _TAKES = 10.0  # s in which a process takes a question
@@ -136,7 +136,7 @@ class Channel:
         head = struct.pack(f"<{2 + len(sizes)}Q", is_lent, len(sizes), *sizes)
         parts = [head, pickled, *([] if is_lent else arrays)]
         length = sum(memoryview(part).nbytes for part in parts)
-        self._end.settimeout(None if self._takes is None else pace.wall(self._takes))
+        self._end.settimeout(None if self._takes is None else scaled_clock.wall(self._takes))
         self._end.sendall(b"".join([_NUMBER.pack(length), *parts]))
 
     def _lend(self, arrays: Sequence[memoryview]) -> bool:
@@ -152,7 +152,7 @@ class Channel:
     def receive(self, patience: float | None) -> tuple[Any, ...] | None:
         """What was sent; None if it is not all there within `patience` s (None: wait), and then it
         is received on the next time. Raises OSError when there is no other end any more."""
-        end = math.inf if patience is None else pace.monotonic() + patience
+        end = math.inf if patience is None else scaled_clock.monotonic() + patience
         while self._filled < len(self._room) or not self._sized:
             if self._filled == len(self._room):
                 self._room = bytearray(_NUMBER.unpack(self._room)[0])
@@ -160,7 +160,9 @@ class Channel:
                 self._sized = True
                 continue
             self._end.settimeout(
-                None if math.isinf(end) else pace.wall(max(end - pace.monotonic(), 1e-6))
+                None
+                if math.isinf(end)
+                else scaled_clock.wall(max(end - scaled_clock.monotonic(), 1e-6))
             )
             try:
                 more = self._end.recv_into(memoryview(self._room)[self._filled :])

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from mjtactile.core.types import Array, Contact, FeltShape, Touch
-from mjtactile.sensing.body.finder import Found
-from mjtactile.sensing.body.fuse import Borne, with_load
-from mjtactile.sensing.body.motion import RubberMotion, rubber_step
+from mjtactile.sensing.contact_shape.estimator import Found
+from mjtactile.sensing.contact_shape.force_fusion import Borne, with_load
+from mjtactile.sensing.contact_shape.relative_motion import RubberMotion, rubber_step
+from mjtactile.sensing.pipeline_state import ChainState, Reference
 from mjtactile.sensing.settings import SlipSettings
-from mjtactile.sensing.state import ChainState, Reference
-from mjtactile.sensing.touch.moving import with_motion
+from mjtactile.sensing.touch.slip_from_motion import with_motion
 
 _GAUGE_STEP = 1.02  # of the gas at rest, after which shapes want another film
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mjtactile.core.rubber import Law
+from mjtactile.core.neo_hookean import Law
 from mjtactile.core.sensor_parts import Membrane
 from mjtactile.core.types import Array
 
@@ -37,7 +37,7 @@ class SheetLaw:
     @property
     def numbers(self) -> tuple[float, ...]:
         """Whether it is neo-Hookean, its modulus and Poisson's ratio, and of `table` the first
-        place and places per unit, as kernels/sheet.h has them."""
+        place and places per unit, as kernels/spline_fem.h has them."""
         neo_hookean = self._law is not Law.STVK
         per_unit = (len(_LOG_DET) - 1) / (_LOG_DET[-1] - _LOG_DET[0])
         return (

@@ -11,11 +11,11 @@ import numpy as np
 from mjtactile.core.calibration_parts import ForceScale
 from mjtactile.core.status import Status, StatusCode
 from mjtactile.core.types import Contact, Touch, Traction
-from mjtactile.sensing.estimate import Estimate
-from mjtactile.sensing.force import zero
-from mjtactile.sensing.force.inverse import InverseMembrane
+from mjtactile.sensing.force import contact_detection
+from mjtactile.sensing.force.inverse_fem import InverseMembrane
+from mjtactile.sensing.membrane_estimator import Estimate
+from mjtactile.sensing.pipeline_state import ChainState
 from mjtactile.sensing.settings import Settings
-from mjtactile.sensing.state import ChainState
 from mjtactile.sensing.touch import slip
 from mjtactile.sensing.touch.patches import find_patches, together
 
@@ -96,7 +96,7 @@ class TouchJudge:
         state = estimate.state
         shape = estimate.shape
         before = state.detection
-        found = zero.detect_touch(touch.time, traction, before, s.zero)
+        found = contact_detection.detect_touch(touch.time, traction, before, s.zero)
         patches = self._patches(estimate) if found.touching else ()
         judged, history = slip.judge(touch.time, self._inverse, shape, patches, state.slip, s.slip)
         state = replace(
@@ -142,9 +142,11 @@ class TouchJudge:
         if state.reference is None:
             return state
         rest = estimate.rest
-        followed = zero.follow(
+        followed = contact_detection.follow(
             self._inverse,
-            zero.Zero.of(rest) if state.apart is None else zero.Zero(rest, state.apart),
+            contact_detection.Zero.of(rest)
+            if state.apart is None
+            else contact_detection.Zero(rest, state.apart),
             estimate.shape,
             estimate.markers,
             elapsed,

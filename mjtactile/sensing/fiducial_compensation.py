@@ -10,12 +10,12 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.optics import Camera
 from mjtactile.core.types import Array, Ellipses, FiducialsSeen, Markers
-from mjtactile.sensing.force.camera import KNOWN_MODES, CameraFinder
-from mjtactile.sensing.force.rest import darker
-from mjtactile.sensing.pose.fixed import FiducialFinder
-from mjtactile.sensing.pose.picture import UNCHANGED
+from mjtactile.sensing.force.camera_drift_estimator import KNOWN_MODES, CameraFinder
+from mjtactile.sensing.force.rest_equilibrium import darker
+from mjtactile.sensing.pipeline_state import ChainState
+from mjtactile.sensing.pose.fiducial_matching import FiducialFinder
+from mjtactile.sensing.pose.image_transform import UNCHANGED
 from mjtactile.sensing.settings import Settings
-from mjtactile.sensing.state import ChainState
 
 
 class KnownCamera:

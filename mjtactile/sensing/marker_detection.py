@@ -13,16 +13,16 @@ from mjtactile.core.errors import DeviceError
 from mjtactile.core.optics import Camera
 from mjtactile.core.status import OK, Status, StatusCode
 from mjtactile.core.types import Array, Ellipses, Image, Markers, Sighting
-from mjtactile.sensing.estimate import ShapeEstimator
-from mjtactile.sensing.force.lag import BlendFinder
+from mjtactile.sensing.fiducial_compensation import KnownCamera
+from mjtactile.sensing.force.temporal_blending import BlendFinder
 from mjtactile.sensing.image import tracking
 from mjtactile.sensing.image.exposure import is_overexposed
 from mjtactile.sensing.image.markers import grey_image
-from mjtactile.sensing.known import KnownCamera
-from mjtactile.sensing.pose import fixed, identity
+from mjtactile.sensing.membrane_estimator import ShapeEstimator
+from mjtactile.sensing.pipeline_state import ChainState
+from mjtactile.sensing.pose import fiducial_matching, marker_matching
 from mjtactile.sensing.pose.circles import estimate_poses
 from mjtactile.sensing.settings import Settings
-from mjtactile.sensing.state import ChainState
 
 
 class MarkerSight:
@@ -64,7 +64,7 @@ class MarkerSight:
             ellipses, state = self.known.look(state, ellipses)
         poses = estimate_poses(ellipses, self.camera, self.design.markers.radius)
         poses = state.flat.to_nominal(self.design, poses)
-        markers = identity.identify(
+        markers = marker_matching.identify(
             poses,
             self.design,
             state.expected,
@@ -189,5 +189,5 @@ def average(seen: Sequence[Markers]) -> Markers:
         direction,
         cov[ids] / n[..., None] ** 2,
         darkness,
-        fixed.average(fiducials) if fiducials else None,
+        fiducial_matching.average(fiducials) if fiducials else None,
     )

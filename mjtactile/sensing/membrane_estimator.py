@@ -10,14 +10,14 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Markers, PressureReading
-from mjtactile.sensing.force.camera import CameraSeen
-from mjtactile.sensing.force.drift import MODES, CameraBelief
-from mjtactile.sensing.force.gain import Shape
-from mjtactile.sensing.force.gauge import GasState, GaugeFilter
-from mjtactile.sensing.force.inverse import InverseMembrane
-from mjtactile.sensing.force.rest import InverseRest
+from mjtactile.sensing.force.camera_drift_estimator import CameraSeen
+from mjtactile.sensing.force.camera_drift_model import MODES, CameraBelief
+from mjtactile.sensing.force.gas_filter import GasState, GaugeFilter
+from mjtactile.sensing.force.inverse_fem import InverseMembrane
+from mjtactile.sensing.force.linearization import Shape
+from mjtactile.sensing.force.rest_equilibrium import InverseRest
+from mjtactile.sensing.pipeline_state import KNOCKS_SURE, ChainState, Reference
 from mjtactile.sensing.settings import Settings
-from mjtactile.sensing.state import KNOCKS_SURE, ChainState, Reference
 
 _SET_ASIDE_SHARE = 0.03  # of the markers, and at least one: more are not dirt
 

@@ -25,19 +25,19 @@ from mjtactile.core.errors import DeviceError
 from mjtactile.core.optics import Camera
 from mjtactile.core.status import OK, Status
 from mjtactile.core.types import Array, FeltShape, Image, Markers, PressureReading, Surface, Touch
-from mjtactile.sensing.body.finder import ShapeFinder
-from mjtactile.sensing.estimate import ShapeEstimator
-from mjtactile.sensing.force import bulge
-from mjtactile.sensing.force.inverse import InverseMembrane
-from mjtactile.sensing.force.relaxing import RubberMemory
-from mjtactile.sensing.force.rest import InverseRest
-from mjtactile.sensing.judgement import TouchJudge
-from mjtactile.sensing.pose.reference import FlatReference, measure_flat
+from mjtactile.sensing.apply_contact_shape import after_shape, finder_gauge, rubber_between
+from mjtactile.sensing.contact_decision import TouchJudge
+from mjtactile.sensing.contact_shape.estimator import ShapeFinder
+from mjtactile.sensing.force import rest_shape_check
+from mjtactile.sensing.force.inverse_fem import InverseMembrane
+from mjtactile.sensing.force.rest_equilibrium import InverseRest
+from mjtactile.sensing.force.stress_relaxation import RubberMemory
+from mjtactile.sensing.marker_detection import MarkerSight, average, moved
+from mjtactile.sensing.membrane_estimator import ShapeEstimator
+from mjtactile.sensing.pipeline_state import ChainState, Reference
+from mjtactile.sensing.pose.flat_reference import FlatReference, measure_flat
 from mjtactile.sensing.settings import DEFAULTS, Settings
-from mjtactile.sensing.shape.surface import SurfaceFitter
-from mjtactile.sensing.shaped import after_shape, finder_gauge, rubber_between
-from mjtactile.sensing.sight import MarkerSight, average, moved
-from mjtactile.sensing.state import ChainState, Reference
+from mjtactile.sensing.surface.surface import SurfaceFitter
 from mjtactile.sensing.touch import slip
 
 
@@ -204,7 +204,7 @@ class Chain:
         rest = self.inverse.rest_state(
             markers, pressure_gauge, sealed=sealed, inflated_s=inflated_s
         )
-        bulge.require_bulge(
+        rest_shape_check.require_bulge(
             self.design,
             markers,
             self.inverse.positions(rest.c)[markers.ids, 2],

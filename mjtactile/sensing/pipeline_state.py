@@ -7,17 +7,17 @@ from dataclasses import dataclass, replace
 
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Array, FiducialsSeen, Surface
-from mjtactile.sensing.body.candidates import Press
-from mjtactile.sensing.force import zero
-from mjtactile.sensing.force.camera import CameraSeen
-from mjtactile.sensing.force.drift import CameraBelief
-from mjtactile.sensing.force.gain import Shape
-from mjtactile.sensing.force.gauge import GasState
-from mjtactile.sensing.force.lag import Blend
-from mjtactile.sensing.force.relaxing import RubberMemory
-from mjtactile.sensing.force.rest import InverseRest
+from mjtactile.sensing.contact_shape.hypotheses import Press
+from mjtactile.sensing.force import contact_detection
+from mjtactile.sensing.force.camera_drift_estimator import CameraSeen
+from mjtactile.sensing.force.camera_drift_model import CameraBelief
+from mjtactile.sensing.force.gas_filter import GasState
+from mjtactile.sensing.force.linearization import Shape
+from mjtactile.sensing.force.rest_equilibrium import InverseRest
+from mjtactile.sensing.force.stress_relaxation import RubberMemory
+from mjtactile.sensing.force.temporal_blending import Blend
 from mjtactile.sensing.image import tracking
-from mjtactile.sensing.pose.reference import FlatReference
+from mjtactile.sensing.pose.flat_reference import FlatReference
 from mjtactile.sensing.touch import slip
 
 KNOCKS_SURE = 3  # images in a row: a torn picture is no knock
@@ -54,7 +54,7 @@ class ChainState:
     expected: Array
     reference: Reference | None = None
     shape: Shape | None = None
-    detection: zero.Detection | None = None
+    detection: contact_detection.Detection | None = None
     slip: slip.SlipHistory | None = None
     tracks: tracking.Tracks | None = None
     apart: Array | None = None

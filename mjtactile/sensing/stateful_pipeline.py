@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from mjtactile.core.calibration import Calibration
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import FeltShape, Image, Markers, PressureReading, Touch
-from mjtactile.sensing.body.finder import ShapeFinder, told_nothing
-from mjtactile.sensing.chain import Chain
-from mjtactile.sensing.force.rest import InverseRest
-from mjtactile.sensing.pose.reference import FlatReference
+from mjtactile.sensing.apply_contact_shape import finder_gauge, with_shape
+from mjtactile.sensing.contact_shape.estimator import ShapeFinder, told_nothing
+from mjtactile.sensing.force.rest_equilibrium import InverseRest
+from mjtactile.sensing.pipeline import Chain
+from mjtactile.sensing.pipeline_state import ChainState
+from mjtactile.sensing.pose.flat_reference import FlatReference
 from mjtactile.sensing.settings import DEFAULTS, Settings
-from mjtactile.sensing.shaped import finder_gauge, with_shape
-from mjtactile.sensing.state import ChainState
 
 
 class Perception:

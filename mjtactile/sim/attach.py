@@ -11,7 +11,7 @@
     while True:
         for sensor in sensors:
             sensor.update()                                  # gas: before every mj_step
-        mujoco.mj_step(model, data)  # or mjtactile.sim.step.advance, in half the time
+        mujoco.mj_step(model, data)  # or mjtactile.sim.fast_step.advance, in half the time
         centres, normals = sensors[0].marker_poses()         # m, in the sensor's frame
 
 The site's frame becomes the sensor's frame S: origin in the middle of the flat membrane, z outward.
@@ -31,13 +31,19 @@ import numpy as np
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.outline import Outline
-from mjtactile.sim.sensor import features, limits
-from mjtactile.sim.sensor.film_sensor import FilmSensor
-from mjtactile.sim.sensor.films import FILM_GRID, add_feeler
+from mjtactile.sim.sensor import feature_size, validity_checks
+from mjtactile.sim.sensor.effect_switches import (
+    PHYSICS,
+    Effect,
+    effects_named,
+    set_law,
+    set_physics,
+)
 from mjtactile.sim.sensor.membrane import ANYTHING, BODY, FLEX, add_membrane
 from mjtactile.sim.sensor.mesh import MembraneMesh, make_mesh
-from mjtactile.sim.sensor.runtime import TactileSensor
-from mjtactile.sim.sensor.switches import PHYSICS, Effect, effects_named, set_law, set_physics
+from mjtactile.sim.sensor.mesh_sensor import TactileSensor
+from mjtactile.sim.sensor.quasistatic_cache import FILM_GRID, add_feeler
+from mjtactile.sim.sensor.quasistatic_sensor import FilmSensor
 
 TIMESTEP_RANGE = (1e-4, 8e-3)
 DEFAULT_MESH = (13, 11)
@@ -126,7 +132,7 @@ def attach_membrane(
     if mesh is None:
         mesh = default_mesh(design) if Effect.SHEET in on else FILM_GRID
     check_options(spec.option, source="attach")
-    limits.check_design(design, mesh)
+    validity_checks.check_design(design, mesh)
     _check_contact(contact)
     target = _site(spec, site)
     _check_prefix(spec, prefix)
@@ -155,12 +161,12 @@ def attach_membrane(
 
 
 def _check_contact(contact: str) -> None:
-    if contact not in ("auto", *features.CONTACT_MODELS):
+    if contact not in ("auto", *feature_size.CONTACT_MODELS):
         raise InputError(
             f"{contact!r} is not a contact model",
             source="attach",
             field="contact",
-            choices=["auto", *features.CONTACT_MODELS],
+            choices=["auto", *feature_size.CONTACT_MODELS],
         )
 
 

@@ -1,7 +1,7 @@
 """`FilmStepper`: many steps of a hand whose sensors are films without Python between them.
 
 Of a step of 2 ms MuJoCo and the films need some 40 us; calling them one after the other from Python
-takes several times that. Here one kernel (`kernels/film_steps.c`) does what `HandWorld` and
+takes several times that. Here one kernel (`kernels/qs_substeps.c`) does what `HandWorld` and
 `Stepper` do step by step, calls MuJoCo by the addresses of its functions, and lets go of Python
 meanwhile, so that worlds in threads use all processors. It ends early where something must be
 looked at.
@@ -20,7 +20,7 @@ import numpy as np
 
 from mjtactile.core.types import Array
 from mjtactile.kernels import bound
-from mjtactile.sim.sensor.film_sensor import FilmSensor
+from mjtactile.sim.sensor.quasistatic_sensor import FilmSensor
 
 MOST = 64
 """Steps in one go."""

@@ -6,12 +6,12 @@ import numpy as np
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Image
-from mjtactile.rig.specimen import NOMINAL, SpecimenConfig, camera_pose, marker_radii
-from mjtactile.sim.picture.renderer import Renderer
-from mjtactile.sim.picture.sighting import Sighter
-from mjtactile.sim.picture.troubles import TroubledPicture
-from mjtactile.sim.sensor.any import AnySensor
-from mjtactile.sim.sensor.switches import CAMERA, Effect, set_picture
+from mjtactile.rig.as_built_sensor import NOMINAL, SpecimenConfig, camera_pose, marker_radii
+from mjtactile.sim.rendering.image_faults import TroubledPicture
+from mjtactile.sim.rendering.renderer import Renderer
+from mjtactile.sim.rendering.synthetic_ellipses import Sighter
+from mjtactile.sim.sensor.effect_switches import CAMERA, Effect, set_picture
+from mjtactile.sim.sensor.sensor_types import AnySensor
 
 _EXPOSURE = 8e-3  # s, for motion blur
 _SHUTTER = (0.0, 0.5, 1.0)  # shares of the exposure at which the moving markers are drawn

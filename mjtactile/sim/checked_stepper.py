@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from mjtactile.core.errors import SimulationError
 from mjtactile.core.types import Array
-from mjtactile.sim.sensor.any import AnySensor
-from mjtactile.sim.sensor.limits import GROWS, Flags
+from mjtactile.sim.fast_step import advance
 from mjtactile.sim.sensor.monitor import SceneMonitor
-from mjtactile.sim.step import advance
+from mjtactile.sim.sensor.sensor_types import AnySensor
+from mjtactile.sim.sensor.validity_checks import GROWS, Flags
 
 # s between the checks that cost more than a few microseconds; films see much by themselves
 _LOOK_PERIOD = 0.02

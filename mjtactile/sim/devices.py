@@ -11,10 +11,10 @@ import numpy as np
 
 from mjtactile.core.calibration import GAUGE_SD
 from mjtactile.core.types import Command, GripperState, ValveState
-from mjtactile.rig.variation import FAULTLESS, RigChange
+from mjtactile.rig.domain_randomization import FAULTLESS, RigChange
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.world import World
-from mjtactile.sim.sensor.any import AnySensor
+from mjtactile.sim.sensor.sensor_types import AnySensor
 
 _HOSE_TIME = 0.05  # s, time constant of a regulated supply, as the emulated board's
 

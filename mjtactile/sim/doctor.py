@@ -2,7 +2,7 @@
 its lift really do.
 
 The rig is built without an object, inflated, opened, closed and lifted once. Findings as in
-`mjtactile.rig.finding`.
+`mjtactile.rig.doctor_finding`.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ import numpy as np
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.core.types import Array
-from mjtactile.rig.finding import Finding
+from mjtactile.rig.doctor_finding import Finding
 from mjtactile.rig.simulated import SimRigFile
 from mjtactile.sim.attach import recommend_options
-from mjtactile.sim.scenes.clearance import touched_by_sensors
 from mjtactile.sim.scenes.grasp_world import finger_designs
-from mjtactile.sim.scenes.hand_world import HandWorld
+from mjtactile.sim.scenes.gripper_world import HandWorld
+from mjtactile.sim.scenes.initial_contact_check import touched_by_sensors
+from mjtactile.sim.scenes.initial_state import arm_actuators, arm_joints, missing_names
 from mjtactile.sim.scenes.mjcf import read_mjcf
-from mjtactile.sim.scenes.start import arm_actuators, arm_joints, missing_names
 
 _ABOVE_TABLE = 5e-3  # m of the sensors' frames, where the rig is tried
 # of a site's z to the middle of the fingertips

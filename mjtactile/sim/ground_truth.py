@@ -17,16 +17,16 @@ from mjtactile.core.design import Frame
 from mjtactile.core.types import Array
 from mjtactile.kernels import kernel
 from mjtactile.sim.scenes.objects import PREFIX, moving_bodies
-from mjtactile.sim.sensor import loads
-from mjtactile.sim.sensor.contacts import listed
-from mjtactile.sim.sensor.film_sensor import FilmSensor
+from mjtactile.sim.sensor import contact_loads as loads
+from mjtactile.sim.sensor.contact_list import listed
+from mjtactile.sim.sensor.quasistatic_sensor import FilmSensor
 
 if TYPE_CHECKING:
-    from mjtactile.sim.scenes.hand_world import HandWorld
+    from mjtactile.sim.scenes.gripper_world import HandWorld
     from mjtactile.sim.scenes.strain import SoftSolid
     from mjtactile.sim.scenes.world import World
-    from mjtactile.sim.sensor.any import AnySensor
-    from mjtactile.sim.sensor.runtime import TactileSensor
+    from mjtactile.sim.sensor.mesh_sensor import TactileSensor
+    from mjtactile.sim.sensor.sensor_types import AnySensor
 
 
 def contact_forces(world: World, sensor: int) -> tuple[Array, Array, Array]:
@@ -184,7 +184,7 @@ def contact_area(world: World, sensor: int, spacing: float = 4e-4) -> float:
     if force <= 0:
         return 0.0
     # lazily: with its solver it takes as long as all of a step's needs
-    from mjtactile.sim import film
+    from mjtactile.sim import obstacle_problem
 
     frame = device.design.frame
     axes = [
@@ -196,7 +196,7 @@ def contact_area(world: World, sensor: int, spacing: float = 4e-4) -> float:
     nearest = np.linalg.norm(points[:, None] - device.p_SV, axis=2).argmin(axis=1)
     pressing = np.maximum(-forces[:, 2], 0.0)
     tension = float(pressing @ device.tensions()[nearest] / pressing.sum())
-    contact = film.lie_on(
+    contact = obstacle_problem.lie_on(
         _heights_of(world, device, x, y),
         inside,
         spacing,

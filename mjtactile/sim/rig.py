@@ -10,24 +10,24 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.task import DrawnTask, Task, load_task
+from mjtactile.rig.as_built_sensor import SpecimenConfig, true_design
+from mjtactile.rig.command_limits import Limits
+from mjtactile.rig.domain_randomization import Drawn, ObjectChange, draw
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.finger import Rig, make_fingers
-from mjtactile.rig.limits import Limits
 from mjtactile.rig.registry import RigRequest
 from mjtactile.rig.simulated import SimRigFile
-from mjtactile.rig.specimen import SpecimenConfig, true_design
-from mjtactile.rig.variation import Drawn, ObjectChange, draw
 from mjtactile.sim.camera import SimCamera
-from mjtactile.sim.chain_errors import load_errors
 from mjtactile.sim.devices import SimClock, SimGripper, SimValve
-from mjtactile.sim.drawn import TouchDrawer
 from mjtactile.sim.effects.catalog import Chosen, choose, film_serves
 from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR, Fidelity
+from mjtactile.sim.scenes.disturbances import Happenings
 from mjtactile.sim.scenes.grasp_world import GraspWorld, finger_designs
-from mjtactile.sim.scenes.happenings import Happenings
 from mjtactile.sim.scenes.objects import ObjectModel, load_object
-from mjtactile.sim.sensor.any import AnySensor
-from mjtactile.sim.sensor.switches import Effect, set_design
+from mjtactile.sim.sensing_error_model import load_errors
+from mjtactile.sim.sensor.effect_switches import Effect, set_design
+from mjtactile.sim.sensor.sensor_types import AnySensor
+from mjtactile.sim.synthetic_touch import TouchDrawer
 
 _SCATTER = 2e-3  # m, to each side
 _LARGEST_STEP = 6.7e-3  # s; against 1 ms, forces change by 1 mN (docs/validation/accuracy.md)

@@ -17,9 +17,9 @@ from mjtactile.core.status import OK, Status, StatusCode
 from mjtactile.core.types import Array, Contact, Slip, SlipState, Touch, TouchImage, Traction
 from mjtactile.core.types.arrays import fixed
 from mjtactile.kernels import bound
-from mjtactile.sim.chain_errors import AtLoad, ChainErrors
-from mjtactile.sim.sensor.any import AnySensor
-from mjtactile.sim.sensor.film_sensor import FilmSensor
+from mjtactile.sim.sensing_error_model import AtLoad, ChainErrors
+from mjtactile.sim.sensor.quasistatic_sensor import FilmSensor
+from mjtactile.sim.sensor.sensor_types import AnySensor
 
 _RECENT = 0.12  # s over which a slip is told, as by the chain
 _NONE = fixed(np.zeros(0))

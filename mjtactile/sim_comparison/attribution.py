@@ -22,8 +22,8 @@ import numpy as np
 
 from mjtactile.core.errors import DeviceError, SimulationError
 from mjtactile.core.types import Array
-from mjtactile.shadow.causes import Cause
-from mjtactile.shadow.signals import KINDS, TOLERANCE, Signals, apart
+from mjtactile.sim_comparison.discrepancy_parameters import Cause
+from mjtactile.sim_comparison.signals import KINDS, TOLERANCE, Signals, apart
 
 POINTS = 90
 """Of time, at which rigs are compared."""

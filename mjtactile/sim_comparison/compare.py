@@ -13,10 +13,10 @@ from joblib import Parallel, delayed
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.export.episode import RecordedEpisode
-from mjtactile.shadow.again import Amounts, HandAgain, StageAgain, undrawn
-from mjtactile.shadow.causes import causes_of
-from mjtactile.shadow.explain import Shadow, attempted, explain
-from mjtactile.shadow.signals import Signals, recorded
+from mjtactile.sim_comparison.attribution import Shadow, attempted, explain
+from mjtactile.sim_comparison.discrepancy_parameters import causes_of
+from mjtactile.sim_comparison.resimulate import Amounts, HandAgain, StageAgain, undrawn
+from mjtactile.sim_comparison.signals import Signals, recorded
 
 
 def shadow_of(

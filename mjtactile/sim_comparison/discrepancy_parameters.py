@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mjtactile.core.fields import ML_S_KPA
+from mjtactile.core.config_fields import ML_S_KPA
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ import numpy as np
 
 from mjtactile.core.types import Array
 from mjtactile.report import html
-from mjtactile.shadow.causes import words
-from mjtactile.shadow.explain import Shadow, TriedCause
-from mjtactile.shadow.signals import KINDS, TOLERANCE, UNIT, Signals
+from mjtactile.sim_comparison.attribution import Shadow, TriedCause
+from mjtactile.sim_comparison.discrepancy_parameters import words
+from mjtactile.sim_comparison.signals import KINDS, TOLERANCE, UNIT, Signals
 
 _COLOURS = {"recorded": "#1f5fa8", "simulated": "#b9b9b9", "with what is named": "#d1571b"}
 _WIDTH = 520

@@ -15,18 +15,18 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Array, Command, Image, PressureReading
-from mjtactile.experiments.stage import record_stage
+from mjtactile.experiments.motion_stage import record_stage
 from mjtactile.export.episode import RecordedEpisode
 from mjtactile.recording.observer import Observer
 from mjtactile.recording.reader import Recording
-from mjtactile.recording.stage import Stage, stage_from_note
+from mjtactile.recording.stage_protocol import Stage, stage_from_note
+from mjtactile.rig.as_built_sensor import NOMINAL, SpecimenConfig, true_design
+from mjtactile.rig.domain_randomization import UNCHANGED, Drawn
 from mjtactile.rig.file import load_sim_rig
-from mjtactile.rig.specimen import NOMINAL, SpecimenConfig, true_design
-from mjtactile.rig.variation import UNCHANGED, Drawn
-from mjtactile.run.session import Session
-from mjtactile.sensing.perception import Perception
-from mjtactile.shadow.signals import Gathered, Signals, gauges
+from mjtactile.runtime.session import Session
+from mjtactile.sensing.stateful_pipeline import Perception
 from mjtactile.sim.rig import build_sim_rig, start_of
+from mjtactile.sim_comparison.signals import Gathered, Signals, gauges
 
 Amounts = Mapping[str, Sequence[float]]
 """Cause to its amount, SI, on each finger; of the hand or of the thing one number."""

@@ -15,13 +15,13 @@ from mujoco.studio.dear_imgui import dear_imgui as imgui
 from mjtactile.core import resources
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import MjtactileError
-from mjtactile.experiments.accuracy import effects_of
-from mjtactile.run.session import Session
-from mjtactile.studio.guard import guarded
-from mjtactile.studio.hand import HandGoal
+from mjtactile.experiments.fidelity_options import effects_of
+from mjtactile.runtime.session import Session
+from mjtactile.studio.callback_guard import guarded
 from mjtactile.studio.layout import ABOVE_LOOK, LEFT, RED, WindowLayout
-from mjtactile.studio.moment import Moment
-from mjtactile.studio.show import Show
+from mjtactile.studio.manual_control import HandGoal
+from mjtactile.studio.session_bridge import Show
+from mjtactile.studio.snapshot import Moment
 
 _OPEN = int(imgui.TreeNodeFlags.DefaultOpen)
 _WHITE = imgui.Vec4(1.0, 1.0, 1.0, 1.0)

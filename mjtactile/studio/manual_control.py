@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mjtactile.core.types import Command, Observation
-from mjtactile.run.controller import LoadedController
+from mjtactile.runtime.controller import LoadedController
 
 # m/s
 _OPENING_SPEED = 0.03

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Ellipses
 from mjtactile.report.overlay import find_ellipses, followed, with_ellipses
-from mjtactile.studio import marks, plots, surface
-from mjtactile.studio.guard import guarded
+from mjtactile.studio import plots, scene_overlays, surface_colormap
+from mjtactile.studio.callback_guard import guarded
 from mjtactile.studio.layout import LEFT, LOOK, RED, WindowLayout
-from mjtactile.studio.moment import Felt, History, Moment, Pose, finger_lines
-from mjtactile.studio.own import OwnFingers
+from mjtactile.studio.snapshot import Felt, History, Moment, Pose, finger_lines
+from mjtactile.studio.user_scene import OwnFingers
 
 # that travel to the browser at most (mujoco.studio.web.state_payload.MAX_EXTRA_GEOMS)
 _GEOMS = 1024
@@ -61,10 +61,10 @@ class Panel(plugin.ViewerPlugin):
         self.source: MomentSource = (
             OwnFingers(fingers) if isinstance(fingers, Sequence) else fingers
         )
-        self.look = marks.Look()
+        self.look = scene_overlays.Look()
         self._layout = WindowLayout()
         self.error = ""
-        self._brush = marks.Brush()
+        self._brush = scene_overlays.Brush()
         self._mine = []
         self._marked: tuple[Any, ...] = (None, None)
         self._textures: dict[tuple[int, str], int] = {}
@@ -93,14 +93,14 @@ class Panel(plugin.ViewerPlugin):
             self._marked = (moment, self.look)
             self._drawn = now
             before = self._mine
-            marks.draw(
+            scene_overlays.draw(
                 self._brush,
                 fingers,
                 self.look,
                 least=_LEAST if self._has_membranes(moment) else 0.0,
             )
             self._mine = self._brush.drawn
-            marks.keep(self.viewer.extra_geoms, before, self._mine, _GEOMS)
+            scene_overlays.keep(self.viewer.extra_geoms, before, self._mine, _GEOMS)
         if (moment, self.look.surface) != self._pictured and now - self._when > 1 / _RATE:
             self._pictured = (moment, self.look.surface)
             self._when = now
@@ -131,9 +131,9 @@ class Panel(plugin.ViewerPlugin):
     def _make_pictures(self, fingers: Sequence[Felt]) -> None:
         """Each camera's image with its ellipses, and each membrane."""
         kind = "indentation" if self.look.surface == "none" else self.look.surface
-        fields = [surface.field_of(felt, kind) for felt in fingers]
-        scale = surface.scale_of(fields)
-        self._scale = surface.scale_text(kind, scale)
+        fields = [surface_colormap.field_of(felt, kind) for felt in fingers]
+        scale = surface_colormap.scale_of(fields)
+        self._scale = surface_colormap.scale_text(kind, scale)
         for k, (felt, field) in enumerate(zip(fingers, fields, strict=True)):
             self._ellipses[k] = ellipses_of(felt)
             seen = with_ellipses(felt.image, _DETAIL * _IMAGE[0], self._ellipses[k])
@@ -151,7 +151,9 @@ class Panel(plugin.ViewerPlugin):
                 self._upload(
                     k,
                     "membrane",
-                    surface.picture(felt, field, scale, (_IMAGE[0], round(ratio * _IMAGE[0]))),
+                    surface_colormap.picture(
+                        felt, field, scale, (_IMAGE[0], round(ratio * _IMAGE[0]))
+                    ),
                 )
 
     def _upload(self, k: int, what: str, rgb: NDArray[np.uint8]) -> None:
@@ -183,7 +185,7 @@ class Panel(plugin.ViewerPlugin):
         self._layout.place(8, -LOOK, LEFT, LOOK)
         if imgui.Begin("Touch in the scene")[0]:
             look = self.look
-            choices = ["none", *surface.KINDS]
+            choices = ["none", *surface_colormap.KINDS]
             _, chosen = imgui.Combo("membranes", choices.index(look.surface), choices)
             forces, contacts, field, camera = (
                 imgui.Checkbox(text, value)[1]
@@ -194,7 +196,7 @@ class Panel(plugin.ViewerPlugin):
                     ("what the cameras see", look.camera),
                 )
             )
-            self.look = marks.Look(choices[chosen], forces, field, contacts, camera)
+            self.look = scene_overlays.Look(choices[chosen], forces, field, contacts, camera)
             imgui.TextUnformatted(self._scale)
             for kind, reason in flags.items():
                 imgui.TextWrapped(f"doubt ({kind}): {reason}")

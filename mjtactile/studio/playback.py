@@ -16,11 +16,11 @@ from mujoco.studio.dear_imgui import dear_imgui as imgui
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Image
 from mjtactile.recording.reader import Recording
-from mjtactile.run.cycle import Cycle
-from mjtactile.studio.guard import guarded
+from mjtactile.runtime.cycle import Cycle
+from mjtactile.studio.callback_guard import guarded
 from mjtactile.studio.layout import ABOVE_LOOK, LEFT, WindowLayout
-from mjtactile.studio.moment import Curves, History, Moment
-from mjtactile.studio.show import ChamberReadings, Show, moment_of
+from mjtactile.studio.session_bridge import ChamberReadings, Show, moment_of
+from mjtactile.studio.snapshot import Curves, History, Moment
 
 
 class TapePlayer(Show):

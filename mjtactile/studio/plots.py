@@ -11,8 +11,8 @@ from mujoco.studio.implot import implot
 
 from mjtactile.core.types import Array
 from mjtactile.report.summary_figure import PHASE_COLOURS
-from mjtactile.run.supervisor import STATES
-from mjtactile.studio.moment import Curves
+from mjtactile.runtime.supervisor import STATES
+from mjtactile.studio.snapshot import Curves
 
 _BARS = 5  # points from one error bar to the next
 _UNEASY = "#f8b0a0"

@@ -10,10 +10,10 @@ import mujoco
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.report.body_lines import lines_of
+from mjtactile.report.shape_wireframe import lines_of
 from mjtactile.report.summary_figure import FINGER_COLOURS
-from mjtactile.studio import surface
-from mjtactile.studio.moment import Felt, Pose
+from mjtactile.studio import surface_colormap
+from mjtactile.studio.snapshot import Felt, Pose
 
 _G = mujoco.mjtGeom
 _METRES_PER_NEWTON = 0.03  # of a net force
@@ -105,15 +105,16 @@ def draw(brush: Brush, fingers: Sequence[Felt], look: Look, *, least: float = 0.
     (0: all)."""
     brush.begin()
     fields = [
-        None if look.surface == "none" else surface.field_of(felt, look.surface) for felt in fingers
+        None if look.surface == "none" else surface_colormap.field_of(felt, look.surface)
+        for felt in fingers
     ]
-    scale = surface.scale_of(fields)
+    scale = surface_colormap.scale_of(fields)
     for felt, field, colour in zip(fingers, fields, FINGER_COLOURS, strict=False):
         if felt.pose is None:
             continue
         if (
             field is not None
-            and (found := surface.sheet(felt, field, scale, least=least)) is not None
+            and (found := surface_colormap.sheet(felt, field, scale, least=least)) is not None
         ):
             corners, rgb = found
             brush.triangles(felt.pose.place(corners + [0.0, 0.0, _ABOVE]), rgb)
@@ -132,7 +133,7 @@ def draw(brush: Brush, fingers: Sequence[Felt], look: Look, *, least: float = 0.
 def _touches(brush: Brush, felt: Felt, pose: Pose, look: Look, rgba: Sequence[float]) -> None:
     """What touches the finger: outlines and the centre of pressure; what it feels to push with, as
     a whole and by place."""
-    centre = surface.centre_of_pressure(felt.touch)
+    centre = surface_colormap.centre_of_pressure(felt.touch)
     if look.contacts:
         for patch in felt.touch.patches:
             if len(patch.outline):
@@ -153,7 +154,7 @@ def _touches(brush: Brush, felt: Felt, pose: Pose, look: Look, rgba: Sequence[fl
 
 
 def _over(felt: Felt, p_S: Array) -> Array:
-    return surface.height_at(felt.touch, p_S) + [0.0, 0.0, 2 * _ABOVE]
+    return surface_colormap.height_at(felt.touch, p_S) + [0.0, 0.0, 2 * _ABOVE]
 
 
 def _outline(brush: Brush, felt: Felt, pose: Pose, outline: Array) -> None:

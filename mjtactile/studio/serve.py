@@ -16,14 +16,14 @@ from mujoco.studio import app, viewer_handle, viewer_protocol
 
 from mjtactile.core import signals
 from mjtactile.core.errors import Interrupted, MjtactileError
-from mjtactile.run.controller import load_controller
-from mjtactile.run.grasp import run_grasp
-from mjtactile.studio.desk import Desk
-from mjtactile.studio.loopback import launch, looked_at
-from mjtactile.studio.mirror import Mirror
+from mjtactile.runtime.controller import load_controller
+from mjtactile.runtime.grasp import run_grasp
+from mjtactile.studio.control_window import Desk
+from mjtactile.studio.local_server import launch, looked_at
 from mjtactile.studio.panel import Panel
-from mjtactile.studio.show import RestartAsked, Show
-from mjtactile.studio.tape import Deck, TapePlayer
+from mjtactile.studio.playback import Deck, TapePlayer
+from mjtactile.studio.session_bridge import RestartAsked, Show
+from mjtactile.studio.state_sync import Mirror
 
 _PERIOD = 0.005  # s between two looks at the session,
 # s: sensing lets go of the interpreter for each kernel, and waited up to 5 ms for the windows each

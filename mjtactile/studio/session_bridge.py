@@ -22,11 +22,11 @@ from mjtactile.core.errors import DeviceError, Interrupted, SimulationError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Array, Image, Surface
 from mjtactile.recording.observer import Observer
-from mjtactile.run.controller import LoadedController
-from mjtactile.run.cycle import Cycle
-from mjtactile.run.session import Session
-from mjtactile.studio.hand import ByHand, HandGoal
-from mjtactile.studio.moment import Felt, History, Moment, Pose, SessionState
+from mjtactile.runtime.controller import LoadedController
+from mjtactile.runtime.cycle import Cycle
+from mjtactile.runtime.session import Session
+from mjtactile.studio.manual_control import ByHand, HandGoal
+from mjtactile.studio.snapshot import Felt, History, Moment, Pose, SessionState
 
 RED_BUTTON = "somebody pressed the red button"
 _PAUSED = 0.02  # s between two looks at whether it still is

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.types import Array, Image, Surface, Touch, ValveState
-from mjtactile.report.body_lines import words_of
+from mjtactile.report.shape_wireframe import words_of
 
 HISTORY = 20.0  # s that the plots show
 _CURVE = 300  # points of a curve, at most

@@ -13,9 +13,9 @@ import mujoco
 import numpy as np
 from mujoco.studio import messages, plugin
 
-from mjtactile.studio.guard import guarded
-from mjtactile.studio.moment import Felt, Moment
-from mjtactile.studio.show import Show
+from mjtactile.studio.callback_guard import guarded
+from mjtactile.studio.session_bridge import Show
+from mjtactile.studio.snapshot import Felt, Moment
 
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _OFF = mujoco.mjtDisableBit

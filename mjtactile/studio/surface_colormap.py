@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array, Touch
-from mjtactile.studio.moment import Felt
+from mjtactile.studio.snapshot import Felt
 
 KINDS = ("indentation", "traction")
 _LEAST = {"indentation": 1e-3, "traction": 1e3}  # m, Pa: the scale's end while less is felt

@@ -12,11 +12,11 @@ from typing import ClassVar
 import mujoco
 from mujoco.studio import messages, plugin
 
-from mjtactile.plugin.mount import Mount, attach
+from mjtactile.plugin.attach import Mount, attach
 from mjtactile.plugin.sim_finger import SimFinger, step
 from mjtactile.sim.attach import recommend_options
-from mjtactile.studio.guard import guarded
-from mjtactile.studio.moment import Felt, History, Moment
+from mjtactile.studio.callback_guard import guarded
+from mjtactile.studio.snapshot import Felt, History, Moment
 
 _BEHIND = 0.1  # s; more than this is not made up for
 _IDLE = 1e-3  # s of sleep, so that the viewer's thread gets its turn

@@ -11,14 +11,14 @@ import time
 from mujoco.studio import messages, plugin, ux
 
 from mjtactile import cli
-from mjtactile.studio import desk, panel, serve, show, tape
+from mjtactile.studio import control_window, panel, playback, serve, session_bridge
 
 _TEXTS = {"TextUnformatted": 0, "TextColored": 1, "TextWrapped": 0}
 _WIDGETS = {"Button", "Checkbox", "Combo", "Image", "SliderFloat", "InputInt", "CollapsingHeader"}
 _WHOLE = panel.finger_lines
 _PERIOD = 0.05  # s
 _PICTURE = "MJTACTILE_PICTURE" in os.environ  # one to look at
-MODULES = (panel, desk, tape)
+MODULES = (panel, control_window, playback)
 frame = {
     "places": {},
     "values": {},
@@ -152,7 +152,7 @@ if __name__ == "__main__":
         shown.source.step()  # the first cycle, and a pause: a browser may take its time to come up
         return launch(config, plugins=[*plugins, Clerk(shown.source, shown, plugins[0])])
 
-    add = show.Show.add
+    add = session_bridge.Show.add
 
     def add_and_pause(self, cycle, *args, **truth):
         add(self, cycle, *args, **truth)
@@ -160,7 +160,7 @@ if __name__ == "__main__":
         if cycle.sent.phase == "hold" and not frame.get("held"):
             frame["held"] = frame["turn"] = self.paused = True
 
-    show.Show.add = add_and_pause
+    session_bridge.Show.add = add_and_pause
     serve.launch = launch_with_clerk
     threading.Thread(target=answer, daemon=True).start()
     sys.exit(cli.main(["studio", *sys.argv[1:]]))

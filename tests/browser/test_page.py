@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
+from mjtactile.recording.decimated_history import Strip
 from mjtactile.recording.reader import load_recording
-from mjtactile.recording.strip import Strip
 from mjtactile.report.page import write_page
 from tests.browser.page import CHROMIUM, open_page
 from tests.fake_run import write_fake_recording

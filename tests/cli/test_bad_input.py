@@ -169,10 +169,13 @@ def step(observation):
     [
         (["grasp", "--seed", "-1"], ["--seed", "-1"]),
         (["grasp", "--rig", "dream"], ["--rig", "dream", "sim"]),
-        (["grab"], ["grab", "grasp", "locate"]),
+        (["grab"], ["grab", "grasp", "detect-circles"]),
         (["bench", "nothing"], ["nothing", "grasp", "perception"]),
-        (["locate", "x.png", "--camera", "c.yaml", "--radius-mm", "0"], ["--radius-mm", "0"]),
-        (["locate", "x.png", "--camera", "c.yaml", "--radius-mm", "1"], ["c.yaml"]),
+        (
+            ["detect-circles", "x.png", "--camera", "c.yaml", "--radius-mm", "0"],
+            ["--radius-mm", "0"],
+        ),
+        (["detect-circles", "x.png", "--camera", "c.yaml", "--radius-mm", "1"], ["c.yaml"]),
         ([], ["COMMAND", "--help"]),
     ],
 )
@@ -217,7 +220,7 @@ def test_mujocos_own_words_are_for_debugging(tmp_path):
     code = """if True:
         import mujoco, numpy as np
         from mjtactile import cli
-        from mjtactile.sim.log import route_warnings
+        from mjtactile.sim.mujoco_log import route_warnings
         cli._quieten_libraries(debug=DEBUG)
         route_warnings()
         ball = "<body><freejoint/><geom size='1'/></body>"
@@ -257,7 +260,7 @@ def test_debug_shows_where(command):
 
 
 def test_help_teaches(command):
-    for words in ([], ["grasp"], ["bench"], ["locate"]):
+    for words in ([], ["grasp"], ["bench"], ["detect-circles"]):
         process = command(*words, "--help")
         assert process.returncode == 0 and process.stderr == ""
         assert "examples:" in process.stdout

@@ -11,7 +11,7 @@ from mjtactile.core.calibration import Calibration, load_calibration
 from mjtactile.core.calibration_parts import ForceScale, Lens, ValveZero, stamp
 from mjtactile.core.design import load_sensor
 from mjtactile.rig.file import load_rig_file
-from mjtactile.rig.gripper import calibrated_gripper
+from mjtactile.rig.gripper_calibration import calibrated_gripper
 
 DESIGN = load_sensor("dense")
 MARK = stamp(DESIGN, {}, {})

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mjtactile.cli import main
-from mjtactile.explore.run import PatchStore
+from mjtactile.explore.exploration import PatchStore
 
 
 def refused(capsys, *arguments):

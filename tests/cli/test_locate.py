@@ -1,4 +1,4 @@
-"""`mjtactile locate` as a tool of its own: circles drawn by another program come out where they
+"""`mjtactile detect-circles` as a tool of its own: circles drawn by another program come out where they
 were put."""
 
 import functools
@@ -58,7 +58,14 @@ def folder(tmp_path):
 
 def locate(mjtactile, source, *args):
     process = mjtactile(
-        "locate", source, "--camera", "camera.yaml", "--radius-mm", RADIUS_MM, "--json", *args
+        "detect-circles",
+        source,
+        "--camera",
+        "camera.yaml",
+        "--radius-mm",
+        RADIUS_MM,
+        "--json",
+        *args,
     )
     assert process.returncode == 0, process.stderr
     return json.loads(process.stdout)["frames"]
@@ -134,7 +141,14 @@ def test_glass_in_front_of_the_camera(mjtactile, folder):
 
 def test_bad_glass_is_named(mjtactile, folder):
     process = mjtactile(
-        "locate", "dark.png", "--camera", "camera.yaml", "--radius-mm", 6, "--glass-mm", "5:0.5:100"
+        "detect-circles",
+        "dark.png",
+        "--camera",
+        "camera.yaml",
+        "--radius-mm",
+        6,
+        "--glass-mm",
+        "5:0.5:100",
     )
     assert (
         process.returncode == 2 and "5:0.5:100" in process.stderr and "5:1.5:120" in process.stderr
@@ -157,7 +171,7 @@ def test_bad_glass_is_named(mjtactile, folder):
 )
 def test_bad_sources_are_named(mjtactile, folder, name, make, words):
     make(folder / name)
-    process = mjtactile("locate", name, "--camera", "camera.yaml", "--radius-mm", 6)
+    process = mjtactile("detect-circles", name, "--camera", "camera.yaml", "--radius-mm", 6)
     assert process.returncode == 2 and process.stdout == ""
     line = process.stderr.strip().splitlines()[-1]
     assert [word for word in words if word not in line] == [] and "Traceback" not in process.stderr

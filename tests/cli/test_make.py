@@ -1,4 +1,4 @@
-"""`mjtactile make` as a user meets it: a folder that explains itself, or one line and no folder."""
+"""`mjtactile fabricate` as a user meets it: a folder that explains itself, or one line and no folder."""
 
 import functools
 import json
@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from mjtactile.cli import main
-from mjtactile.make import build as room
-from mjtactile.make import manual
-from mjtactile.make.states import SheetState
+from mjtactile.fabrication import build as room
+from mjtactile.fabrication import manual
+from mjtactile.fabrication.marker_positions import SheetState
 
 
 def flat(design, *_):
@@ -27,7 +27,7 @@ def quick(monkeypatch):
 
 def test_the_folder_says_what_is_in_it(quick, capsys, tmp_path):
     out = tmp_path / "build"
-    assert main(["make", "paper16", "--out", str(out), "--json"]) == 0
+    assert main(["fabricate", "paper16", "--out", str(out), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     written = {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
     assert (
@@ -47,7 +47,7 @@ def test_the_folder_says_what_is_in_it(quick, capsys, tmp_path):
         assert {f"cad/{part}.stl", f"cad/{part}.step"} <= written
     assert (out / "pictures/exploded.png").read_bytes().startswith(b"\x89PNG")
     # the copy is a sensor file; nothing is overwritten
-    assert main(["make", str(out / "sensor.toml"), "--out", str(out)]) == 2
+    assert main(["fabricate", str(out / "sensor.toml"), "--out", str(out)]) == 2
     assert "nothing is overwritten" in capsys.readouterr().err
 
 
@@ -62,7 +62,7 @@ def test_what_cannot_be_built_leaves_one_line_and_no_folder(capsys, tmp_path):
         (["dense", "--press-mm", "25"], "--press-mm: 25 "),
         (["dens"], "dens: unknown sensor (valid: dense, "),
     ):
-        assert main(["make", *map(str, arguments), "--out", str(tmp_path / "a" / "b")]) == 2
+        assert main(["fabricate", *map(str, arguments), "--out", str(tmp_path / "a" / "b")]) == 2
         said = capsys.readouterr().err
         assert said.count("\n") == 1 and words in said
     assert not (tmp_path / "a").exists()
@@ -70,9 +70,9 @@ def test_what_cannot_be_built_leaves_one_line_and_no_folder(capsys, tmp_path):
 
 def test_what_is_missing_is_named(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(
-        "mjtactile.make.mesh.find_spec", lambda name: None if name == "manifold3d" else name
+        "mjtactile.fabrication.mesh.find_spec", lambda name: None if name == "manifold3d" else name
     )
-    assert main(["make", "dense", "--out", str(tmp_path / "a")]) == 2
-    assert ("needs manifold3d: pip install 'mjtactile[make]'") in capsys.readouterr().err and not (
-        tmp_path / "a"
-    ).exists()
+    assert main(["fabricate", "dense", "--out", str(tmp_path / "a")]) == 2
+    assert (
+        "needs manifold3d: pip install 'mjtactile[fabrication]'"
+    ) in capsys.readouterr().err and not (tmp_path / "a").exists()

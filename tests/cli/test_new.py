@@ -9,11 +9,11 @@ from mjtactile.commands.new import KINDS
 from mjtactile.core import resources
 from mjtactile.core.design import load_sensor
 from mjtactile.core.task import load_task
+from mjtactile.rig.domain_randomization import load_variation
 from mjtactile.rig.file import read_rig_file
 from mjtactile.rig.registry import build_rig
 from mjtactile.rig.scenario import load_scenario
-from mjtactile.rig.variation import load_variation
-from mjtactile.run.controller import load_controller
+from mjtactile.runtime.controller import load_controller
 from mjtactile.sim.scenes.objects import load_object
 from tests.cli.test_bad_input import assert_one_line
 

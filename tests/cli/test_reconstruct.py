@@ -9,7 +9,7 @@ import pytest
 
 from mjtactile.cli import main
 from mjtactile.core.calibration import load_calibration
-from mjtactile.sim.picture.renderer import Renderer
+from mjtactile.sim.rendering.renderer import Renderer
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.emulator.process import EmulatorProcess
 from tests.emulated import at_pace
 from tests.patient import DESIGN, patient_rig_file
@@ -12,7 +12,7 @@ from tests.patient import DESIGN, patient_rig_file
 def half_speed():
     """Emulated devices at half the speed of other tests: for grasps with cameras, which keep two
     processors busy."""
-    with at_pace(2 * pace.slow()):
+    with at_pace(2 * scaled_clock.slow()):
         yield
 
 

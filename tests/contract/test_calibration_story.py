@@ -15,8 +15,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.first_day.person import Person, photograph_board
-from mjtactile.calibrate import live
+from benchmarks.commissioning.simulated_operator import Person, photograph_board
+from mjtactile.calibrate import interactive
 from mjtactile.cli import main
 from mjtactile.commands.emulate import client_text
 from mjtactile.core import resources
@@ -25,10 +25,10 @@ from mjtactile.core.design import load_sensor
 from mjtactile.core.types import FINGERS
 from mjtactile.emulator.process import EmulatorProcess
 from mjtactile.emulator.rig import build_emulated_rig
+from mjtactile.rig.as_built_sensor import true_design
 from mjtactile.rig.file import load_rig_file
-from mjtactile.rig.specimen import true_design
-from mjtactile.run.controller import load_controller
-from mjtactile.run.session import Session
+from mjtactile.runtime.controller import load_controller
+from mjtactile.runtime.session import Session
 from tests.emulated import at_pace
 
 pytestmark = pytest.mark.clock
@@ -146,9 +146,9 @@ def calibrate(file, emulator, monkeypatch, *options):
     """One `mjtactile calibrate`, by a person at the terminal."""
     person = Person(emulator)
     # the emulated jaws have no play to settle, its chambers no long way to the valve
-    monkeypatch.setattr(live, "_SPEED", 0.1)
-    monkeypatch.setattr(live, "_REST_TIME", 0.3)
-    monkeypatch.setattr(live, "_VALVE_STAGES", (1.0, 1.0, 0.5))
+    monkeypatch.setattr(interactive, "_SPEED", 0.1)
+    monkeypatch.setattr(interactive, "_REST_TIME", 0.3)
+    monkeypatch.setattr(interactive, "_VALVE_STAGES", (1.0, 1.0, 0.5))
     with person.at_the_terminal():
         code = main(["calibrate", *options, "--rig", str(file)])
     assert code == 0, "".join(person.read)

@@ -5,7 +5,7 @@ import pytest
 
 from mjtactile.core.scenario import Scenario
 from mjtactile.recording.observer import Observer
-from mjtactile.run.grasp import run_grasp
+from mjtactile.runtime.grasp import run_grasp
 from tests.emulated_host import controller_text
 
 TROUBLES = """[camera]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.task import load_task
 from mjtactile.devices.camera import opencv
@@ -20,10 +20,10 @@ from mjtactile.recording.reader import load_recording
 from mjtactile.recording.writer import Recorder
 from mjtactile.replay.rig import build_replay_rig
 from mjtactile.rig.file import load_rig_file, load_sim_rig
-from mjtactile.run.controller import load_controller
-from mjtactile.run.scoring import GraspScore
-from mjtactile.run.session import Session
-from mjtactile.sim import truth
+from mjtactile.runtime.controller import load_controller
+from mjtactile.runtime.grasp_scoring import GraspScore
+from mjtactile.runtime.session import Session
+from mjtactile.sim import ground_truth
 from mjtactile.sim.rig import build_sim_rig
 from tests.patient import DESIGN, SIMULATED, patient_rig_file
 
@@ -85,8 +85,8 @@ def test_gentle_lifts_an_egg(name, tmp_path):
             on_images=lambda: moments.append(
                 (
                     score.forces(),
-                    truth.hand_position(rig.scene)[2],
-                    truth.object_position(rig.scene)[2],
+                    ground_truth.hand_position(rig.scene)[2],
+                    ground_truth.object_position(rig.scene)[2],
                 )
             ),
         )
@@ -119,9 +119,9 @@ def test_gentle_grasps_on_the_emulated_rig_and_commands_its_air(emulator, tmp_pa
         def add(self, cycle, **rest):
             super().add(cycle, **rest)
             if cycle.sent.phase == "hold":
-                before = pace.monotonic()
+                before = scaled_clock.monotonic()
                 true = emulator.truth()
-                moment = (before + pace.monotonic()) / 2
+                moment = (before + scaled_clock.monotonic()) / 2
                 heights.append(true["object_height"])
                 truths.append([moment, true["contact_1"], true["contact_2"]])
                 felt.append([[touch.time, touch.force_normal] for touch in cycle.touch])

@@ -12,16 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mjtactile.core import process, system
+from mjtactile.core import platform_support, process
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Image, Markers, Touch
 from mjtactile.recording.observer import Observer
 from mjtactile.recording.writer import Recorder
-from mjtactile.run.grasp import run_grasp
-from mjtactile.run.perception_pool import PerceptionPool, default_count
-from mjtactile.run.session import open_session
+from mjtactile.runtime.grasp import run_grasp
+from mjtactile.runtime.perception_processes import PerceptionPool, default_count
+from mjtactile.runtime.session import open_session
 
 IMAGE = Image(np.arange(64, dtype=np.uint8).reshape(8, 8), 1.0)
 NAMES = "left", "right"
@@ -196,5 +196,5 @@ def test_without_room_for_the_second_process_the_first_is_ended_too_and_a_sessio
 
 def test_one_a_camera_as_far_as_there_are_processors_for_them(monkeypatch):
     for processors, expected in ((1, 0), (2, 1), (3, 2), (8, 2)):
-        monkeypatch.setattr(system, "processors", lambda n=processors: n)
+        monkeypatch.setattr(platform_support, "processors", lambda n=processors: n)
         assert default_count(2) == expected

@@ -10,9 +10,9 @@ from mjtactile.core.errors import DeviceError
 from mjtactile.core.scenario import Scenario
 from mjtactile.emulator.process import EmulatorProcess
 from mjtactile.rig.file import load_rig_file
-from mjtactile.run.controller import load_controller
-from mjtactile.run.grasp import run_grasp
-from mjtactile.studio.show import RED_BUTTON, Show
+from mjtactile.runtime.controller import load_controller
+from mjtactile.runtime.grasp import run_grasp
+from mjtactile.studio.session_bridge import RED_BUTTON, Show
 from tests.emulated_host import controller_text, rig_text
 
 pytestmark = pytest.mark.clock

@@ -23,13 +23,13 @@ from mjtactile.emulator.rig import build_emulated_rig
 from mjtactile.recording.reader import load_recording
 from mjtactile.recording.writer import Recorder
 from mjtactile.replay.rig import build_replay_rig
+from mjtactile.rig.command_limits import PRESSURE_STEP
 from mjtactile.rig.file import load_rig_file
-from mjtactile.rig.limits import PRESSURE_STEP
 from mjtactile.rig.protocols import CameraDevice, Clock, Gripper, Valve
 from mjtactile.rig.registry import build_rig
-from mjtactile.run.references import patient_read
-from mjtactile.run.session import Session
-from mjtactile.sensing.chain import Chain
+from mjtactile.runtime.references import patient_read
+from mjtactile.runtime.session import Session
+from mjtactile.sensing.pipeline import Chain
 from tests.patient import DESIGN, SIMULATED, patient_rig_file
 
 CYCLES = 12

@@ -10,10 +10,10 @@ from mjtactile.core.errors import ControllerError
 from mjtactile.core.scenario import Scenario
 from mjtactile.recording.reader import load_recording
 from mjtactile.recording.writer import Recorder
-from mjtactile.report.body_lines import lines_of, recorded_shape
+from mjtactile.report.shape_wireframe import lines_of, recorded_shape
 from mjtactile.rig.scenario import complete_scenario
-from mjtactile.run.controller import load_controller
-from mjtactile.run.grasp import run_grasp
+from mjtactile.runtime.controller import load_controller
+from mjtactile.runtime.grasp import run_grasp
 
 CLOSES = """
 from dataclasses import replace

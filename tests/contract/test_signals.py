@@ -18,7 +18,7 @@ import termios
 
 import pytest
 
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.core.design import load_sensor
 from mjtactile.emulator.process import EmulatorProcess
 from mjtactile.rig.file import load_rig_file
@@ -51,7 +51,7 @@ ALL = os.environ.get("MJTACTILE_SIGNALS") == "all"
 # nobody who sends these wants it quicker when they come again
 REPEATED = itertools.product((XCPU, signal.SIGALRM, signal.SIGUSR1), ("each second",), PHASES)
 CASES = [*itertools.product((INT, TERM, HUP, QUIT), TIMES, PHASES), *REPEATED] if ALL else SOME
-# the others also in tests/unit/run/test_failures.py
+# the others also in tests/unit/runtime/test_failures.py
 FAULTS = ["while True: pass", "import sys; sys.exit(0)", "raise KeyboardInterrupt"]
 
 
@@ -91,7 +91,7 @@ def test_signals(emulator, tmp_path, number, times, phase):
         wait_until(running, phase)
         running.signal(number)
         for pause in TIMES.get(times, EACH_SECOND):
-            pace.sleep(pause)
+            scaled_clock.sleep(pause)
             running.signal(number)
         output, errors = running.ends()
         assert running.process.returncode == 3 and "Traceback" not in errors
@@ -116,7 +116,7 @@ def test_a_second_signal_a_second_later_lets_go_at_once(emulator, tmp_path):
     with host(emulator, tmp_path) as running:
         running.wait_for_phase("hold")
         running.signal(INT)
-        pace.sleep(1.05)
+        scaled_clock.sleep(1.05)
         running.signal(INT)
         _, errors = running.ends()
         assert (
@@ -181,7 +181,9 @@ def test_a_host_that_stood_still_finds_what_it_held_and_sets_it_down(emulator, t
         running.wait_for_phase("hold")
         running.signal(signal.SIGSTOP)
         assert wait_for(lambda: set(emulator.truth()["watchdog"].values()) == {0xFF})
-        pace.sleep(0.5)  # longer than the board's heartbeat, which began with the watchdogs'
+        scaled_clock.sleep(
+            0.5
+        )  # longer than the board's heartbeat, which began with the watchdogs'
         assert set(emulator.truth()["valve"].values()) == {"sealed"}
         running.signal(signal.SIGCONT)
         _, errors = running.ends()
@@ -217,7 +219,7 @@ def test_a_killed_host_leaves_it_to_the_watchdogs(emulator, tmp_path):
         process.poll()
     )
     process.send_signal(signal.SIGKILL)
-    killed = pace.monotonic()
+    killed = scaled_clock.monotonic()
     process.wait()
     # the jaws stand still
     assert wait_for(lambda: set(emulator.truth()["watchdog"].values()) == {0xFF})

@@ -11,12 +11,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mjtactile.core import system
+from mjtactile.core import platform_support
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Image
 from mjtactile.recording.writer import Recorder
-from mjtactile.run.grasp import run_grasp
-from mjtactile.run.perceive import Perceivers, default_threads, unknown_touch
+from mjtactile.runtime.grasp import run_grasp
+from mjtactile.runtime.perception_threads import Perceivers, default_threads, unknown_touch
 from tests.emulated_host import controller_text
 
 ONE_FIXTURE = pytest.mark.xdist_group("grasps in threads")
@@ -144,10 +144,10 @@ def test_one_that_hangs_is_unknown_until_it_answers():
 
 
 def test_threads_are_for_several_cameras_and_free_processors(monkeypatch):
-    monkeypatch.setattr(system, "processors", lambda: 1)
+    monkeypatch.setattr(platform_support, "processors", lambda: 1)
     assert default_threads() == 0
-    monkeypatch.setattr(system, "processors", lambda: 2)
+    monkeypatch.setattr(platform_support, "processors", lambda: 2)
     assert default_threads() == 2 and default_threads(cameras=1) == 0
     assert default_threads(busy=1) == 0  # the simulated world has one of them, the loop the other
-    monkeypatch.setattr(system, "processors", lambda: 3)
+    monkeypatch.setattr(platform_support, "processors", lambda: 3)
     assert default_threads(busy=1) == 2

@@ -16,8 +16,8 @@ import pytest
 import mjtactile
 from mjtactile.core import resources
 from mjtactile.recording.reader import load_recording
-from mjtactile.run.grasp import run_grasp
-from mjtactile.sim import truth
+from mjtactile.runtime.grasp import run_grasp
+from mjtactile.sim import ground_truth
 from tests.fake_run import write_fake_recording
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples"
@@ -40,7 +40,7 @@ def true_forces(example, fingers):
     world: Any = SimpleNamespace(
         model=example.model, data=example.data, sensors=[finger.sensor for finger in fingers]
     )
-    return [truth.contact_force(world, number) for number in range(len(fingers))]
+    return [ground_truth.contact_force(world, number) for number in range(len(fingers))]
 
 
 def test_touch_in_my_scene(capsys):

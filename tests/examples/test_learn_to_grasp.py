@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mjtactile.gym.learning import MIDDLE, SCALE, SPAN
+from mjtactile.gym.wrappers import MIDDLE, SCALE, SPAN
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 

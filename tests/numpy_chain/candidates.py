@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from mjtactile.core.types import Array
-from mjtactile.sensing.image import candidates, edges, ellipse
+from mjtactile.sensing.image import candidates, edge_fit, ellipse
 from mjtactile.sensing.image.candidates import Candidates
-from mjtactile.sensing.image.judge import (
+from mjtactile.sensing.image.fit_validation import (
     BLURRED,
     CUT,
     GLARE,
@@ -118,7 +118,7 @@ def _odd(found: candidates.Candidates, s: MarkerSettings) -> NDArray[np.bool_]:
 
 
 def judge(
-    fit: edges.EdgeFit,
+    fit: edge_fit.EdgeFit,
     found: candidates.Candidates,
     polarity: str,
     size: tuple[int, ...],
@@ -166,7 +166,7 @@ def judge(
     for what, why in (
         ((moved > 1 + s.max_move * b) & ~cut & ~odd, MOVED),
         ((contrast < s.min_contrast_any * noise), LOW_CONTRAST),
-        ((doubt > s.max_shape_sd_any) | (fit.residual >= edges.UNSETTLED), NO_FIT),
+        ((doubt > s.max_shape_sd_any) | (fit.residual >= edge_fit.UNSETTLED), NO_FIT),
         (b < s.min_fit_axes * a, LONG),
         (b < s.shrunk_share * min_radius_px, SMALL),
     ):

@@ -1,4 +1,4 @@
-"""The reference for mjtactile/kernels/identity.c: matching circles to markers in numpy."""
+"""The reference for mjtactile/kernels/marker_matching.c: matching circles to markers in numpy."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mjtactile.core.types import Array
-from mjtactile.sensing.pose.identity import Ids, _neighbourhood
+from mjtactile.sensing.pose.marker_matching import Ids, _neighbourhood
 from mjtactile.sensing.settings import DEFAULTS, IdentitySettings
 
 _ROUNDS = 3  # match, learn how the neighbourhood moved, match again

@@ -1,4 +1,4 @@
-"""The traction estimator by dense matrices: sensing/force/inverse.py in numpy."""
+"""The traction estimator by dense matrices: sensing/force/inverse_fem.py in numpy."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from scipy.linalg import cho_solve, solve_triangular
 from mjtactile.core.bspline import hats
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, Markers
-from mjtactile.sensing.force.drift import CameraBelief, camera_modes, drift_of
-from mjtactile.sensing.force.gain import NEAR, Shape
-from mjtactile.sensing.force.inverse import STEP_LIMIT, InverseMembrane
+from mjtactile.sensing.force.camera_drift_model import CameraBelief, camera_modes, drift_of
+from mjtactile.sensing.force.inverse_fem import STEP_LIMIT, InverseMembrane
+from mjtactile.sensing.force.linearization import NEAR, Shape
 from mjtactile.sensing.force.prior import LoadPrior
-from mjtactile.sensing.force.rest import InverseRest
+from mjtactile.sensing.force.rest_equilibrium import InverseRest
 from tests.numpy_chain.sheet import Sheet, State
 
 

@@ -1,4 +1,4 @@
-"""The stages of mjtactile/kernels/membrane.c in numpy: gas volume, rubber, contact that
+"""The stages of mjtactile/kernels/membrane_flex.c in numpy: gas volume, rubber, contact that
 remembers."""
 
 from __future__ import annotations
@@ -9,11 +9,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mjtactile.core.rubber import shear_modulus, thickness_over_area
+from mjtactile.core.neo_hookean import shear_modulus, thickness_over_area
 from mjtactile.core.sensor_parts import Membrane
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor.mesh import MembraneMesh
-from mjtactile.sim.sensor.rubber import EdgeMatrices
+from mjtactile.sim.sensor.neo_hookean_flex import EdgeMatrices
 
 _UPPER = np.triu_indices(3)
 _FLATTEST = 1e-2  # least det C: a triangle that collapses keeps a finite stress

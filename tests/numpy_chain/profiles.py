@@ -1,4 +1,4 @@
-"""The reference for the kernel of mjtactile/kernels/profiles.c: the same estimator in numpy.
+"""The reference for the kernel of mjtactile/kernels/ellipse_profiles.c: the same estimator in numpy.
 
 K profiles cross each ellipse along its normals; one `cv2.remap` reads them all, one matrix product
 turns each into a few numbers (levels, area, offset of the edge by a matched filter, width), and one
@@ -23,7 +23,7 @@ from scipy.special import ndtr
 
 from mjtactile.core.types import Array
 from mjtactile.sensing.image import ellipse
-from mjtactile.sensing.image.edges import SOFTEN, SOFTEN_VARIANCE, EdgeFit
+from mjtactile.sensing.image.edge_fit import SOFTEN, SOFTEN_VARIANCE, EdgeFit
 from mjtactile.sensing.image.ellipse import middle
 from mjtactile.sensing.settings import DEFAULTS, ProfileSettings
 from tests.numpy_chain.ellipse import covariance_of_moves

@@ -1,4 +1,4 @@
-"""The sheet by products of small matrices and dense factors: sensing/force/sheet.py in numpy.
+"""The sheet by products of small matrices and dense factors: sensing/force/spline_fem.py in numpy.
 Stiffness and residual are component by component, (3 n, 3 n) and (3, n)."""
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from scipy.linalg import cho_factor
 from mjtactile.core.bspline import Cubic
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
-from mjtactile.sensing.force.sheet import Gas
-from mjtactile.sensing.law import SheetLaw
+from mjtactile.sensing.constitutive_law import SheetLaw
+from mjtactile.sensing.force.spline_fem import Gas
 
 # nodes in each interval of the spline: what is integrated varies over markers, several intervals
 # wide

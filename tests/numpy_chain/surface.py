@@ -1,4 +1,4 @@
-"""The smoothing spline by dense normal equations: sensing/shape/surface.py in numpy."""
+"""The smoothing spline by dense normal equations: sensing/surface/surface.py in numpy."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from mjtactile.core.bspline import Cubic
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
 from mjtactile.sensing.settings import DEFAULTS, SurfaceSettings
-from mjtactile.sensing.shape.slope import slope_sd
-from mjtactile.sensing.shape.surface import grid_of
+from mjtactile.sensing.surface.slope_noise import slope_sd
+from mjtactile.sensing.surface.surface import grid_of
 
 _GAUSS = 4
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mjtactile.core.design import load_sensor
-from mjtactile.sim import truth
+from mjtactile.sim import ground_truth
 from mjtactile.sim.attach import attach_membrane, recommend_options
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.world import World
@@ -28,7 +28,7 @@ def held(request):
         world.close_valve(i)
     world.set_finger_target(0.02, force)
     world.step(600)
-    world.grasped_at = truth.object_position(world) - truth.hand_position(world)
+    world.grasped_at = ground_truth.object_position(world) - ground_truth.hand_position(world)
     world.set_lift_target(0.02)
     world.step(400)
     return world
@@ -41,7 +41,7 @@ def forces(world, count=30):
     servo = 0.0
     for _ in range(count):
         world.step()
-        contact += [truth.contact_force(world, i) for i in range(2)]
+        contact += [ground_truth.contact_force(world, i) for i in range(2)]
         servo += world.grip_force
     return contact / count, servo / count
 
@@ -63,7 +63,7 @@ def test_friction_carries_the_weight(held):
 
 
 def test_object_hardly_slips(held):
-    slip = truth.object_position(held) - truth.hand_position(held) - held.grasped_at
+    slip = ground_truth.object_position(held) - ground_truth.hand_position(held) - held.grasped_at
     # the rubber shears by about 0.1-0.3 mm under the weight; creep adds little
     assert np.linalg.norm(slip) < 0.5e-3
 
@@ -82,18 +82,20 @@ def test_contact_forces_are_those_that_mujoco_says_one_by_one(held):
                     data.contact.frame[row].reshape(3, 3).T @ buffer[:3] * (1 if side[1] else -1)
                 )
         R_WS = data.xmat[sensor.body_id].reshape(3, 3)
-        np.testing.assert_allclose(R_WS @ truth.contact_force(held, i), sums, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(
-            R_WS @ truth.contact_loads(held, held.sensors)[i], sums, rtol=1e-9, atol=1e-12
+            R_WS @ ground_truth.contact_force(held, i), sums, rtol=1e-9, atol=1e-12
+        )
+        np.testing.assert_allclose(
+            R_WS @ ground_truth.contact_loads(held, held.sensors)[i], sums, rtol=1e-9, atol=1e-12
         )
 
 
 def test_penetration_is_a_small_share_of_the_indentation(held):
     for i, sensor in enumerate(held.sensors):
-        points = truth.contact_forces(held, i)[1]
+        points = ground_truth.contact_forces(held, i)[1]
         free_bulge = 2.4e-3  # of this sensor at 1 kPa (test_membrane)
         indentation = free_bulge - points[:, 2].min()
-        assert truth.penetration(held, i) < 0.03 * indentation, sensor.prefix
+        assert ground_truth.penetration(held, i) < 0.03 * indentation, sensor.prefix
 
 
 def test_pressure_rises_alike_in_both_chambers(held):
@@ -155,8 +157,8 @@ def test_arm_joints_carry_exactly_the_contact_wrench():
     servos = np.zeros(6)
     for _ in range(50):  # averages out the solver's noise, a few 1e-3 of the force
         world.step()
-        force += R_WS @ truth.contact_force(world, 0) / 50
-        torque += R_WS @ truth.contact_torque(world, 0) / 50
+        force += R_WS @ ground_truth.contact_force(world, 0) / 50
+        torque += R_WS @ ground_truth.contact_torque(world, 0) / 50
         servos += data.actuator_force / 50
     jac_p = np.zeros((3, model.nv))
     jac_r = np.zeros((3, model.nv))
@@ -247,7 +249,7 @@ def test_no_energy_is_gained_with_the_valve_closed_and_nothing_moving():
 
 
 def test_two_membranes_hold_a_sheet_by_friction():
-    from benchmarks.worlds.trials import Body, PinchWorld
+    from benchmarks.scenes.stress_scenes import Body, PinchWorld
 
     world = PinchWorld(
         "paper16",
@@ -262,8 +264,8 @@ def test_two_membranes_hold_a_sheet_by_friction():
     right = np.zeros(3)
     for _ in range(50):
         world.step()
-        left += truth.contact_force(world, 0) / 50
-        right += truth.contact_force(world, 1) / 50
+        left += ground_truth.contact_force(world, 0) / 50
+        right += ground_truth.contact_force(world, 1) / 50
     # the solver's noise; both squeeze the same sheet
     assert left[2] == pytest.approx(right[2], rel=0.01)
     # S has x down on the left finger and up on the right. 3 %: the sheet still creeps by
@@ -273,14 +275,14 @@ def test_two_membranes_hold_a_sheet_by_friction():
 
 
 def test_an_object_rests_on_nothing_but_a_membrane():
-    from benchmarks.worlds.trials import Body, DropWorld
+    from benchmarks.scenes.stress_scenes import Body, DropWorld
 
     world = DropWorld("paper16", Body("box", 0.015, 0.03), pressure_gauge=500.0, mesh=MESH)
     world.step(400)
     force = np.zeros(3)
     for _ in range(25):
         world.step()
-        force += truth.contact_force(world, 0) / 25
+        force += ground_truth.contact_force(world, 0) / 25
     assert -force[2] == pytest.approx(world.weight, rel=0.02)  # residual rocking
     assert np.abs(force[:2]).max() < 0.02 * world.weight
 
@@ -288,7 +290,7 @@ def test_an_object_rests_on_nothing_but_a_membrane():
 @pytest.mark.parametrize("speed", [0.5, 2.0])
 def test_a_weight_that_strikes_the_membrane_ends_up_carried(speed):
     """Up to 2 m/s: the blow is felt, the energy goes, and the force at rest is the weight."""
-    from benchmarks.worlds.trials import Body, DropWorld
+    from benchmarks.scenes.stress_scenes import Body, DropWorld
 
     world = DropWorld(
         "paper16",
@@ -303,12 +305,14 @@ def test_a_weight_that_strikes_the_membrane_ends_up_carried(speed):
     energy = []
     for _ in range(2500):
         world.step()
-        strike = max(strike, -truth.contact_force(world, 0)[2])
+        strike = max(strike, -ground_truth.contact_force(world, 0)[2])
         energy.append(world.kinetic_energy)
     assert strike > 5 * world.weight
     # never more than it came with, and fell by
     assert max(energy) < 1.1 * (0.5 * 0.02 * speed**2 + 0.02 * 9.81 * 0.02)
-    force = np.mean([-truth.contact_force(world, 0)[2] for _ in range(20) if world.step() is None])
+    force = np.mean(
+        [-ground_truth.contact_force(world, 0)[2] for _ in range(20) if world.step() is None]
+    )
     assert force == pytest.approx(world.weight, rel=0.02)
 
 
@@ -325,7 +329,7 @@ def test_a_shaken_mount_presses_as_a_still_one_does():
         force = 0.0
         for _ in range(50):  # two periods
             world.step()
-            force -= truth.contact_force(world, 0)[2] / 50
+            force -= ground_truth.contact_force(world, 0)[2] / 50
         forces.append(force)
     # 8 m/s^2 on 0.5 g of sheet: 4 mN to and fro, which averages out; the gas and the drive do not
     # notice

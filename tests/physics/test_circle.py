@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from membrane_scenes import scene, settle
 
-from mjtactile.core import resources, theory
+from mjtactile.core import analytical_solutions, resources
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
-from mjtactile.core.rubber import Law
+from mjtactile.core.neo_hookean import Law
 from mjtactile.core.sensor_parts import Frame, MarkerLayout, Membrane
-from mjtactile.sim.sensor.limits import STRETCHED
 from mjtactile.sim.sensor.mesh import MarkerInterpolator, make_mesh
+from mjtactile.sim.sensor.validity_checks import STRETCHED
 
 RADIUS = 0.015
 MESH = (17, 17)
@@ -42,7 +42,7 @@ def test_flat_circle_bulges_as_hencky_says(poisson):
     pressure = 1e-3 * 300.0 / RADIUS  # p a / E h = 1e-3, the top of the closed form's range
     settle(world, pressure)
     assert height(world) == pytest.approx(
-        theory.hencky_height(RADIUS, 300.0, poisson, pressure), rel=TOLERANCE
+        analytical_solutions.hencky_height(RADIUS, 300.0, poisson, pressure), rel=TOLERANCE
     )
 
 
@@ -75,7 +75,9 @@ def test_point_load_on_a_flat_circle_is_schwerins():
         world.data.xfrc_applied[body, 2] = -0.05
         settle(world, 0.0)
         depths.append(-sensor.p_SV[:, 2].min())
-    expected = (0.05 * RADIUS**2 / (theory.point_load(1.0, 1.0, 0.3, 1.0) * 300.0)) ** (1 / 3)
+    expected = (
+        0.05 * RADIUS**2 / (analytical_solutions.point_load(1.0, 1.0, 0.3, 1.0) * 300.0)
+    ) ** (1 / 3)
     # 6.4 % at 17 x 17 on a uniform mesh: the load is a point, and the cell under it is 1/16 of the
     # diameter
     assert depths[1] == pytest.approx(expected, rel=0.08)
@@ -85,17 +87,17 @@ def test_point_load_on_a_flat_circle_is_schwerins():
 def test_sphere_on_a_pretensioned_circle():
     """M4 by force: constant tension, contact small against the circle. Young's modulus is low, so
     that the tension stays."""
-    from mjtactile.sim import truth
+    from mjtactile.sim import ground_truth
     from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
     design = circle(pre_stretch=1.3, young=1e5)
     world = PressWorld(design, Indenter("sphere", 8e-3), mesh=(25, 25))
     world.inflate(0.0, seal=False)
     world.press(1e-3)
-    force = -truth.contact_force(world, 0)[2]
+    force = -ground_truth.contact_force(world, 0)[2]
     # slopes of 0.1 raise the tension by 0.5 % and more near the sphere; 25 x 25 vertices touch at
     # 9-13 places
-    assert theory.sphere_on_circle(
+    assert analytical_solutions.sphere_on_circle(
         RADIUS, design.membrane.pretension, 8e-3, force
     ) == pytest.approx(1e-3, rel=0.04)
 
@@ -154,11 +156,11 @@ def test_disc_bulges_as_the_exact_neo_hookean_one(stretch, load, height_ratio):
     assert height(world) / RADIUS == pytest.approx(height_ratio, rel=TOLERANCE)
     # M7's secant is taken at one stretch for the whole sheet, fitted to rectangles at nu 0.45: 3.7
     # % low at a stretch of 1.1
-    assert theory.bulge_height(circle(poisson), load_SI) / RADIUS == pytest.approx(
+    assert analytical_solutions.bulge_height(circle(poisson), load_SI) / RADIUS == pytest.approx(
         height_ratio, rel=0.04
     )
-    hookean = theory.hencky_height(1.0, 3.0, 0.5, load) / height_ratio
-    stated = theory.stvk_height_error(circle(poisson), load_SI)
+    hookean = analytical_solutions.hencky_height(1.0, 3.0, 0.5, load) / height_ratio
+    stated = analytical_solutions.stvk_height_error(circle(poisson), load_SI)
     assert stated == pytest.approx(1 / hookean - 1, abs=0.045)
 
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from mjtactile.core.errors import InputError
-from mjtactile.sim import truth
+from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
-from mjtactile.sim.sensor.facets import curvatures
+from mjtactile.sim.sensor.curvature_standoff import curvatures
 
 DEPTHS = (2e-3, 3e-3)
 
@@ -21,7 +21,7 @@ def pressed(indenter, depths=DEPTHS, *, pressure=1000.0, **how):
     rows = []
     for depth in depths:
         world.press(depth)
-        rows.append((-truth.contact_force(world, 0)[2], truth.penetration(world, 0)))
+        rows.append((-ground_truth.contact_force(world, 0)[2], ground_truth.penetration(world, 0)))
     return np.array(rows).T, world
 
 
@@ -148,12 +148,12 @@ def test_actuator_contact_and_torque_agree():
     torque = np.zeros(3)
     for _ in range(50):
         world.step()
-        force += truth.contact_force(world, 0) / 50
-        torque += truth.contact_torque(world, 0) / 50
+        force += ground_truth.contact_force(world, 0) / 50
+        torque += ground_truth.contact_torque(world, 0) / 50
         drive += world.drive_force / 50
     # slow creep of the sheet
     np.testing.assert_allclose(force[[0, 2]], drive[[0, 2]], atol=2e-3 * np.abs(force).max())
-    middle = truth.contact_forces(world, 0)[1].mean(axis=0)
+    middle = ground_truth.contact_forces(world, 0)[1].mean(axis=0)
     lever = np.abs(torque - np.cross(middle, force))[:2] / abs(force[2])
     # m: the force acts within half a vertex spacing of the middle of the contact
     assert lever.max() < 1.5e-3

@@ -10,17 +10,17 @@ import pytest
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
-from mjtactile.run.estimate import GraspEstimate, coarser, richardson
-from mjtactile.sim import truth
-from mjtactile.sim.effects import steepness
+from mjtactile.runtime.discretization_error import GraspEstimate, coarser, richardson
+from mjtactile.sim import ground_truth
+from mjtactile.sim.effects import membrane_slope
 from mjtactile.sim.effects.catalog import EFFECTS, choose, parse
-from mjtactile.sim.picture.light import Light
-from mjtactile.sim.picture.shadows import ShadowedLight
+from mjtactile.sim.rendering.led_illumination import Light
+from mjtactile.sim.rendering.shadows import ShadowedLight
 from mjtactile.sim.rig import build_sim_rig
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.scenes.objects import load_object
-from mjtactile.sim.sensor.switches import (
+from mjtactile.sim.sensor.effect_switches import (
     CAMERA,
     PHYSICS,
     Effect,
@@ -75,7 +75,7 @@ def test_without_friction_a_drag_meets_no_shear():
     world = press_world(PHYSICS - {"friction"})
     world.inflate(1000.0, seal=True)
     world.press(2e-3, shear=0.5e-3)
-    force = truth.contact_force(world, 0)
+    force = ground_truth.contact_force(world, 0)
     # contact normals lean as the sphere moves off the middle; friction would give 0.9 of the normal
     # force
     assert abs(force[0]) < 0.1 * abs(force[2])
@@ -122,7 +122,7 @@ def test_bending_stiffens_a_thick_sheet_only():
 
 
 def test_servo_lag_is_first_order():
-    from mjtactile.sim.sensor.switches import SERVO_LAG
+    from mjtactile.sim.sensor.effect_switches import SERVO_LAG
 
     world = GraspWorld("dense", "egg", mesh=MESH, effects=PHYSICS | {"servo dynamics"})
     assert world.model.na == 1
@@ -201,7 +201,7 @@ def test_a_rig_s_cameras_draw_shadows_when_they_are_on(effects, kind):
 def test_slope_beside_a_sphere_is_that_of_the_simulation(radius, force, measured):
     """`measured` degrees: the steepest of the sheet through the markers, 13 x 11 vertices, pressed
     to that force."""
-    slope = np.degrees(steepness.deepest(DENSE, (radius, radius), force))
+    slope = np.degrees(membrane_slope.deepest(DENSE, (radius, radius), force))
     # a gate's estimate: 5 degrees move the force error by a third
     assert slope == pytest.approx(measured, abs=5)
 
@@ -211,13 +211,13 @@ def test_slopes_in_the_limit_of_little_force():
     bare = replace(DENSE, chamber=replace(DENSE.chamber, supply_gauge=0.0))
     expected = np.sqrt(1e-4 / (2 * np.pi * 4e-3 * DENSE.membrane.pretension))
     # stretch: of order t^2 x 6
-    assert steepness.deepest(bare, (4e-3, 4e-3), 1e-4) == pytest.approx(expected, rel=1e-2)
+    assert membrane_slope.deepest(bare, (4e-3, 4e-3), 1e-4) == pytest.approx(expected, rel=1e-2)
 
 
 def test_half_extents_are_those_across_the_fingers():
     model = mujoco.MjModel.from_xml_string("""<mujoco><worldbody><body><freejoint/>
         <geom type="box" size="0.01 0.02 0.005"/><geom type="sphere" size="0.004" pos="0 0.03 0"/></body></worldbody></mujoco>""")
-    half = steepness.half_extents(model, np.arange(2))
+    half = membrane_slope.half_extents(model, np.arange(2))
     assert half == pytest.approx((0.027, 0.005))  # y from -20 to 34 mm
 
 

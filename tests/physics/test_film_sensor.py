@@ -7,12 +7,12 @@ import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError, SimulationError
-from mjtactile.sensing.force.sheet import Gas, Sheet
-from mjtactile.sim import truth
+from mjtactile.sensing.force.spline_fem import Gas, Sheet
+from mjtactile.sim import ground_truth
 from mjtactile.sim.attach import attach_membrane, recommend_options
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.scenes.world import World
-from mjtactile.sim.sensor.switches import PHYSICS
+from mjtactile.sim.sensor.effect_switches import PHYSICS
 
 FILM = PHYSICS - {"sheet"}
 DENSE = load_sensor("dense")
@@ -30,7 +30,7 @@ def pressed(effects, depth, shear=0.0, at=(0.0, 0.0)):
 def test_force_and_pressure_are_those_of_the_mesh(at):
     mesh, film = (pressed(effects, 2e-3, at=at) for effects in (PHYSICS, FILM))
     # the mesh is itself 1 to 3 % off at 13 x 11 vertices, the film at 21 x 16 (docs/validation/accuracy.md)
-    force = [-truth.contact_force(world, 0)[2] for world in (mesh, film)]
+    force = [-ground_truth.contact_force(world, 0)[2] for world in (mesh, film)]
     assert force[1] == pytest.approx(force[0], rel=0.035)
     gauge = [world.sensors[0].pressure_gauge for world in (mesh, film)]
     # forces that differ by 3 % press the gas by as much of a third of its gauge pressure
@@ -49,11 +49,13 @@ def test_what_is_narrow_for_the_grid_is_flagged(radius, narrow):
 def test_what_presses_meets_what_the_film_bears():
     world = pressed(FILM, 2e-3, shear=1e-4)
     # at rest the drive carries all of it; its own springs still settle, by 0.03 mN
-    assert world.drive_force == pytest.approx(truth.contact_force(world, 0), abs=1e-4)
+    assert world.drive_force == pytest.approx(ground_truth.contact_force(world, 0), abs=1e-4)
 
 
 def test_shear_sticks_and_then_slides_at_coulombs_limit():
-    force = [truth.contact_force(pressed(FILM, 1.5e-3, shear), 0) for shear in (1e-4, 2e-4, 3e-3)]
+    force = [
+        ground_truth.contact_force(pressed(FILM, 1.5e-3, shear), 0) for shear in (1e-4, 2e-4, 3e-3)
+    ]
     # what sticks is linear; its nodes are the same, and move by 0.1 mm
     assert force[1][0] == pytest.approx(2 * force[0][0], rel=1e-3)
     # the body rides up on the sheet, and friction's limit is an ellipse with the torque: 2.7 %
@@ -135,7 +137,7 @@ def test_light_and_heavy_balls_are_held_and_do_not_creep(mass, gap):
         heights.append(world.data.qpos[2])
         carried.append(
             -sum(
-                (world.data.xmat[s.body_id].reshape(3, 3) @ truth.contact_force(world, k))[2]
+                (world.data.xmat[s.body_id].reshape(3, 3) @ ground_truth.contact_force(world, k))[2]
                 for k, s in enumerate(world.sensors)
             )
         )
@@ -163,7 +165,7 @@ def test_what_is_held_by_jointed_pieces_is_damped_as_what_is_whole():
 
 def test_what_friction_cannot_hold_falls():
     world = between_films(ball_of(0.01, 0.15), 0.0222)
-    grip = -truth.contact_force(world, 0)[2]
+    grip = -ground_truth.contact_force(world, 0)[2]
     assert world.data.qpos[2] < -0.02 or 2 * DENSE.membrane.friction * grip < 0.15 * G
 
 
@@ -253,5 +255,5 @@ def test_in_a_round_frame_it_bears_what_the_mesh_bears():
         world = PressWorld(design, Indenter("sphere", 0.012), effects=effects, at=(3e-3, -2e-3))
         world.inflate(1000.0, seal=True)
         assert world.press(1.5e-3)
-        force.append(-truth.contact_force(world, 0)[2])
+        force.append(-ground_truth.contact_force(world, 0)[2])
     assert force[1] == pytest.approx(force[0], rel=0.035)  # as of `dense`

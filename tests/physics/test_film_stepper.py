@@ -6,7 +6,7 @@ import pytest
 from mjtactile.core.errors import SimulationError
 from mjtactile.core.scenario import Scenario
 from mjtactile.rig.registry import build_rig
-from mjtactile.sim import truth
+from mjtactile.sim import ground_truth
 
 
 def hand(task="lift"):
@@ -88,7 +88,7 @@ def test_what_is_filled_weighs_what_it_should_in_the_end():
         world.step(500)
         world.set_lift_target(0.05, 0.1)
         world.step(500)
-        bodies = truth.object_bodies(world)
+        bodies = ground_truth.object_bodies(world)
         found = []
         world.after_each_stretch(lambda: found.append(world.model.body_mass[bodies].sum()))  # noqa: B023
         world.step(1500)

@@ -12,8 +12,8 @@ from scipy.interpolate import RectBivariateSpline
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.types import Markers
-from mjtactile.sensing.force.inverse import InverseMembrane
-from mjtactile.sensing.force.sheet import Gas, Sheet
+from mjtactile.sensing.force.inverse_fem import InverseMembrane
+from mjtactile.sensing.force.spline_fem import Gas, Sheet
 from mjtactile.sensing.touch.patches import find_patches, together
 from tests.numpy_chain.inverse import half_of, moments
 

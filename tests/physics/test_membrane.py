@@ -8,7 +8,7 @@ import pytest
 from membrane_scenes import scene, settle
 
 from mjtactile.core.design import load_sensor
-from mjtactile.core.rubber import Law
+from mjtactile.core.neo_hookean import Law
 from mjtactile.core.sensor_parts import Chamber, Frame, Membrane
 from mjtactile.sim.attach import attach_membrane, recommend_options
 from mjtactile.sim.scenes.world import World
@@ -211,14 +211,14 @@ def pressed(design, depth, mesh=(13, 11), radius=0.01, timestep=4e-3):
 
 
 def test_contact_force_and_penetration():
-    from mjtactile.sim import truth
+    from mjtactile.sim import ground_truth
 
     coarse = pressed(sensor(), 2e-3)
     fine = pressed(sensor(), 2e-3, mesh=(25, 19))
-    force, reference = (-truth.contact_force(w, 0)[2] for w in (coarse, fine))
-    assert truth.penetration(coarse, 0) < 0.03 * 2e-3  # the bound
+    force, reference = (-ground_truth.contact_force(w, 0)[2] for w in (coarse, fine))
+    assert ground_truth.penetration(coarse, 0) < 0.03 * 2e-3  # the bound
     assert force == pytest.approx(reference, rel=0.05)  # the bound for the real-time mesh
-    sideways = truth.contact_force(coarse, 0)[:2]
+    sideways = ground_truth.contact_force(coarse, 0)[:2]
     assert np.abs(sideways).max() < 0.01 * force  # pressed at the centre: symmetric
 
 

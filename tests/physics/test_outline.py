@@ -10,21 +10,21 @@ import pytest
 from membrane_scenes import scene, settle
 from scipy.optimize import root
 
-from mjtactile.core import theory
+from mjtactile.core import analytical_solutions
 from mjtactile.core.design import Frame, load_sensor
 from mjtactile.core.errors import InputError
+from mjtactile.core.neo_hookean import Law
 from mjtactile.core.outline import Outline
-from mjtactile.core.ritz import inflated_height
-from mjtactile.core.rubber import Law
+from mjtactile.core.ritz_bulge import inflated_height
 from mjtactile.core.types import Image, Markers
-from mjtactile.experiments.press import PressPlan, press
+from mjtactile.experiments.indentation import PressPlan, press
 from mjtactile.report.overlay import find_ellipses
-from mjtactile.sensing.chain import Chain
-from mjtactile.sensing.force.inverse import InverseMembrane
-from mjtactile.sensing.force.sheet import Gas, Sheet
+from mjtactile.sensing.constitutive_law import SheetLaw
+from mjtactile.sensing.force.inverse_fem import InverseMembrane
+from mjtactile.sensing.force.spline_fem import Gas, Sheet
 from mjtactile.sensing.image import markers
-from mjtactile.sensing.law import SheetLaw
-from mjtactile.sensing.shape.surface import SurfaceFitter
+from mjtactile.sensing.pipeline import Chain
+from mjtactile.sensing.surface.surface import SurfaceFitter
 from mjtactile.sim.attach import attach_membrane, recommend_options
 from mjtactile.sim.scenes.indentation import Indenter
 
@@ -159,7 +159,8 @@ def test_sensings_sheet_is_henckys_disc():
     sheet = Sheet(design, (12, 12))
     # the closed form is that of small slopes: 0.07 %, at 8 x 8 as at 24 x 24
     assert top(sheet, sheet.equilibrium(Gas(pressure))) == pytest.approx(
-        theory.hencky_height(15e-3, 300.0, design.membrane.poisson, pressure), rel=2e-3
+        analytical_solutions.hencky_height(15e-3, 300.0, design.membrane.poisson, pressure),
+        rel=2e-3,
     )
 
 
@@ -196,7 +197,7 @@ def test_a_taut_ellipse_is_a_paraboloid():
     world = scene(design)
     settle(world, 10.0, speed=1e-7)
     assert world.sensors[0].height_at(0.0, 0.0) == pytest.approx(height, rel=0.012)
-    assert theory.bulge_height(design, 10.0) == pytest.approx(height, rel=3e-3)
+    assert analytical_solutions.bulge_height(design, 10.0) == pytest.approx(height, rel=3e-3)
 
 
 @SHAPES

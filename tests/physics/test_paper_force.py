@@ -4,13 +4,13 @@ says, and no further."""
 import numpy as np
 import pytest
 
-from benchmarks.paper.levels import spring_grid_force
-from benchmarks.touch.area import calibrate_area
-from mjtactile.calibrate.area import AreaCalibration
+from benchmarks.paper.force_methods import spring_grid_force
+from benchmarks.touch.area_force_constant import calibrate_area
+from mjtactile.calibrate.force_from_area import AreaCalibration
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
-from mjtactile.sensing.perception import Perception
-from mjtactile.sim.picture.renderer import Renderer
+from mjtactile.sensing.stateful_pipeline import Perception
+from mjtactile.sim.rendering.renderer import Renderer
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 

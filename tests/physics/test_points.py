@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mjtactile.core.design import load_sensor
-from mjtactile.sim import truth
+from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 MODELS = Path(__file__).parents[2] / "models" / "truth"
@@ -17,7 +17,7 @@ def pressed(indenter: Indenter, at: tuple[float, float], mesh: tuple[int, int]) 
     world = PressWorld(load_sensor("dense"), indenter, at=at, mesh=mesh)
     world.inflate(1000.0, seal=True)
     assert world.press(DEPTH), "it comes to rest"
-    return -float(truth.contact_force(world, 0)[2])
+    return -float(ground_truth.contact_force(world, 0)[2])
 
 
 @pytest.mark.parametrize("mesh", [(13, 11), (17, 13)])

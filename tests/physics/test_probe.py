@@ -7,8 +7,8 @@ import pytest
 
 from mjtactile.cli import main
 from mjtactile.core import resources
+from mjtactile.sim.scenes.material_specimens import SHIPPED, to_mjcf
 from mjtactile.sim.scenes.objects import MATERIALS, load_object
-from mjtactile.sim.scenes.specimens import SHIPPED, to_mjcf
 from tests.emulated_host import shipped_with
 
 

@@ -10,7 +10,7 @@ import pytest
 from mjtactile.core.errors import InputError
 from mjtactile.sim.scenes.objects import load_object, read_spec
 from mjtactile.sim.scenes.random_objects import _CARRIES, random_thing, to_mjcf
-from mjtactile.sim.sensor import features
+from mjtactile.sim.sensor import feature_size
 
 SEEDS = range(120)
 
@@ -55,7 +55,7 @@ def test_the_file_is_the_thing(seed):
     )
     model = spec.compile()
     # a membrane of the default mesh meets it with its vertices
-    assert features.smallest_feature(model)[0] > 0.002
+    assert feature_size.smallest_feature(model)[0] > 0.002
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data, 500)
     body = data.body("object")

@@ -10,12 +10,12 @@ from scipy.optimize import brentq
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.relaxation import Relaxation, relaxed_modulus
-from mjtactile.experiments.station import View, take_references
-from mjtactile.sim import truth
+from mjtactile.experiments.test_bench import View, take_references
+from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
+from mjtactile.sim.sensor.effect_switches import PHYSICS, Effect
 from mjtactile.sim.sensor.mesh import make_mesh
-from mjtactile.sim.sensor.relaxing import RelaxingMesh
-from mjtactile.sim.sensor.switches import PHYSICS, Effect
+from mjtactile.sim.sensor.stress_relaxation import RelaxingMesh
 
 DENSE = load_sensor("dense")
 TWO = Relaxation(((0.3, 0.1), (0.2, 1.0)))
@@ -151,7 +151,7 @@ def test_terms_shorter_than_a_step_are_stable():
     lasting = PressWorld(DENSE, BALL)
     lasting.inflate(1000.0, seal=True)
     lasting.press(2e-3)
-    force, expected = (truth.contact_force(one, 0)[2] for one in (world, lasting))
+    force, expected = (ground_truth.contact_force(one, 0)[2] for one in (world, lasting))
     assert force == pytest.approx(expected, rel=0.01)  # where contact sticks is another story
 
 
@@ -173,7 +173,7 @@ def test_force_stays_right_while_rubber_fades():
     errors = []
     for seconds in [0.1] * 5 + [1.0] * 20:
         world.step(round(seconds / STEP))
-        true = -truth.contact_force(world, 0)[2]
+        true = -ground_truth.contact_force(world, 0)[2]
         errors.append([view.touch().force_normal - true for view in views])
     # of the means of five images: one has 7 mN of noise
     drift = np.abs(np.mean(errors[-5:], axis=0) - np.mean(errors[:5], axis=0))

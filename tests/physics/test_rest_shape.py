@@ -8,11 +8,11 @@ import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError
+from mjtactile.rig.as_built_sensor import SpecimenConfig, camera_pose, true_design
 from mjtactile.rig.registry import build_rig
-from mjtactile.rig.specimen import SpecimenConfig, camera_pose, true_design
-from mjtactile.run.session import Session
-from mjtactile.sensing.perception import Perception
-from mjtactile.sim.picture.renderer import Renderer
+from mjtactile.runtime.session import Session
+from mjtactile.sensing.stateful_pipeline import Perception
+from mjtactile.sim.rendering.renderer import Renderer
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 IMAGES = 6

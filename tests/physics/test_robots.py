@@ -11,7 +11,7 @@ import pytest
 from mjtactile.core import resources
 from mjtactile.core.errors import InputError
 from mjtactile.rig.file import load_sim_rig
-from mjtactile.sim import truth
+from mjtactile.sim import ground_truth
 from mjtactile.sim.doctor import examine_simulated
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 
@@ -56,7 +56,7 @@ def test_it_begins_open_over_the_object_at_its_grasp_height(name):
     centre = p_WS.mean(axis=0)
     if name != "sim_three_finger":  # whose tips come down as they close, see below
         assert centre[2] == pytest.approx(world.object.grasp_height, abs=1e-6)
-    assert truth.object_position(world)[:2] == pytest.approx(centre[:2], abs=1e-6)
+    assert ground_truth.object_position(world)[:2] == pytest.approx(centre[:2], abs=1e-6)
     opening = 2 * np.mean(np.sum((centre - p_WS) * R_WS[:, :, 2], axis=1))
     assert opening == pytest.approx(world.opening, abs=1e-6) == pytest.approx(0.08, abs=1e-6)
     world.step(25)
@@ -117,7 +117,7 @@ def test_statics_of_what_is_held(name):
     servo = 0.0
     for _ in range(30):
         world.step()
-        contact += [truth.contact_force(world, i) / 30 for i in range(len(world.sensors))]
+        contact += [ground_truth.contact_force(world, i) / 30 for i in range(len(world.sensors))]
         servo += world.grip_force / 30
     # virtual work: each of n fingers pushes with 2/n of the actuator's force over dx/da; viscous
     # friction is at rest. On a parallel linkage the fingertips also rise by tan(a) of what they
@@ -132,7 +132,7 @@ def test_statics_of_what_is_held(name):
     # 3 %: the object still settles by micrometres
     assert on_object[2] == pytest.approx(weight, rel=0.03)
     assert np.abs(on_object[:2]).max() < 0.01  # N; nothing pushes it aside
-    assert truth.object_position(world)[2] > 0.0315 + 0.019
+    assert ground_truth.object_position(world)[2] > 0.0315 + 0.019
 
 
 def test_actuators_with_a_gain_of_their_own_and_a_pair_of_them(tmp_path):
@@ -179,7 +179,7 @@ def test_a_rig_that_does_not_lift_holds_what_it_grips(tmp_path):
 def test_the_users_defaults_do_not_reach_table_and_object():
     world = make("sim_arm", "vial")  # its MJCF says that geoms touch nothing
     world.step(100)
-    assert truth.object_position(world)[2] == pytest.approx(0.025, abs=5e-4)
+    assert ground_truth.object_position(world)[2] == pytest.approx(0.025, abs=5e-4)
 
 
 def test_a_base_that_is_turned_in_a_frame_is_raised_straight_up(tmp_path):
@@ -195,7 +195,7 @@ def test_a_base_that_is_turned_in_a_frame_is_raised_straight_up(tmp_path):
     assert tips(world)[0].mean(axis=0) == pytest.approx(
         [0.1, 0.2, world.object.grasp_height], abs=1e-6
     )
-    assert truth.object_position(world)[:2] == pytest.approx([0.1, 0.2], abs=1e-6)
+    assert ground_truth.object_position(world)[:2] == pytest.approx([0.1, 0.2], abs=1e-6)
 
 
 # -- what is wrong is said
@@ -392,6 +392,6 @@ def test_tips_on_hinges_meet_the_object_at_its_height_and_not_where_they_are_ope
     world.place_hand(0.032, 0.0)
     mujoco.mj_forward(world.model, world.data)
     middle = world.data.xpos[tips].mean(axis=0)
-    egg = truth.object_position(world)
+    egg = ground_truth.object_position(world)
     assert middle[2] == pytest.approx(world.object.grasp_height, abs=1e-5)
     np.testing.assert_allclose(middle[:2], egg[:2], atol=1e-6)

@@ -10,17 +10,17 @@ import pytest
 from membrane_scenes import scene, settle
 from reference_membrane import ReferenceMembrane
 
-from mjtactile.core import theory
+from mjtactile.core import analytical_solutions
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import SimulationError
-from mjtactile.core.rubber import Law, thickness_over_area
+from mjtactile.core.neo_hookean import Law, thickness_over_area
 from mjtactile.core.sensor_parts import Frame
-from mjtactile.sensing.force.sheet import Gas, Sheet
-from mjtactile.sensing.law import SheetLaw
-from mjtactile.sim import truth
+from mjtactile.sensing.constitutive_law import SheetLaw
+from mjtactile.sensing.force.spline_fem import Gas, Sheet
+from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
-from mjtactile.sim.sensor.rubber import stiffness_rows
-from mjtactile.sim.sensor.switches import PHYSICS
+from mjtactile.sim.sensor.effect_switches import PHYSICS
+from mjtactile.sim.sensor.neo_hookean_flex import stiffness_rows
 
 CASES = json.loads((Path(__file__).parent / "rubber_reference.json").read_text(encoding="utf-8"))[
     "cases"
@@ -137,7 +137,7 @@ def test_simulated_press_is_the_references(number, pressure, depth):
     world.press(1e-3 * float(depth))
     # the default mesh: contact comes vertex by vertex, which is 15 % of a force at 1 mm and 2 %
     # from 2 mm on
-    assert -truth.contact_force(world, 0)[2] == pytest.approx(
+    assert -ground_truth.contact_force(world, 0)[2] == pytest.approx(
         CASES[number]["press_N"][pressure][depth], rel=0.02
     )
 
@@ -145,8 +145,8 @@ def test_simulated_press_is_the_references(number, pressure, depth):
 def test_a_balloon_that_cannot_hold_its_pressure_says_so():
     """p R / (mu h) of a neo-Hookean disc has a maximum of about 1.8 (tests/physics/test_circle.py),
     12 kPa here."""
-    assert np.isfinite(theory.bulge_height(DENSE, 8e3)) and np.isnan(
-        theory.bulge_height(DENSE, 20e3)
+    assert np.isfinite(analytical_solutions.bulge_height(DENSE, 8e3)) and np.isnan(
+        analytical_solutions.bulge_height(DENSE, 20e3)
     )
     with pytest.raises(SimulationError, match="may not hold"):
         settle(scene(DENSE, mesh=(9, 7)), 20e3)
@@ -191,6 +191,9 @@ def test_closed_forms_are_as_good_as_they_say(case):
         for pressure, height in case["height_mm"][law].items():
             assert (
                 low
-                < 1e3 * theory.bulge_height(design_of(case, law), float(pressure)) / height - 1
+                < 1e3
+                * analytical_solutions.bulge_height(design_of(case, law), float(pressure))
+                / height
+                - 1
                 < high
             )

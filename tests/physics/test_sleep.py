@@ -5,10 +5,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from benchmarks.settings import HOLD_FORCE
-from benchmarks.worlds import rigid
+from benchmarks.scenes import rigid_pads
+from benchmarks.simulation_cases import HOLD_FORCE
 from mjtactile.core.design import load_sensor
-from mjtactile.sim import truth
+from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.sensor.sleep import NEAR
 
@@ -49,7 +49,7 @@ def test_a_press_after_sleep_is_the_press_without_it():
         world.step(60)
         world._find_touch()
         world.press(2e-3)
-        pressed.append((-truth.contact_force(world, 0)[2], world.marker_poses(0)[0]))
+        pressed.append((-ground_truth.contact_force(world, 0)[2], world.marker_poses(0)[0]))
     # friction keeps what noise at first touch did
     assert pressed[1][0] == pytest.approx(pressed[0][0], rel=0.01)
     np.testing.assert_allclose(pressed[1][1], pressed[0][1], atol=2e-5)  # the same: 1 % of 2 mm
@@ -108,7 +108,7 @@ def test_it_wakes_before_it_is_touched():
     # a ninth of the vertices look around, on this mesh at most 8.5 mm from any other, which is
     # covered with a fifth to spare
     assert NEAR < height < NEAR + 1.2 * 8.5e-3
-    assert not np.any(truth.contact_force(world, 0))
+    assert not np.any(ground_truth.contact_force(world, 0))
 
 
 def push(world):
@@ -153,7 +153,7 @@ def test_a_shaken_sensor_does_not_sleep():
 
 
 def test_a_scene_without_sensors_is_a_bare_mujoco_scene():
-    world = rigid.hold(load_sensor("dense"), "egg", 1 / 240, HOLD_FORCE)
+    world = rigid_pads.hold(load_sensor("dense"), "egg", 1 / 240, HOLD_FORCE)
     twin = mujoco.MjData(world.model)
     mujoco.mj_copyData(twin, world.model, world.data)
     for _ in range(50):

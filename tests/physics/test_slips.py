@@ -4,13 +4,13 @@ see it in time."""
 import numpy as np
 import pytest
 
+from benchmarks.scenes.slip_cases import draw_case
+from benchmarks.scenes.slip_world import SlipWorld
+from benchmarks.slip.evaluate_case import references, watch
 from benchmarks.slip.score import Frame, outcome
-from benchmarks.slip.watch import references, watch
-from benchmarks.worlds.slip_cases import draw_case
-from benchmarks.worlds.slip_world import SlipWorld
 from mjtactile.core.design import load_sensor
-from mjtactile.sensing.chain import Chain
-from mjtactile.sim import truth
+from mjtactile.sensing.pipeline import Chain
+from mjtactile.sim import ground_truth
 
 CASE = draw_case(1000)  # an upright cylinder past which both fingers move
 
@@ -20,11 +20,11 @@ def test_truth_slides_at_the_speed_of_the_drag():
     world.inflate(1000.0)
     for _ in world.grip():
         pass
-    assert truth.sliding(world, 0)[0] < 0.9
+    assert ground_truth.sliding(world, 0)[0] < 0.9
     used = []
     speeds = []
     for _ in world.load(0.8 * CASE.share / CASE.rise):  # of the fingers' way
-        share, speed = truth.sliding(world, 0)
+        share, speed = ground_truth.sliding(world, 0)
         used.append(share)
         speeds.append(speed)
     late = slice(-20, None)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mjtactile.core import resources
-from mjtactile.sim import truth
+from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.soft_bodies import SHIPPED
 
@@ -24,8 +24,8 @@ def squeezed(path, opening):
     sides = range(2)
     return (
         world.opening,
-        np.mean([-truth.contact_force(world, side)[2] for side in sides]),
-        np.mean([truth.contact_area(world, side) for side in sides]),
+        np.mean([-ground_truth.contact_force(world, side)[2] for side in sides]),
+        np.mean([ground_truth.contact_area(world, side) for side in sides]),
     )
 
 

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import pytest
 
+from benchmarks.scenes.stress_scenes import Body, DropWorld
 from benchmarks.stability import run
 from benchmarks.stability.cases import matrix, pruned
-from benchmarks.worlds.trials import Body, DropWorld
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
-from mjtactile.sim.sensor import limits
+from mjtactile.sim.sensor import validity_checks
 
 
 def test_the_matrix_is_large_and_its_cases_are_distinct():
@@ -72,9 +72,11 @@ def test_a_slack_sheet_is_flagged_for_wrinkles():
 
 
 def test_a_thick_sheet_and_a_coarse_mesh_are_flagged():
-    assert "bending" in limits.design_flags(design(thickness=2e-3, pre_stretch=1.0), 13, 11)
-    assert "(13, 11)" in limits.design_flags(design(), 7, 7)["mesh"]
-    assert not limits.design_flags(design(), 13, 11)
+    assert "bending" in validity_checks.design_flags(
+        design(thickness=2e-3, pre_stretch=1.0), 13, 11
+    )
+    assert "(13, 11)" in validity_checks.design_flags(design(), 7, 7)["mesh"]
+    assert not validity_checks.design_flags(design(), 13, 11)
 
 
 def test_something_that_goes_through_stops_the_run():

@@ -9,7 +9,7 @@ from reference_membrane import ReferenceMembrane
 from scipy.interpolate import RectBivariateSpline
 
 from benchmarks.paper.deformation import MembraneModel
-from benchmarks.paper.levels import MembraneForce, spring_grid_force
+from benchmarks.paper.force_methods import MembraneForce, spring_grid_force
 from mjtactile.core.design import load_sensor
 from mjtactile.core.types import Markers, Surface
 

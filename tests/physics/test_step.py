@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mjtactile.sim.attach import attach_membrane, recommend_options
-from mjtactile.sim.step import advance
+from mjtactile.sim.fast_step import advance
 
 SCENE = """<mujoco><worldbody>
  <body name="hand" pos="0 0 0.1"><joint type="slide" axis="0 0 1" range="0 1" limited="true"/><geom size="0.01" mass="0.2"/>

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.worlds.trials import Body, FloatWorld, PinchWorld
+from benchmarks.scenes.stress_scenes import Body, FloatWorld, PinchWorld
 from mjtactile.core.design import load_sensor
-from mjtactile.core.rubber import Law
-from mjtactile.sim import truth
+from mjtactile.core.neo_hookean import Law
+from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 # An independent membrane solver, converged to 1e-4: 40 x 30 mm, 0.3 mm, 1 MPa, nu 0.45, pre-stretch
@@ -34,7 +34,7 @@ def mean_shear(world):
     shears = []
     for _ in range(50):
         world.step()
-        shears.append(truth.contact_force(world, 0)[0])
+        shears.append(ground_truth.contact_force(world, 0)[0])
     return np.mean(shears)
 
 
@@ -48,7 +48,7 @@ def test_a_held_object_does_not_creep(kind, size, squeeze, timestep):
         "dense", Body(kind, size, 0.02), pressure_gauge=1000.0, squeeze=squeeze, timestep=timestep
     )
     world.step(round(0.5 / timestep))
-    grip = sum(-truth.contact_force(world, i)[2] for i in range(2))
+    grip = sum(-ground_truth.contact_force(world, i)[2] for i in range(2))
     assert 1.5 < MU * grip / world.weight < 2.2  # twice the friction that it needs
     times = []
     drops = []
@@ -75,7 +75,7 @@ def test_shear_of_a_drag_is_that_of_a_sheet_that_sticks():
     % too low."""
     world = pressed()
     world.press(2e-3, 3e-4)
-    assert truth.contact_force(world, 0)[0] == pytest.approx(DRAGGED, rel=0.08)
+    assert ground_truth.contact_force(world, 0)[0] == pytest.approx(DRAGGED, rel=0.08)
 
 
 def test_sticking_does_not_give_way():
@@ -90,7 +90,7 @@ def test_sticking_does_not_give_way():
 
 def test_shear_off_centre_is_that_of_a_sheet_that_sticks():
     world = pressed(4e-3, at=(7e-3, -4e-3))
-    shear = truth.contact_force(world, 0)[:2]
+    shear = ground_truth.contact_force(world, 0)[:2]
     assert np.linalg.norm(shear - OFF_CENTRE) < 0.1 * np.linalg.norm(OFF_CENTRE)  # measured: 4 %
 
 
@@ -101,8 +101,8 @@ def test_what_slides_is_dragged_with_mu_times_the_normal_force(timestep, speed):
     forces = []
 
     def look():
-        shares.append(truth.friction_used(world, MU))
-        forces.append(truth.contact_force(world, 0)[0])
+        shares.append(ground_truth.friction_used(world, MU))
+        forces.append(ground_truth.contact_force(world, 0)[0])
 
     world.after_each_step(look)
     world.drive(2e-3, np.copysign(2e-3, speed), speed=abs(speed))
@@ -115,7 +115,7 @@ def test_a_stop_keeps_the_friction_of_the_slide():
     world = pressed()
     world.drive(2e-3, 2e-3, speed=20e-3)
     world.step(50)
-    assert truth.friction_used(world, MU) == pytest.approx(1.0, abs=0.03)
+    assert ground_truth.friction_used(world, MU) == pytest.approx(1.0, abs=0.03)
 
 
 def test_what_touches_lies_on_the_membrane_however_soft_the_contact(monkeypatch):
@@ -124,8 +124,10 @@ def test_what_touches_lies_on_the_membrane_however_soft_the_contact(monkeypatch)
         monkeypatch.setattr("mjtactile.sim.sensor.membrane.VERTEX_DEPTH", factor * 160e-6)
         world = pressed()
         world.step(50)  # it is at rest before the last of the depth is taken back
-        forces.append(-truth.contact_force(world, 0)[2])
-        assert truth.penetration(world, 0) < 2e-6  # m: what the last steps have not taken back yet
+        forces.append(-ground_truth.contact_force(world, 0)[2])
+        assert (
+            ground_truth.penetration(world, 0) < 2e-6
+        )  # m: what the last steps have not taken back yet
     np.testing.assert_allclose(forces, forces[1], rtol=0.005)
 
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from mjtactile.core.task import DrawnHappening, load_task
-from mjtactile.run.judge import Judge
-from mjtactile.sim import truth
+from mjtactile.runtime.task_scoring import Judge
+from mjtactile.sim import ground_truth
+from mjtactile.sim.scenes.disturbances import Happenings
 from mjtactile.sim.scenes.grasp_world import GraspWorld
-from mjtactile.sim.scenes.happenings import Happenings
 
 MESH = (11, 9)  # what happens does not depend on the mesh, so take a cheap one
 MASS = 0.02  # kg of the vial
@@ -34,16 +34,16 @@ def advance(world, seconds):
 
 
 def velocity(world):
-    return world.data.cvel[truth.object_bodies(world)[0], 3:].copy()
+    return world.data.cvel[ground_truth.object_bodies(world)[0], 3:].copy()
 
 
 def test_what_is_filled_presses_on_the_table_with_its_weight():
     world = world_with(event("fill", 0.1, 0.4, mass=0.15))
-    bodies = truth.object_bodies(world)
+    bodies = ground_truth.object_bodies(world)
     advance(world, 0.1)
-    assert truth.support_force(world, bodies) == pytest.approx(MASS * 9.81, rel=0.01)
+    assert ground_truth.support_force(world, bodies) == pytest.approx(MASS * 9.81, rel=0.01)
     advance(world, 0.6)
-    assert truth.support_force(world, bodies) == pytest.approx(
+    assert ground_truth.support_force(world, bodies) == pytest.approx(
         0.15 * 9.81, rel=0.01
     )  # its contacts settle
     inertia = world.model.body_inertia[bodies[0]]
@@ -81,16 +81,16 @@ def test_a_hand_that_turns_keeps_gravitys_size():
 
 def test_the_place_goes_where_it_is_sent_and_what_stands_there_with_it():
     world = world_with(event("table", 0.0, 0.5, height=0.02))
-    before = truth.object_position(world)[2]
+    before = ground_truth.object_position(world)[2]
     advance(world, 0.8)
-    assert truth.object_position(world)[2] - before == pytest.approx(0.02, abs=2e-4)
+    assert ground_truth.object_position(world)[2] - before == pytest.approx(0.02, abs=2e-4)
 
 
 def test_who_takes_what_is_let_go_of_keeps_it_where_it_is():
     world = world_with(event("pull", 0.0, 0.1, force=1.0))
-    before = truth.object_position(world)
+    before = ground_truth.object_position(world)
     advance(world, 0.5)
-    np.testing.assert_allclose(truth.object_position(world), before, atol=1e-3)
+    np.testing.assert_allclose(ground_truth.object_position(world), before, atol=1e-3)
 
 
 def test_what_one_finger_touches_is_no_longer_pulled_at_and_stays_taken():
@@ -134,7 +134,7 @@ def test_the_need_is_coulombs_for_a_grip_in_the_middle():
     friction = world.sensors[0].design.membrane.friction
     # 0.2 mm between the patches' middles and the centre of mass, patches of 3 mm: 0.2 %
     assert judge.need() == pytest.approx(MASS * 9.81 / (2 * friction), rel=0.02)
-    body = truth.object_bodies(world)[0]
+    body = ground_truth.object_bodies(world)[0]
     world.data.xfrc_applied[body, :3] = [0.0, 0.0, -0.3]
     assert judge.need() == pytest.approx((MASS * 9.81 + 0.3) / (2 * friction), rel=0.02)
     # along the line through both fingers: carried by what they press with

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import mjtactile
-from benchmarks.trust.air import AFTER, BEFORE, MASS, TROUBLES, errors, scene
+from benchmarks.camera_faults.gas_changes import AFTER, BEFORE, MASS, TROUBLES, errors, scene
 from mjtactile.core.types import PressureReading
-from mjtactile.sensing.force.gauge import GaugeFilter
-from mjtactile.sensing.force.sheet import Gas
+from mjtactile.sensing.force.gas_filter import GaugeFilter
+from mjtactile.sensing.force.spline_fem import Gas
 
 TOLERANCE = 0.03  # N: three sd of an untouched sensor with its gauge, and what a hole adds
 BOUNCE = 0.4  # s in which the ball swings after a jump of the pressure, and the sheet drags

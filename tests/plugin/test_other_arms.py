@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import mjtactile
-from mjtactile.sim import truth
+from mjtactile.sim import ground_truth
 
 KITCHEN = "envs/assets/kitchen_franka/kitchen_assets/kitchen_env_model.xml"
 ARM = {
@@ -56,7 +56,7 @@ def held():
 
 
 def test_the_ball_is_carried_and_felt(held):
-    true = [truth.contact_force(held, number) for number in range(2)]
+    true = [ground_truth.contact_force(held, number) for number in range(2)]
     rotations = [held.data.site(side).xmat.reshape(3, 3) for side in ("left", "right")]
     # statics: what the ball does to both membranes is its weight; it swings by less than 0.1 m/s^2
     np.testing.assert_allclose(

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import mjtactile
-from benchmarks.thin.press import BODIES, press
+from benchmarks.thin_objects.press import BODIES, press
 from mjtactile.core.errors import InputError, SimulationError
-from mjtactile.sim.sensor.switches import PHYSICS
+from mjtactile.sim.sensor.effect_switches import PHYSICS
 
 # N, of films of 81 x 61 nodes: the middle of what they say at random places (`bench thin`)
 FILM = {
@@ -110,15 +110,15 @@ def test_a_ball_at_a_speed_that_no_step_resolves_is_stopped_or_flagged(speed):
 
 def test_a_pin_through_triangles_or_vertices_stops_the_scene(monkeypatch):
     """Something went wrong in contact: what is behind the sheet is seen by where it is."""
-    monkeypatch.setattr("mjtactile.sim.sensor.sharp._MOST_FACES", 0)
+    monkeypatch.setattr("mjtactile.sim.sensor.sharp_geoms._MOST_FACES", 0)
     pin = replace(BODIES["pin of 0.5 mm radius"], depth=4e-3)
-    monkeypatch.setattr("mjtactile.sim.sensor.shapes.entry_of", lambda *_: None)
+    monkeypatch.setattr("mjtactile.sim.sensor.ray_intersection.entry_of", lambda *_: None)
     with pytest.raises(SimulationError, match="'thin' went through the membrane"):
         press(pin, (1.5e-3, 1.5e-3), 0.05, contact="vertices")
 
 
 def test_what_slips_between_vertices_is_said_when_the_scene_is_built(monkeypatch):
-    monkeypatch.setattr("mjtactile.sim.sensor.shapes.entry_of", lambda *_: None)
+    monkeypatch.setattr("mjtactile.sim.sensor.ray_intersection.entry_of", lambda *_: None)
     spec, mount = scene('<geom name="peg" type="cylinder" size="0.001 0.01"/>', contact="vertices")
     model = spec.compile()
     assert "'peg'" in mount.bind(model, mujoco.MjData(model)).flags["feature"]
@@ -133,7 +133,7 @@ def test_a_blade_that_triangles_would_miss_is_refused_by_name(contact):
 
 
 def test_a_face_smaller_than_the_frame_is_flagged_with_its_numbers():
-    from benchmarks.thin.press import FACES
+    from benchmarks.thin_objects.press import FACES
 
     pressed = press(FACES["square of 6 mm"], (0.7e-3, 0.0), 0.03)
     assert "0.3 to 1.4 times" in pressed.flags["edge"]

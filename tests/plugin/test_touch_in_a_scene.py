@@ -8,7 +8,7 @@ import pytest
 
 import mjtactile
 from mjtactile.core.errors import InputError, SimulationError
-from mjtactile.sim import truth
+from mjtactile.sim import ground_truth
 
 G = 9.81  # m/s^2
 SCENE = """<mujoco><option gravity="0 0 -9.81"/><worldbody>
@@ -178,5 +178,5 @@ def test_a_scenes_own_options_do_not_spoil_the_force(option):
     mjtactile.step(model, data, [finger], nstep=round(0.8 / model.opt.timestep))
     world = SimpleNamespace(model=model, data=data, sensors=[finger.sensor])
     # it has come to rest
-    assert -truth.contact_force(world, 0)[2] == pytest.approx(0.05 * G, abs=0.01)
+    assert -ground_truth.contact_force(world, 0)[2] == pytest.approx(0.05 * G, abs=0.01)
     assert finger.touch.force_normal == pytest.approx(0.05 * G, abs=0.03)

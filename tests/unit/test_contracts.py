@@ -12,13 +12,16 @@ import pytest
 CHECKOUT = Path(__file__).resolve().parents[2]
 
 VIOLATIONS = {
-    "Layers": ("mjtactile/core/types/felt.py", "import mjtactile.rig.file"),
+    "Layers": ("mjtactile/core/types/touch.py", "import mjtactile.rig.file"),
     "Layers (a new module without a place)": ("mjtactile/stray.py", ""),
-    "Core, from the ground up": ("mjtactile/core/types/felt.py", "import mjtactile.core.design"),
-    "Values, from the image": ("mjtactile/core/types/seen.py", "import mjtactile.core.types.felt"),
+    "Core, from the ground up": ("mjtactile/core/types/touch.py", "import mjtactile.core.design"),
+    "Values, from the image": (
+        "mjtactile/core/types/vision.py",
+        "import mjtactile.core.types.touch",
+    ),
     "Sensing, from the image up": (
-        "mjtactile/sensing/image/edges.py",
-        "import mjtactile.sensing.force.sheet",
+        "mjtactile/sensing/image/edge_fit.py",
+        "import mjtactile.sensing.force.spline_fem",
     ),
     "Simulation, from the sensor up": (
         "mjtactile/sim/sensor/gas.py",
@@ -29,13 +32,13 @@ VIOLATIONS = {
         "import benchmarks.speed.run",
     ),
     "Sensing meets": ("mjtactile/sensing/pose/circles.py", "import mjtactile.rig.registry"),
-    "Only the simulator": ("mjtactile/run/loop.py", "import mujoco"),
-    "Fitting, from": ("mjtactile/fit/evidence.py", "import mjtactile.fit.run"),
+    "Only the simulator": ("mjtactile/runtime/control_loop.py", "import mujoco"),
+    "Fitting, from": ("mjtactile/fit/measurements.py", "import mjtactile.fit.identification"),
     "A controller sees": ("controllers/gentle.py", "import mjtactile.core.design"),
     "A controller sees (no simulator)": ("controllers/gentle.py", "import mujoco"),
     "Examples use": ("examples/touch_in_my_scene.py", "import mjtactile.sim.attach"),
     "Commands use": ("mjtactile/commands/press.py", "import mjtactile.sim.scenes.indentation"),
-    "Ground truth": ("mjtactile/run/loop.py", "import mjtactile.sim.truth"),
+    "Ground truth": ("mjtactile/runtime/control_loop.py", "import mjtactile.sim.ground_truth"),
 }
 
 

@@ -11,15 +11,15 @@ import pytest
 
 import mjtactile
 import mkdocs_hooks
-from benchmarks import numbers
+from benchmarks import results_tables
 from mjtactile.commands import COMMANDS
+from mjtactile.core.config_fields import SectionEntry, default_of, entries
 from mjtactile.core.design import SensorDesign, load_sensor
-from mjtactile.core.entries import Number, Text
 from mjtactile.core.errors import InputError
-from mjtactile.core.fields import SectionEntry, default_of, entries
+from mjtactile.core.field_types import Number, Text
 from mjtactile.core.types import Command, GripperState, Observation, Slip, Touch, ValveState
-from mjtactile.recording.columns import SENSED, TRUE
-from mjtactile.run.controller import load_controller
+from mjtactile.recording.log_schema import SENSED, TRUE
+from mjtactile.runtime.controller import load_controller
 from mjtactile.sim.effects.catalog import EFFECTS
 from mjtactile.sim.scenes.objects import load_object
 from tools import architecture
@@ -279,20 +279,20 @@ def test_links_of_the_pages_in_the_wheel_stay_in_the_wheel(page):
 @pytest.mark.parametrize(
     ("page", "block", "table"),
     [
-        ("docs/validation/results.md", "numbers", numbers.table),
-        ("README.md", "headline", numbers.headline_table),
+        ("docs/validation/results.md", "numbers", results_tables.table),
+        ("README.md", "headline", results_tables.headline_table),
     ],
 )
 def test_numbers_are_those_of_the_pages_that_the_benchmarks_wrote(page, block, table):
     text = (CHECKOUT / page).read_text()
     written = found(rf"<!-- bench:{block} -->\n(.*?)<!-- /bench -->", text)
     # else: mjtactile bench BLOCK --readme PAGE
-    assert written.strip() == table(numbers.run(Path())).strip()
+    assert written.strip() == table(results_tables.run(Path())).strip()
 
 
 def test_the_readme_shows_five_numbers_and_fits_150_lines():
     readme = (CHECKOUT / "README.md").read_text()
-    assert sum(number.headline for number in numbers.NUMBERS) == 5
+    assert sum(number.headline for number in results_tables.NUMBERS) == 5
     assert len(readme.splitlines()) <= 150
     # three commands and the numbers come before any section
     assert readme.index("bench:headline") < readme.index("\n## ")
@@ -312,7 +312,7 @@ SAID_ONCE = {
 @pytest.mark.parametrize(("said", "what"), SAID_ONCE.items(), ids=SAID_ONCE.values())
 def test_no_page_says_another_number(said, what):
     """In sentences; tables come from benchmarks and name what they measured."""
-    rows = numbers.run(Path())["numbers"]
+    rows = results_tables.run(Path())["numbers"]
     (value,) = [row["value"] for row in rows if row["what"].startswith(what)]
     others = [
         (page.name, found)
@@ -350,13 +350,13 @@ def test_a_number_that_a_page_lacks_is_named():
         "| 2 |\n"
     )
     # of the table that has the column
-    assert numbers.cell(page, "for", "paper16", source="x") == "2"
+    assert results_tables.cell(page, "for", "paper16", source="x") == "2"
     page += "\n| what | dense |\n|---|---|\n| force | 3 |\n| shear | 4 |\n"
-    assert numbers.cell(page, "force", "dense", source="x") == "1"
+    assert results_tables.cell(page, "force", "dense", source="x") == "1"
     # both of one table
-    assert numbers.cell(page, "force | / shear", "dense", source="x") == "3 / 4"
+    assert results_tables.cell(page, "force | / shear", "dense", source="x") == "3 / 4"
     with pytest.raises(InputError, match=r"x\.md.*'torque'"):
-        numbers.cell(page, "torque", "dense", source="x")
+        results_tables.cell(page, "torque", "dense", source="x")
 
 
 SECTIONS = [

@@ -69,7 +69,7 @@ def test_a_grasp_imports_no_scipy():
     """Its linear algebra alone takes as long as numpy, MuJoCo and all of ours."""
     loaded = run_python("""
 import sys
-import mjtactile.commands.grasp, mjtactile.report.summary, mjtactile.sim.camera, mjtactile.run.scoring
+import mjtactile.commands.grasp, mjtactile.report.summary, mjtactile.sim.camera, mjtactile.runtime.grasp_scoring
 print("scipy" in sys.modules)
 """)
     assert loaded.strip() == "False"

@@ -6,7 +6,7 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from mjtactile import hold
+from mjtactile import grasp_estimation
 from mjtactile.core.status import Status, StatusCode
 from mjtactile.core.types import Slip, SlipState, Touch, Traction
 
@@ -39,7 +39,7 @@ def test_what_hangs_on_the_fingers_is_weighed_whatever_their_axes(mass, accelera
         touch(x + load * way[0], y + load * way[1], 1.0)
         for (x, y), load, way in zip(before, loads, turned, strict=True)
     ]
-    found = hold.weigh(now, before, acceleration=acceleration)
+    found = grasp_estimation.weigh(now, before, acceleration=acceleration)
     assert found.mass == pytest.approx(mass, rel=1e-9)
     np.testing.assert_allclose(found.load, loads)
     np.testing.assert_allclose(found.share, [2 / 3, 1 / 3])
@@ -51,36 +51,38 @@ def test_the_error_bar_of_a_weight_is_as_wide_as_its_errors():
     for _ in range(2000):
         before = rng.normal(0, NOISE, (2, 2))
         noise = rng.normal(0, NOISE, (2, 2))
-        gain = 1 + hold.GAIN_SD * rng.standard_normal()
+        gain = 1 + grasp_estimation.GAIN_SD * rng.standard_normal()
         down = gain * 0.06 * 9.81 / 2
         now = [touch(x, y - down, 1.0) for x, y in noise]
-        found = hold.weigh(now, before)
+        found = grasp_estimation.weigh(now, before)
         errors.append((found.mass - 0.06) / found.sd)
     assert np.std(errors) == pytest.approx(1.0, abs=0.1)  # sd of 2000: 0.016
     assert 0.0005 < found.sd < 0.0015  # 60 g to 1 g
 
 
 def test_a_hold_bounds_friction_from_below_and_a_slip_says_it():
-    held = hold.friction([touch(0.3, 0.4, 1.0), touch(0.0, 0.2, 1.0)])
+    held = grasp_estimation.friction([touch(0.3, 0.4, 1.0), touch(0.0, 0.2, 1.0)])
     assert held.least == pytest.approx(0.5 - 2 * held.sd[0]) and math.isnan(held.slipped)
-    slid = hold.friction([touch(0.3, 0.4, 1.0, "slipping"), touch(0.0, 0.2, 1.0)])
+    slid = grasp_estimation.friction([touch(0.3, 0.4, 1.0, "slipping"), touch(0.0, 0.2, 1.0)])
     assert slid.slipped == pytest.approx(0.5) and 0.18 < slid.least < 0.2
-    nothing = hold.friction([touch(0.0, 0.0, 0.01), UNKNOWN])
+    nothing = grasp_estimation.friction([touch(0.0, 0.0, 0.01), UNKNOWN])
     assert nothing.least == 0.0 and np.isnan(nothing.used).all()
 
 
 def test_a_grip_is_as_hard_as_coulomb_asks():
     # 100 g on two fingers of friction 0.5: 0.981 N each
-    assert hold.least_grip(0.1, 0.5, 2) == pytest.approx(0.981)
-    assert hold.least_grip(0.1, 0.5, 2, acceleration=-5.0) == pytest.approx(1.481)
+    assert grasp_estimation.least_grip(0.1, 0.5, 2) == pytest.approx(0.981)
+    assert grasp_estimation.least_grip(0.1, 0.5, 2, acceleration=-5.0) == pytest.approx(1.481)
 
 
 def test_the_table_is_told_from_a_load_that_it_took_over():
     held = [(0.0, -0.3), (0.0, -0.3)]
-    assert hold.support([touch(0, -0.3, 1.0)] * 2, held) == pytest.approx(-0.3)  # hangs
-    assert hold.support([touch(0, 0.0, 1.0)] * 2, held) == pytest.approx(0.0)  # stands
-    assert hold.support([touch(0, 0.2, 1.0)] * 2, held) == pytest.approx(0.2)  # is pressed down
-    assert hold.pull([touch(0, 0.0, 1.0)] * 2, held) == pytest.approx(0.6)
+    assert grasp_estimation.support([touch(0, -0.3, 1.0)] * 2, held) == pytest.approx(-0.3)  # hangs
+    assert grasp_estimation.support([touch(0, 0.0, 1.0)] * 2, held) == pytest.approx(0.0)  # stands
+    assert grasp_estimation.support([touch(0, 0.2, 1.0)] * 2, held) == pytest.approx(
+        0.2
+    )  # is pressed down
+    assert grasp_estimation.pull([touch(0, 0.0, 1.0)] * 2, held) == pytest.approx(0.6)
 
 
 @pytest.mark.parametrize("turned", [0.0, 0.7, 2.5])
@@ -104,28 +106,28 @@ def test_what_fingers_do_to_each_other_is_no_load(turned):
         return felt
 
     hangs = feel([0, 0, -0.3], [0, 0, 0.03])
-    down = hold.downward(hangs)
+    down = grasp_estimation.downward(hangs)
     leans = feel([0.0, 0.2, -0.5], [0, 0.4, 0.9])
-    along, across, through = hold.load_vector(leans, down)
+    along, across, through = grasp_estimation.load_vector(leans, down)
     assert along == pytest.approx(0.5) and abs(across) == pytest.approx(0.2)
     assert through == pytest.approx(0.0)
-    pulled = hold.load_vector(feel([0.4, 0, -0.3], [0, 0, 0]), down)
+    pulled = grasp_estimation.load_vector(feel([0.4, 0, -0.3], [0, 0, 0]), down)
     assert abs(pulled[2]) == pytest.approx(0.4) and pulled[0] == pytest.approx(0.3)
     # more than two: downward alone
-    three = hold.load_vector([hangs[0]] * 3, [down[0]] * 3)
+    three = grasp_estimation.load_vector([hangs[0]] * 3, [down[0]] * 3)
     np.testing.assert_allclose(three, [3 * (0.15 - 0.03), 0, 0], atol=1e-12)
 
 
 def believe(belief, touches, count=1):
     """`count` images of the same touches; as numbers in between, as a controller keeps it."""
     for _ in range(count):
-        belief = hold.Belief(**asdict(belief)).after(touches, 1 / 30)
+        belief = grasp_estimation.Belief(**asdict(belief)).after(touches, 1 / 30)
     return belief
 
 
 def test_a_belief_goes_from_image_to_image_as_numbers():
     held = [touch(0, -0.4, 1.0)] * 2
-    belief = believe(hold.Belief(0.6), held, 30)
+    belief = believe(grasp_estimation.Belief(0.6), held, 30)
     # held at 0.4: a proof of nine tenths of that, less two sd, which fades within 10 s
     assert 0.33 < belief.proven < 0.4 and belief.friction == pytest.approx(0.6, rel=0.05)
     slipping = [touch(0, -0.4, 1.0, "slipping")] * 2
@@ -144,7 +146,7 @@ def test_a_belief_goes_from_image_to_image_as_numbers():
 def test_shear_that_grows_with_the_grip_was_a_slip(drag, carried):
     """A sign of slip at 0.4 N of 1 N; the grip goes to 1.5 N, and the shear stays, or goes to
     0.6 N, as Coulomb has it."""
-    before = believe(hold.Belief(0.5), [touch(0, -0.4, 1.0)] * 2, 10)
+    before = believe(grasp_estimation.Belief(0.5), [touch(0, -0.4, 1.0)] * 2, 10)
     slipped = believe(before, [touch(0, -0.4, 1.0, "slipping")] * 2)
     after = believe(slipped, [touch(0, -drag, 1.5)] * 2, 12)
     restored = 0.95 * before.friction
@@ -170,7 +172,7 @@ def test_what_slips_follows_the_grip(slips):
     for _ in range(300):
         normal = 0.8 * (1 + wobble) + rng.normal(0, 0.001, 12)
         shear = 0.4 * (1 + slips * wobble + 0.3 * time) + rng.normal(0, 0.001, 12)
-        found.append(hold.follows(normal, shear))
+        found.append(grasp_estimation.follows(normal, shear))
     shares = np.array([one.share for one in found])
     # the load's own growth, 11 % in that time, is in the mean that the shear is compared with
     assert shares.mean() == pytest.approx(slips, rel=0.08, abs=0.02)
@@ -181,22 +183,22 @@ def test_what_slips_follows_the_grip(slips):
 
 def test_a_grip_that_does_not_change_tells_nothing():
     steady = np.full(12, 0.8) + 1e-4 * np.sin(np.arange(12))
-    assert math.isnan(hold.follows(steady, np.full(12, 0.4)).share)
-    assert math.isnan(hold.follows([0.8, 0.9], [0.4, 0.4]).share)
-    assert math.isnan(hold.follows([0.8, math.nan] * 6, [0.4] * 12).share)
+    assert math.isnan(grasp_estimation.follows(steady, np.full(12, 0.4)).share)
+    assert math.isnan(grasp_estimation.follows([0.8, 0.9], [0.4, 0.4]).share)
+    assert math.isnan(grasp_estimation.follows([0.8, math.nan] * 6, [0.4] * 12).share)
 
 
 def tried(mu, load, least):
     """A trial of friction to its end. Coulomb: each finger carries `load` N, or what it presses
     with times mu; the grip goes within 0.3 s to where what is tried is in use, and never below
     `least` N."""
-    trial = hold.Trial(0.6)
+    trial = grasp_estimation.Trial(0.6)
     press = 1.3 * load / 0.6
     for _ in range(150):
         goal = max(least, load / trial.friction if trial.is_on else press)
         press += (goal - press) / 3
         finger = touch(0, -min(load, mu * press), press)
-        trial = hold.Trial(**asdict(trial)).after([finger] * 2, 1 / 30, 0.6)
+        trial = grasp_estimation.Trial(**asdict(trial)).after([finger] * 2, 1 / 30, 0.6)
         if trial.over:
             return trial
     raise AssertionError("it has no end")
@@ -228,12 +230,12 @@ def test_what_slips_at_the_least_grip_has_no_more_friction_than_was_in_use(left,
     """0.11 N on a grip that goes from 0.3 to 0.2 N and no further, at mu = 0.5: a shear of 0.1 N,
     less than an eighth less, is as likely noise, unless both fingers say that they slip; one of
     them alone may be pushed by what it holds."""
-    trial = hold.Trial(0.6)
+    trial = grasp_estimation.Trial(0.6)
     for k in range(30):
         press = max(0.2, 0.3 - 0.01 * k)
         states = (left, right) if k > 10 else ("sticking", "sticking")
         fingers = [touch(0, -min(0.11, 0.5 * press), press, state) for state in states]
-        trial = hold.Trial(**asdict(trial)).after(fingers, 1 / 30, 0.6)
+        trial = grasp_estimation.Trial(**asdict(trial)).after(fingers, 1 / 30, 0.6)
         if trial.over:
             break
     assert trial.passed == pytest.approx(0.5)
@@ -244,31 +246,33 @@ def test_what_slips_at_the_least_grip_has_no_more_friction_than_was_in_use(left,
 
 def test_unknown_is_not_zero():
     both = [touch(0, 0, 1.0), UNKNOWN]
-    assert np.isnan(hold.shear(both)).tolist() == [[False, False], [True, True]]
-    assert math.isnan(hold.weigh(both, np.zeros((2, 2))).mass)
-    assert math.isnan(hold.support(both, np.zeros((2, 2))))
-    assert math.isnan(hold.pull(both, np.zeros((2, 2))))
+    assert np.isnan(grasp_estimation.shear(both)).tolist() == [[False, False], [True, True]]
+    assert math.isnan(grasp_estimation.weigh(both, np.zeros((2, 2))).mass)
+    assert math.isnan(grasp_estimation.support(both, np.zeros((2, 2))))
+    assert math.isnan(grasp_estimation.pull(both, np.zeros((2, 2))))
 
 
 @pytest.mark.parametrize("hardness", [0.7, 1.0, 3.0])
 def test_a_grip_s_stiffness_is_found_as_it_closes(hardness):
     """dN/dx = hardness * (110 + 260 N), from a first touch of 0.1 N at an opening of 30 mm; one
     image then has 0.1 mm of backlash."""
-    spring = hold.Spring()
+    spring = grasp_estimation.Spring()
     ball = lambda force: math.log1p(260 * force / 110) / 260  # noqa: E731
     for force in np.linspace(0.1, 0.9, 60):
         way = (ball(force) - ball(0.1)) / hardness
-        spring = hold.Spring(**asdict(spring)).after(0.03 - way, force, 1 / 30)
+        spring = grasp_estimation.Spring(**asdict(spring)).after(0.03 - way, force, 1 / 30)
     assert spring.stiffness(0.9) == pytest.approx(hardness * (110 + 260 * 0.9), rel=0.02)
     loose = spring.after(0.03 - way - 1e-4, 0.9, 1 / 30)
     assert loose.hardness == pytest.approx(hardness, rel=0.03)
     # nothing is measured of a way as short as backlash
-    assert hold.Spring().after(0.03, 0.1, 0.03).after(0.0299, 0.12, 0.03).hardness == 1.5
+    assert (
+        grasp_estimation.Spring().after(0.03, 0.1, 0.03).after(0.0299, 0.12, 0.03).hardness == 1.5
+    )
 
 
 def test_what_the_table_pushes_up_is_no_load():
     hangs = [touch(0, -0.3, 1.0)] * 2
-    load = hold.Load().after(hangs, 1 / 30).hanging(hangs).after(hangs, 1 / 30)
+    load = grasp_estimation.Load().after(hangs, 1 / 30).hanging(hangs).after(hangs, 1 / 30)
     assert load.mass == pytest.approx(0.6 / 9.81) and load.worst == pytest.approx(0.32)
     pressed = [touch(0, 0.8, 1.0)] * 2
     assert load.after(pressed, 1 / 30).worst < load.worst
@@ -280,7 +284,7 @@ def test_a_load_grows_with_what_two_images_show():
     further."""
     hangs = [touch(0, -0.3, 1.0)] * 2
     heavier = [touch(0, -0.6, 1.0)] * 2
-    stands = hold.Load().after(hangs, 1 / 30)
+    stands = grasp_estimation.Load().after(hangs, 1 / 30)
     for load, coming in ((stands, 0.0), (stands.hanging(hangs), 0.3 * (1 - 1 / 4.5))):
         once = load.after(heavier, 1 / 30)
         assert once.worst == pytest.approx(0.32)
@@ -296,7 +300,7 @@ def test_a_load_that_has_gone_is_kept_for_a_second_and_a_half():
     """By its time constant: a half of a shake is light."""
     heavy = [touch(0, -0.6, 1.0)] * 2
     light = [touch(0, -0.1, 1.0)] * 2
-    load = hold.Load().after(heavy, 1 / 30)
+    load = grasp_estimation.Load().after(heavy, 1 / 30)
     for _ in range(30):
         load = load.after(light, 1 / 30)
     assert load.worst == pytest.approx(0.6 * math.exp(-1 / 1.5) + 0.02)
@@ -305,7 +309,7 @@ def test_a_load_that_has_gone_is_kept_for_a_second_and_a_half():
 def test_a_weight_is_an_average_over_seven_tenths_of_a_second():
     hangs = [touch(0, -0.3, 1.0)] * 2
     heavier = [touch(0, -0.6, 1.0)] * 2
-    load = hold.Load().hanging(hangs).after(hangs, 1 / 30)
+    load = grasp_estimation.Load().hanging(hangs).after(hangs, 1 / 30)
     change = (1 / 30) / 0.7
     mass = load.after(heavier, 1 / 30).mass
     assert mass == pytest.approx((0.6 + 0.6 * change) / 9.81)
@@ -316,7 +320,7 @@ def test_what_is_pushed_sideways_loads_the_fingers_as_statics_say():
     same side as the other one."""
     hangs = [touch(0, -0.3, 1.0)] * 2
     pushed = [touch(0.4, -0.3, 1.0), touch(-0.4, -0.3, 1.0)]
-    load = hold.Load().hanging(hangs)
+    load = grasp_estimation.Load().hanging(hangs)
     for _ in range(60):
         load = load.after(pushed, 1 / 30)
     assert load.worst == pytest.approx(0.52, abs=1e-3)  # it is no more on its way
@@ -324,7 +328,7 @@ def test_what_is_pushed_sideways_loads_the_fingers_as_statics_say():
 
 def test_a_slip_lets_go_of_what_the_fingers_dragged_each_other_by():
     stands = (touch(0.06, 0.0, 0.3), touch(0.06, 0.0, 0.3))
-    load = hold.Load().standing(stands)
+    load = grasp_estimation.Load().standing(stands)
     one = (touch(0.06, 0.0, 0.3, "slipping"), touch(0.06, 0.0, 0.3))
     both = (touch(0.06, 0.0, 0.3, "slipping"),) * 2
     assert len(load.after(one, 1 / 30).inner) and not len(load.after(both, 1 / 30).inner)
@@ -335,10 +339,10 @@ def test_what_the_fingers_drag_each_other_by_is_no_weight():
     0.2 N a newton, which seen from each is the same side; a load of 0.1 N hangs on each."""
     stands = (touch(0.06, 0.0, 0.3), touch(0.06, 0.0, 0.3))
     hangs = (touch(0.08, -0.1, 0.4), touch(0.08, -0.1, 0.4))
-    load = hold.Load().standing(stands).hanging(hangs).after(hangs, 1 / 30)
+    load = grasp_estimation.Load().standing(stands).hanging(hangs).after(hangs, 1 / 30)
     assert load.mass == pytest.approx(0.2 / 9.81)
     # without it a quarter too heavy
-    askew = hold.Load().hanging(hangs).after(hangs, 1 / 30)
+    askew = grasp_estimation.Load().hanging(hangs).after(hangs, 1 / 30)
     assert askew.mass == pytest.approx(2 * math.hypot(0.08, 0.1) / 9.81)
 
 
@@ -346,7 +350,7 @@ def test_what_is_pushed_over_its_place_does_not_hide_the_load():
     """One finger presses, the other hardly: that shear is the table's, and goes with it."""
     stands = (touch(0.15, 0.0, 0.3), touch(0.0, 0.0, 0.05))
     hangs = (touch(0.0, -0.1, 0.4), touch(0.0, -0.1, 0.4))
-    load = hold.Load().standing(stands).hanging(hangs).after(hangs, 1 / 30)
+    load = grasp_estimation.Load().standing(stands).hanging(hangs).after(hangs, 1 / 30)
     assert load.mass == pytest.approx(0.2 / 9.81)
 
 
@@ -361,9 +365,9 @@ def test_what_is_pushed_over_its_place_does_not_hide_the_load():
 )
 def test_no_harder_grip_is_of_use_where_the_jaws_push_on_frames(effort, time, most):
     felt = [touch(0.0, -0.2, normal) for normal in (0.9, 1.1)]
-    frames = hold.Frames()
+    frames = grasp_estimation.Frames()
     for _ in range(round(30 * time)):
-        frames = hold.Frames(**asdict(frames.after(felt, effort, 1 / 30)))
+        frames = grasp_estimation.Frames(**asdict(frames.after(felt, effort, 1 / 30)))
     if math.isinf(most):
         assert frames.most > 10.0
         return

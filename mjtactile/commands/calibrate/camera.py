@@ -9,10 +9,10 @@ from typing import Any
 
 from mjtactile import InputError
 from mjtactile.commands import arguments as arg
-from mjtactile.commands.calibrate import target
+from mjtactile.commands.calibrate import output_options
 from mjtactile.commands.calibrate.terminal import check_folder, finish, say
 from mjtactile.commands.output import print_json, stdout_to_stderr
-from mjtactile.report.pictures import read_frames
+from mjtactile.report.frame_source import read_frames
 
 HELP = "lens and focal length from pictures of a printed board (ROS camera_info)"
 DESCRIPTION = """\
@@ -21,7 +21,7 @@ the board (--print), glue it to something flat, measure a square with a caliper 
 Take 15 to 30 pictures that fill the view between them, with the board tilted by 20 to 40 degrees
 left, right, up and down in most, sharp to the edges, lens and focus as they will be used.
 
-Or of a flat board of equal circles on a square grid, such as `mjtactile locate` finds
+Or of a flat board of equal circles on a square grid, such as `mjtactile detect-circles` finds
 (--from-circles --pitch-mm 25.4 --radius-mm 6.35): how many there are does not matter, and
 some may be missing. That refits a camera whose file has no k3, from the pictures
 themselves.
@@ -35,7 +35,7 @@ examples:
   mjtactile calibrate camera photos/ --square-mm 4.98 --rig my_gripper.toml --finger left
   mjtactile calibrate camera photos/ --out left.yaml
   mjtactile calibrate camera photos/ --from-circles --pitch-mm 25.4 --radius-mm 6.35 --out left.yaml
-  mjtactile locate photo.png --camera left.yaml --radius-mm 1.5
+  mjtactile detect-circles photo.png --camera left.yaml --radius-mm 1.5
 
 Writes the part `lens` of the finger's calibration file, or with --out FILE.yaml a ROS
 camera_info (plumb_bob). Both with verdict, reasons, date, versions, rms_px (corners, all
@@ -48,7 +48,7 @@ than 60 % of the view.
 
 ARGUMENTS = (
     arg.positional("source", "SOURCE", "folder, image or video of the board", nargs="?", type=Path),
-    *target.arguments("pictures are taken with its camera", finger="left"),
+    *output_options.arguments("pictures are taken with its camera", finger="left"),
     arg.option("--views", "N", "pictures to take live", 20, type=int),
     arg.option("--seconds", "S", "longest time to take them in", 300.0, type=float),
     arg.option("--board", "CxR", "squares of the board in x and y", "9x7"),
@@ -72,7 +72,7 @@ ARGUMENTS = (
 
 def run(options: argparse.Namespace) -> int:
     from mjtactile.calibrate.camera import camera_info, lens_part, report
-    from mjtactile.calibrate.verdict import stamp, stamp_of, write, write_yaml
+    from mjtactile.calibrate.result_io import stamp, stamp_of, write, write_yaml
 
     if options.print_to is not None:
         return _print_board(options, _board(options))
@@ -84,7 +84,7 @@ def run(options: argparse.Namespace) -> int:
     if out is not None and out.suffix in (".yaml", ".yml"):
         path = check_folder(out)
     else:
-        goal = target.find_targets(options)[0]
+        goal = output_options.find_targets(options)[0]
         path = goal.path
     with stdout_to_stderr():
         if options.source is None:
@@ -225,7 +225,7 @@ def _recorded(source: Path, finder) -> tuple[list, tuple[int, int]]:
 def _live(options: argparse.Namespace, finder) -> tuple[list, tuple[int, int]]:
     from mjtactile import load_sensor
     from mjtactile.calibrate.connect import live_camera, live_rig
-    from mjtactile.calibrate.live import camera_pictures, collect_views
+    from mjtactile.calibrate.interactive import camera_pictures, collect_views
 
     with (
         live_rig(options.rig, load_sensor("dense")) as (rig_file, _),

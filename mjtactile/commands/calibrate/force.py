@@ -11,10 +11,10 @@ from typing import Any
 
 from mjtactile import Calibration, InputError, SensorDesign, load_sensor
 from mjtactile.commands import arguments as arg
-from mjtactile.commands.calibrate import target
+from mjtactile.commands.calibrate import output_options
 from mjtactile.commands.calibrate.terminal import ask, confirm, finish_all, say
 from mjtactile.commands.output import stdout_to_stderr
-from mjtactile.report.pictures import read_frames, to_image
+from mjtactile.report.frame_source import read_frames, to_image
 from mjtactile.types import Image
 
 HELP = "the force felt, and the paper's constant c, against weights or a load cell"
@@ -57,7 +57,7 @@ ARGUMENTS = (
     arg.positional(
         "source", "SOURCE.csv", "images and loads, or times and loads", nargs="?", type=Path
     ),
-    *target.arguments("its sensors are loaded"),
+    *output_options.arguments("its sensors are loaded"),
     arg.option("--flat", "SOURCE", "images of the flat membrane, valve open", type=Path),
     arg.option("--rest", "SOURCE", "images of the inflated membrane, nothing touching", type=Path),
     arg.option(
@@ -90,11 +90,11 @@ Loads = Iterator[tuple[str, float, Sequence[Sequence[Image]]]]
 
 def run(options: argparse.Namespace) -> int:
     from mjtactile.calibrate.force import calibrate_force, force_part
-    from mjtactile.calibrate.verdict import stamp, stamp_of
+    from mjtactile.calibrate.result_io import stamp, stamp_of
 
     if options.source is None and options.rig is None:
         raise InputError("give a CSV file (SOURCE), or --rig to load its sensors", field="SOURCE")
-    targets = target.find_targets(options)
+    targets = output_options.find_targets(options)
     with stdout_to_stderr():
         if options.source is None:
             chains, loads = _live(options, targets)
@@ -151,7 +151,7 @@ def _lines(fit: Any) -> list[str]:
 # --------------------------------------------------------------------------------
 
 
-def _recorded(options: argparse.Namespace, goal: target.Target) -> tuple[list[Any], Loads]:
+def _recorded(options: argparse.Namespace, goal: output_options.Target) -> tuple[list[Any], Loads]:
     before = goal.load().used(goal.design)
     if options.recording is not None:
         chain, loads = _recording(options, goal, before)
@@ -162,7 +162,9 @@ def _recorded(options: argparse.Namespace, goal: target.Target) -> tuple[list[An
     return [chain], ((name, force, [images]) for name, force, images in loads)
 
 
-def _references(options: argparse.Namespace, goal: target.Target, before: Calibration) -> Any:
+def _references(
+    options: argparse.Namespace, goal: output_options.Target, before: Calibration
+) -> Any:
     """A chain with references: of --flat and --rest, else of the calibration's own part `frame`."""
     from mjtactile import Chain, Perception
     from mjtactile.calibrate.force import ready_perception
@@ -186,7 +188,7 @@ def _references(options: argparse.Namespace, goal: target.Target, before: Calibr
 def _table(path: Path, design: SensorDesign) -> Iterator[tuple[str, float, list[Image]]]:
     """The lines of a table of loads, checked; pictures are read when their turn comes."""
     from mjtactile.calibrate.force import GRAVITY
-    from mjtactile.calibrate.verdict import read_columns
+    from mjtactile.calibrate.result_io import read_columns
 
     try:
         table = read_columns(path, ("mass_g",), ("image",))
@@ -213,13 +215,13 @@ def _images(source: Path, design: SensorDesign) -> list[Image]:
 
 
 def _recording(
-    options: argparse.Namespace, goal: target.Target, before: Calibration
+    options: argparse.Namespace, goal: output_options.Target, before: Calibration
 ) -> tuple[Any, Iterator[tuple[str, float, list[Image]]]]:
     import numpy as np
 
     from mjtactile import load_recording
     from mjtactile.calibrate.force import ready_perception
-    from mjtactile.calibrate.verdict import read_columns
+    from mjtactile.calibrate.result_io import read_columns
     from mjtactile.types import FINGERS
 
     recording = load_recording(options.recording)
@@ -265,11 +267,13 @@ def _recording(
 # --------------------------------------------------------------------------------
 
 
-def _live(options: argparse.Namespace, targets: Sequence[target.Target]) -> tuple[list[Any], Loads]:
+def _live(
+    options: argparse.Namespace, targets: Sequence[output_options.Target]
+) -> tuple[list[Any], Loads]:
     """References and loads of fingers of a rig; only with a load cell do the jaws move."""
     from mjtactile.calibrate.connect import live_fingers, live_rig
     from mjtactile.calibrate.force import ready_perception
-    from mjtactile.calibrate.live import kept_alive, reference_pictures
+    from mjtactile.calibrate.interactive import kept_alive, reference_pictures
 
     masses = _masses(options)
     design = load_sensor(options.sensor)
@@ -286,7 +290,7 @@ def _live(options: argparse.Namespace, targets: Sequence[target.Target]) -> tupl
         rig = stack.enter_context(live_fingers(rig_file, design))
         stack.enter_context(kept_alive(*rig.valves))
         pictures = reference_pictures(rig, say)
-        places = target.places(targets, rig_file)
+        places = output_options.places(targets, rig_file)
         with kept_alive(rig.gripper):
             chains = [
                 ready_perception(goal.design, goal.load().used(goal.design), *pictures[place])
@@ -324,7 +328,7 @@ def _load_cell(emulator: Any) -> Callable[[str], float | None]:
 
 
 def _squeezed(rig: Any, most: float, cell: Callable[[str], float | None], by_hand: bool) -> Loads:
-    from mjtactile.calibrate.live import kept_alive, squeezed_pictures
+    from mjtactile.calibrate.interactive import kept_alive, squeezed_pictures
 
     if by_hand:
         with kept_alive(rig.gripper):
@@ -339,7 +343,7 @@ def _squeezed(rig: Any, most: float, cell: Callable[[str], float | None], by_han
 
 def _weighed(rig: Any, masses: Sequence[float], fingers: str) -> Loads:
     from mjtactile.calibrate.force import GRAVITY
-    from mjtactile.run.references import settled_images
+    from mjtactile.runtime.references import settled_images
 
     for mass in masses:
         confirm(f"put {mass:g} g on the middle of the {fingers} membrane")

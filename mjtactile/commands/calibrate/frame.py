@@ -9,10 +9,10 @@ from typing import Any
 
 from mjtactile import InputError, SensorDesign, load_sensor
 from mjtactile.commands import arguments as arg
-from mjtactile.commands.calibrate import target
+from mjtactile.commands.calibrate import output_options
 from mjtactile.commands.calibrate.terminal import finish_all, say
 from mjtactile.commands.output import stdout_to_stderr
-from mjtactile.report.pictures import read_frames, to_image
+from mjtactile.report.frame_source import read_frames, to_image
 from mjtactile.types import Image
 
 HELP = "camera pose and marker radii from the flat membrane"
@@ -48,7 +48,7 @@ ARGUMENTS = (
         nargs="?",
         type=Path,
     ),
-    *target.arguments("pictures are taken with its valves and cameras"),
+    *output_options.arguments("pictures are taken with its valves and cameras"),
     arg.option("--rest", "SOURCE", "images of the inflated membrane, nothing touching", type=Path),
     arg.option(
         "--pressure-kPa",
@@ -64,11 +64,11 @@ ARGUMENTS = (
 
 def run(options: argparse.Namespace) -> int:
     from mjtactile.calibrate.frame import calibrate_frame
-    from mjtactile.calibrate.verdict import stamp
+    from mjtactile.calibrate.result_io import stamp
 
     if options.source is None and options.rig is None:
         raise InputError("give images (FLAT), or --rig to take some", field="FLAT")
-    targets = target.find_targets(options)
+    targets = output_options.find_targets(options)
     with stdout_to_stderr():
         if options.source is None:
             taken = _live(options, targets)
@@ -98,15 +98,15 @@ def _recorded(options: argparse.Namespace, design: SensorDesign) -> Taken:
     return _images(options.source, design), rest, pressure, options.valve == "closed"
 
 
-def _live(options: argparse.Namespace, targets: list[target.Target]) -> list[Taken]:
+def _live(options: argparse.Namespace, targets: list[output_options.Target]) -> list[Taken]:
     """Open the valves, take pictures, inflate, seal, take pictures; the jaws stand still."""
     from mjtactile.calibrate.connect import live_fingers, live_rig
-    from mjtactile.calibrate.live import reference_pictures
+    from mjtactile.calibrate.interactive import reference_pictures
 
     design = load_sensor(options.sensor)
     with live_rig(options.rig, design) as (rig_file, _), live_fingers(rig_file, design) as rig:
         pictures = reference_pictures(rig, say)
-    return [(*pictures[place], True) for place in target.places(targets, rig_file)]
+    return [(*pictures[place], True) for place in output_options.places(targets, rig_file)]
 
 
 def _images(source: Path, design: SensorDesign) -> list[Image]:

@@ -73,7 +73,7 @@ ARGUMENTS = (
 def run(options: argparse.Namespace) -> int:
     from mjtactile import load_rig_file
     from mjtactile.calibrate.gripper import calibrate_force, calibrate_opening, report
-    from mjtactile.calibrate.verdict import stamp, write
+    from mjtactile.calibrate.result_io import stamp, write
 
     rig_file = load_rig_file(options.rig)
     out = options.out or rig_file.gripper.calibration
@@ -102,7 +102,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _read(options: argparse.Namespace) -> tuple[Any, Any]:
     """Openings and forces from the files that were given; None: no such file."""
-    from mjtactile.calibrate.verdict import read_columns
+    from mjtactile.calibrate.result_io import read_columns
 
     openings = None
     forces = None
@@ -121,7 +121,7 @@ def _live(options: argparse.Namespace) -> tuple[Any, Any]:
     """Openings and forces measured on the rig, after what was asked for was checked."""
     from mjtactile import load_sensor
     from mjtactile.calibrate.connect import live_gripper, live_rig
-    from mjtactile.calibrate.live import measure_forces, measure_openings
+    from mjtactile.calibrate.interactive import measure_forces, measure_openings
 
     with contextlib.ExitStack() as stack:
         rig_file, emulator = stack.enter_context(

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 
 from mjtactile import InputError
-from mjtactile.calibrate.target import Target, places
-from mjtactile.calibrate.target import find_targets as _find_targets
+from mjtactile.calibrate.output_file import Target, places
+from mjtactile.calibrate.output_file import find_targets as _find_targets
 from mjtactile.commands import arguments as arg
 from mjtactile.commands.calibrate.terminal import check_folder
 from mjtactile.types import FINGERS

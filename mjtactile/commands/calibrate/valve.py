@@ -8,7 +8,7 @@ from typing import Any
 
 from mjtactile import InputError, load_sensor
 from mjtactile.commands import arguments as arg
-from mjtactile.commands.calibrate import target
+from mjtactile.commands.calibrate import output_options
 from mjtactile.commands.calibrate.terminal import finish_all, say
 from mjtactile.commands.output import stdout_to_stderr
 
@@ -38,7 +38,7 @@ above 10 % a minute.
 
 ARGUMENTS = (
     arg.positional("source", "SOURCE.csv", "a recorded step", nargs="?", type=Path),
-    *target.arguments("its valves are stepped"),
+    *output_options.arguments("its valves are stepped"),
     arg.option(
         "--pressure-kPa",
         "P",
@@ -51,8 +51,8 @@ ARGUMENTS = (
 
 
 def run(options: argparse.Namespace) -> int:
+    from mjtactile.calibrate.result_io import stamp, stamp_of
     from mjtactile.calibrate.valve import valve_part
-    from mjtactile.calibrate.verdict import stamp, stamp_of
 
     if options.source is None and options.rig is None:
         raise InputError(
@@ -62,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(
             "--pressure-kPa must be above 0 and --seal at least 2 s", field="--pressure-kPa"
         )
-    targets = target.find_targets(options)
+    targets = output_options.find_targets(options)
     with stdout_to_stderr():
         if options.source is None:
             fits = _live(options, targets)
@@ -75,15 +75,15 @@ def run(options: argparse.Namespace) -> int:
     return finish_all(options, results)
 
 
-def _pressure(options: argparse.Namespace, goal: target.Target) -> float:
+def _pressure(options: argparse.Namespace, goal: output_options.Target) -> float:
     if options.pressure is None:
         return goal.design.chamber.supply_gauge
     return 1e3 * options.pressure
 
 
-def _recorded(options: argparse.Namespace, goal: target.Target) -> Any:
+def _recorded(options: argparse.Namespace, goal: output_options.Target) -> Any:
+    from mjtactile.calibrate.result_io import read_columns
     from mjtactile.calibrate.valve import calibrate_valve
-    from mjtactile.calibrate.verdict import read_columns
 
     table = read_columns(options.source, ("time_s", "pressure_kPa"), ("state",), fewest=15)
     try:
@@ -94,9 +94,9 @@ def _recorded(options: argparse.Namespace, goal: target.Target) -> Any:
         raise InputError(str(error), source=options.source) from error
 
 
-def _live(options: argparse.Namespace, targets: list[target.Target]) -> list[Any]:
+def _live(options: argparse.Namespace, targets: list[output_options.Target]) -> list[Any]:
     from mjtactile.calibrate.connect import live_rig, live_valves
-    from mjtactile.calibrate.live import calibrate_live_valve
+    from mjtactile.calibrate.interactive import calibrate_live_valve
 
     with (
         live_rig(options.rig, load_sensor(options.sensor)) as (rig_file, _),

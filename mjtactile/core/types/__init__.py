@@ -5,13 +5,14 @@ docs/reference/conventions.md): S sensor (origin at the middle of the frame, in 
 plane, z outward, away from the camera), C camera (x right, y down, z forward), M marker. `p_SM` is
 the position of marker M expressed in S.
 
-This, and `mjtactile.hold`, is all of the project that a controller may import.
+This, and `mjtactile.grasp_estimation`, is all of the project that a controller may import.
 """
 
 from mjtactile.core.types.arrays import Array
+from mjtactile.core.types.contact_shape import MATERIALS, SHAPES, BodyMotion, FeltShape, Material
 from mjtactile.core.types.control import PHASES, TOLD, Command, Observation, Phase, Told
 from mjtactile.core.types.devices import FINGERS, GripperState, PressureReading, ValveState
-from mjtactile.core.types.felt import (
+from mjtactile.core.types.touch import (
     SLIP_STATES,
     Contact,
     Slip,
@@ -21,7 +22,7 @@ from mjtactile.core.types.felt import (
     TouchImage,
     Traction,
 )
-from mjtactile.core.types.seen import (
+from mjtactile.core.types.vision import (
     CameraChange,
     CirclePoses,
     Ellipses,
@@ -30,7 +31,6 @@ from mjtactile.core.types.seen import (
     Markers,
     Sighting,
 )
-from mjtactile.core.types.shape import MATERIALS, SHAPES, BodyMotion, FeltShape, Material
 
 __all__ = [
     "FINGERS",

@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.types.devices import GripperState, ValveState
-from mjtactile.core.types.felt import Touch
+from mjtactile.core.types.touch import Touch
 
 Phase = Literal[
     "approach", "close", "regulate", "lift", "hold", "lower", "release", "done", "abort"

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from mjtactile.core.status import OK, Status
 from mjtactile.core.types.arrays import Array, fixed, freeze, keep_status
-from mjtactile.core.types.seen import NO_PIXELS, CameraChange, Image, Markers
-from mjtactile.core.types.shape import FeltShape
+from mjtactile.core.types.contact_shape import FeltShape
+from mjtactile.core.types.vision import NO_PIXELS, CameraChange, Image, Markers
 
 _NO_FORCE = fixed(np.full(3, np.nan))
 _NO_OUTLINE = fixed(np.zeros((0, 2)))

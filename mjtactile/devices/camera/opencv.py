@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Image
 from mjtactile.rig.file import CameraConfig
@@ -75,7 +75,7 @@ class OpenCvCamera:
         config: CameraConfig,
         *,
         capture: Callable[[], Capture] | None = None,
-        clock: Callable[[], float] = pace.monotonic,
+        clock: Callable[[], float] = scaled_clock.monotonic,
     ):
         self.config = config
         self._clock = clock
@@ -89,7 +89,7 @@ class OpenCvCamera:
         self._newest: Image | None = None
         self._fresh_time = -math.inf  # when the picture last changed
         self._error: str | None = None
-        self._stopping = pace.Event()
+        self._stopping = scaled_clock.Event()
         self._capture = (capture or self._open)()
         try:
             if not self._capture.isOpened():
@@ -135,7 +135,7 @@ class OpenCvCamera:
                 lambda: (
                     self._error is not None or self._newest is not None and self._newest.time > than
                 ),
-                pace.wall(timeout),
+                scaled_clock.wall(timeout),
             )
 
     @property
@@ -164,9 +164,9 @@ class OpenCvCamera:
                 cv2.CAP_FFMPEG,
                 [
                     cv2.CAP_PROP_OPEN_TIMEOUT_MSEC,
-                    round(pace.wall(_OPEN_TIME_MS)),
+                    round(scaled_clock.wall(_OPEN_TIME_MS)),
                     cv2.CAP_PROP_READ_TIMEOUT_MSEC,
-                    round(pace.wall(_READ_TIME_MS)),
+                    round(scaled_clock.wall(_READ_TIME_MS)),
                     cv2.CAP_PROP_N_THREADS,
                     1,
                     *raw,
@@ -313,7 +313,7 @@ class OpenCvCamera:
         with self._condition:
             self._condition.wait_for(
                 lambda: self._newest is not None or self._error is not None,
-                pace.wall(_FIRST_PICTURE_TIME),
+                scaled_clock.wall(_FIRST_PICTURE_TIME),
             )
             if self._newest is not None and self._error is None:
                 return

@@ -10,14 +10,14 @@ from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Image
 from mjtactile.devices.camera.v4l2 import video_devices
+from mjtactile.devices.discovery import serial_ports
 from mjtactile.devices.doctor.cameras import Look, check_camera
 from mjtactile.devices.doctor.ports import check_port
 from mjtactile.devices.doctor.servos import check_servos
-from mjtactile.devices.dynamixel.tables import MODELS
-from mjtactile.devices.listing import serial_ports
+from mjtactile.devices.dynamixel.servo_models import MODELS
 from mjtactile.devices.valve.driver import connect_valves
+from mjtactile.rig.doctor_finding import Finding
 from mjtactile.rig.file import RigFile, load_rig_file
-from mjtactile.rig.finding import Finding
 from mjtactile.rig.sensors import calibration_findings, finger_design
 
 # times the data sheet's torque per ampere; gears' friction takes up to 20 % of it

@@ -7,14 +7,14 @@ import statistics
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Image
 from mjtactile.devices.camera.opencv import OpenCvCamera
 from mjtactile.devices.doctor.ports import group_of
+from mjtactile.rig.doctor_finding import Finding
 from mjtactile.rig.file import CameraConfig
-from mjtactile.rig.finding import Finding
 
 _CAMERA_TIME = 2.0  # s that pictures of a camera are counted
 
@@ -34,13 +34,13 @@ def check_camera(config: CameraConfig, design: SensorDesign, look: Look) -> Iter
         return
     try:
         ages = []
-        end = pace.monotonic() + _CAMERA_TIME
+        end = scaled_clock.monotonic() + _CAMERA_TIME
         last = 0.0
-        while pace.monotonic() < end:
+        while scaled_clock.monotonic() < end:
             if camera.wait_newer(last, 0.5):
                 image = camera.read()
                 last = image.time
-                ages.append(pace.monotonic() - last)
+                ages.append(scaled_clock.monotonic() - last)
         yield _rate_finding(what, camera, ages)
         yield _light_finding(what, camera)
         yield from look(what, design, camera.read())

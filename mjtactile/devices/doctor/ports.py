@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from mjtactile.rig.finding import Finding
+from mjtactile.rig.doctor_finding import Finding
 
 
 def check_port(what: str, path: str, *, fix: bool) -> Iterator[Finding]:

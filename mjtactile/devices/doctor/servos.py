@@ -8,12 +8,12 @@ import time
 from collections.abc import Iterator
 
 from mjtactile.core.errors import DeviceError
+from mjtactile.devices.discovery import BAUDS, servos_at
 from mjtactile.devices.dynamixel.bus import BusError, DynamixelBus
 from mjtactile.devices.dynamixel.servo import REQUIRED, ServoReport, read_report
-from mjtactile.devices.dynamixel.tables import MODELS, NO_CURRENT_CONTROL
-from mjtactile.devices.listing import BAUDS, servos_at
+from mjtactile.devices.dynamixel.servo_models import MODELS, NO_CURRENT_CONTROL
+from mjtactile.rig.doctor_finding import Finding
 from mjtactile.rig.file import BusConfig, RigFile
-from mjtactile.rig.finding import Finding
 
 # s for three servos at 1 Mbaud with latency_timer = 1; 16 ms is the driver's default timer
 _ROUND_TRIP_GOOD = 4e-3

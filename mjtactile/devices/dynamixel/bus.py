@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import serial
 from dynamixel_sdk import COMM_RX_CORRUPT, COMM_RX_TIMEOUT, COMM_SUCCESS
 
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.core.errors import DeviceError
 from mjtactile.devices.dynamixel.port import PacketHandler, Port
 
@@ -209,10 +209,10 @@ class DynamixelBus:
     def _drain(self) -> None:
         """Throw away a late reply, which would otherwise pass for the answer to the next question:
         listen until it is quiet."""
-        deadline = pace.monotonic() + _DRAIN_MAX
+        deadline = scaled_clock.monotonic() + _DRAIN_MAX
         while (
-            pace.monotonic() < deadline
-            and select.select([self._port.ser.fileno()], [], [], pace.wall(self._quiet))[0]
+            scaled_clock.monotonic() < deadline
+            and select.select([self._port.ser.fileno()], [], [], scaled_clock.wall(self._quiet))[0]
         ):
             if not self._port.ser.read(4096):
                 break

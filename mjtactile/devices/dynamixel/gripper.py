@@ -12,12 +12,12 @@ import math
 import threading
 from dataclasses import replace
 
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.signals import deferred
 from mjtactile.core.types import Command, GripperState
 from mjtactile.devices.dynamixel.bus import BusError, DynamixelBus
-from mjtactile.devices.dynamixel.jaws import JawGeometry, find_model
+from mjtactile.devices.dynamixel.jaw_kinematics import JawGeometry, find_model
 from mjtactile.devices.dynamixel.servo import (
     STATE_SIZE,
     STATE_START,
@@ -26,7 +26,7 @@ from mjtactile.devices.dynamixel.servo import (
     ServoReport,
     read_report,
 )
-from mjtactile.devices.dynamixel.tables import TICKS_PER_RAD
+from mjtactile.devices.dynamixel.servo_models import TICKS_PER_RAD
 from mjtactile.rig.file import BusConfig, GripperConfig, LiftConfig
 
 __all__ = ["DynamixelGripper", "ServoFault", "ServoReport", "read_report"]
@@ -57,9 +57,9 @@ class DynamixelGripper:
         lift_model = find_model(lift.model, source, "lift.model") if lift.kind == "servo" else None
         self._lift_zero_ticks = 0
         self._lift_goal = 0.0
-        self._closed = pace.Event()
+        self._closed = scaled_clock.Event()
         self._lock = threading.RLock()
-        self._last_call = pace.monotonic()
+        self._last_call = scaled_clock.monotonic()
         self._silence = _SILENCE_IDLE
         self._state_time = self._bus_time = self._sent_time = -math.inf
         self._asked: float | None = None  # when; the answers wait in the port's buffer
@@ -96,14 +96,14 @@ class DynamixelGripper:
         """Ask all servos now; `state` collects what they say. Raises DeviceError when the port is
         lost."""
         with self._lock:
-            self._last_call = pace.monotonic()
+            self._last_call = scaled_clock.monotonic()
             self._ask_all()
 
     def state(self) -> GripperState:
         """What the servos said to `ask`, which is done now if it was not. Raises DeviceError when
         one is lost, ServoFault when one reports a hardware error."""
         with self._lock:
-            self._last_call = pace.monotonic()
+            self._last_call = scaled_clock.monotonic()
             self._refresh()
             if not self._commanded:
                 self._poll_one()
@@ -117,7 +117,7 @@ class DynamixelGripper:
                 effort=self.geometry.effort(ticks, {i: s.current for i, s in self._jaws.items()}),
                 lift_height=self._lift_height(),
                 time=self._state_time,
-                age=pace.monotonic() - self._state_time,
+                age=scaled_clock.monotonic() - self._state_time,
             )
 
     def command(self, command: Command) -> Command:
@@ -131,7 +131,7 @@ class DynamixelGripper:
         """
         with self._lock:
             self._arm()
-            self._last_call = pace.monotonic()
+            self._last_call = scaled_clock.monotonic()
             low, high = self.config.opening
             opening = min(max(command.opening, low), high)
             force = min(max(command.force_limit, 0.0), self.config.force_max)
@@ -150,7 +150,7 @@ class DynamixelGripper:
             height = self._command_lift(command.lift_height)
             self._send_goals()
             self._commanded = True
-            self._sent_time = pace.monotonic()
+            self._sent_time = scaled_clock.monotonic()
             self._poll_one()  # here, where the cycle's picture waits for nothing any more
             return replace(command, opening=opening, force_limit=force, lift_height=height)
 
@@ -249,7 +249,7 @@ class DynamixelGripper:
     def _ask_all(self) -> None:
         """Ask all servos in one transaction, unless they have been asked and not been heard."""
         if self._asked is None:
-            self._bus_time = asked = pace.monotonic()
+            self._bus_time = asked = scaled_clock.monotonic()
             self.bus.ask_many(
                 list(self._servos), STATE_START, STATE_SIZE, fast=self._bus_config.fast_sync
             )
@@ -300,7 +300,7 @@ class DynamixelGripper:
     def _send_goals(self) -> None:
         """One sync write of goal current, velocity, profile and position; goals are never written
         partly."""
-        self._bus_time = pace.monotonic()
+        self._bus_time = scaled_clock.monotonic()
         blocks = {
             s.id: s.goal_current_units.to_bytes(2, "little")
             + bytes(12)
@@ -348,7 +348,7 @@ class DynamixelGripper:
         interval = self._bus_config.watchdog / 4
         while not self._closed.wait(interval):
             with self._lock:
-                now = pace.monotonic()
+                now = scaled_clock.monotonic()
                 if (
                     self._closed.is_set()
                     or now - self._last_call > self._silence

@@ -1,9 +1,9 @@
 """From servo angle to jaw opening and back, and from current to force at the jaw.
 
-Each jaw servo owns a part of the gripper's opening by a law of `mjtactile.rig.jaws`. Jaws that a
-gear keeps symmetric, or that squeeze one object, share: the force on each finger is the mean over
-the servos when each owns its finger's half, and the single servo's when one servo owns the whole
-opening.
+Each jaw servo owns a part of the gripper's opening by a law of `mjtactile.rig.jaw_transmission`.
+Jaws that a gear keeps symmetric, or that squeeze one object, share: the force on each finger is the
+mean over the servos when each owns its finger's half, and the single servo's when one servo owns
+the whole opening.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 
 from mjtactile.core.errors import InputError
-from mjtactile.devices.dynamixel.tables import MODELS, TICKS_PER_RAD, ServoModel
+from mjtactile.devices.dynamixel.servo_models import MODELS, TICKS_PER_RAD, ServoModel
 from mjtactile.rig.file import GripperConfig, ServoConfig
-from mjtactile.rig.jaws import LINEAR, JawLaw, make_law
+from mjtactile.rig.jaw_transmission import LINEAR, JawLaw, make_law
 
 _TURN_TICKS = 4096
 _LIMIT_SAMPLES = 32

@@ -9,8 +9,8 @@ from typing import Any
 import serial
 from dynamixel_sdk import PortHandler, Protocol2PacketHandler
 
-from mjtactile.core import pace
-from mjtactile.devices.port import write
+from mjtactile.core import scaled_clock
+from mjtactile.devices.serial_write import write
 
 _BABBLE = 5  # times the time-out
 _WRITE_TIME = 0.5  # s: pySerial counts what the computer stood still, also when all was written
@@ -29,7 +29,7 @@ class Port(PortHandler):
             port=self.port_name,
             baudrate=cflag_baud,
             timeout=0,
-            write_timeout=pace.wall(_WRITE_TIME),
+            write_timeout=scaled_clock.wall(_WRITE_TIME),
             exclusive=True,
         )
         with contextlib.suppress(OSError, ValueError, NotImplementedError):
@@ -52,7 +52,7 @@ class Port(PortHandler):
         return write(self.ser, bytes(packet))
 
     def getCurrentTime(self) -> float:
-        return 1e3 * pace.monotonic()
+        return 1e3 * scaled_clock.monotonic()
 
     def isPacketTimeout(self) -> bool:
         """Late only when nothing is waiting to be read: it may be this thread that was late. A

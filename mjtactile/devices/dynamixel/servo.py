@@ -16,7 +16,7 @@ from typing import TypeVar
 
 from mjtactile.core.errors import DeviceError
 from mjtactile.devices.dynamixel.bus import BusError, DynamixelBus, Reply
-from mjtactile.devices.dynamixel.tables import (
+from mjtactile.devices.dynamixel.servo_models import (
     CURRENT_BASED_POSITION,
     EEPROM_END,
     MODEL_BY_NUMBER,

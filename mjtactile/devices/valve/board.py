@@ -19,10 +19,10 @@ from typing import Any, TypeVar
 
 import serial
 
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.core.signals import deferred
-from mjtactile.devices.port import write
+from mjtactile.devices.serial_write import write
 from mjtactile.devices.valve import protocol
 from mjtactile.rig.file import ValveConfig
 
@@ -64,8 +64,10 @@ class ValveBoard:
         self.has_sensors = True
         self._configs = {config.channel: config for config in configs}
         self._lock = threading.RLock()
-        self._closed = pace.Event()
-        self._wake = pace.Event()  # the heartbeat's thread has something to do before its time
+        self._closed = scaled_clock.Event()
+        self._wake = (
+            scaled_clock.Event()
+        )  # the heartbeat's thread has something to do before its time
         self._readings: dict[int, ValveReading] = {}
         # Pa that a channel is to be kept at (None: sealed), and what the board was told of it
         self._aims: dict[int, int | None] = {}
@@ -74,7 +76,7 @@ class ValveBoard:
         self._received = bytearray()
         self._failures = 0
         self._last_error = ""
-        self._last_call = pace.monotonic()
+        self._last_call = scaled_clock.monotonic()
         self._serial = open_port(first.port, first.baud)
         self._interval = min(config.heartbeat for config in configs) / 8
         self._reply_time = max(config.reply_timeout for config in configs)
@@ -117,13 +119,13 @@ class ValveBoard:
             self._aims[channel] = None
         if self._is_told(channel):
             return
-        self._last_call = pace.monotonic()
+        self._last_call = scaled_clock.monotonic()
         self._wake.set()
 
     def reading(self, channel: int) -> ValveReading:
         """The heartbeat's newest reading, without waiting for the board. Raises DeviceError when it
         has been silent."""
-        now = pace.monotonic()
+        now = scaled_clock.monotonic()
         before = self._last_call
         if now - before > _SILENCE:  # the heartbeat had been let die
             return self.measure(channel)
@@ -137,7 +139,7 @@ class ValveBoard:
     def measure(self, channel: int, patience: float | None = None) -> ValveReading:
         """Ask the board now, for at most `patience` s (None: a command's). Raises DeviceError."""
         with self._lock:
-            self._last_call = pace.monotonic()
+            self._last_call = scaled_clock.monotonic()
             return self._with_retry(lambda: self._read(channel, patience))
 
     def close(self, *, quiet: bool = False) -> None:
@@ -171,9 +173,9 @@ class ValveBoard:
     def _handshake(self) -> None:
         """Ask who it is until it says so or the deadline passes; its boot banner and a cut line are
         skipped."""
-        deadline = pace.monotonic() + _HANDSHAKE_TIME
+        deadline = scaled_clock.monotonic() + _HANDSHAKE_TIME
         heard = ""
-        while pace.monotonic() < deadline:
+        while scaled_clock.monotonic() < deadline:
             with contextlib.suppress(DeviceError):
                 heard = self._ask("id")
             match = re.fullmatch(rf"id {protocol.NAME} (\d+\.\d+) (\d+) ([01]) (\d+)", heard)
@@ -181,7 +183,7 @@ class ValveBoard:
                 self._check(match[1], int(match[2]), float(match[4]))
                 self.has_sensors = match[3] == "1"
                 return
-            pace.sleep(0.02)
+            scaled_clock.sleep(0.02)
         what = f"it said {heard!r}" if heard else "it said nothing that could be read"
         raise DeviceError(
             f"valve board {self.name} does not answer as {protocol.NAME} within "
@@ -237,7 +239,7 @@ class ValveBoard:
 
     def _command(self, text: str, channel: int) -> None:
         with self._lock:
-            self._last_call = pace.monotonic()
+            self._last_call = scaled_clock.monotonic()
             self._command_echoed(text)
             self._read(channel)
 
@@ -275,7 +277,7 @@ class ValveBoard:
     def _answer(self, patience: float) -> str:
         """The line that bears the number of the last command; damaged ones and late answers to
         others are passed over."""
-        asked = pace.monotonic()
+        asked = scaled_clock.monotonic()
         damaged = 0
         while True:
             while (end := self._received.find(b"\n")) >= 0:
@@ -289,7 +291,7 @@ class ValveBoard:
             # the port's time-out is short
             data = self._serial.read(max(1, self._serial.in_waiting))
             self._received += data
-            waited = pace.monotonic() - asked
+            waited = scaled_clock.monotonic() - asked
             # what has come is read: this thread may be late
             if waited > patience and (not data or waited > 2 * patience):
                 raise _NoReply(
@@ -299,7 +301,7 @@ class ValveBoard:
 
     def _read(self, channel: int, patience: float | None = None) -> ValveReading:
         # the board measures after this, so that a reading is never thought younger than it is
-        asked = pace.monotonic()
+        asked = scaled_clock.monotonic()
         reply = self._ask(f"state {channel}", patience)
         match = re.fullmatch(
             rf"state {channel} ({'|'.join(protocol.STATES)}) (-?\d+|-) "
@@ -321,7 +323,7 @@ class ValveBoard:
             self._wake.clear()
             if self._closed.is_set():
                 return
-            if pace.monotonic() - self._last_call > _SILENCE:
+            if scaled_clock.monotonic() - self._last_call > _SILENCE:
                 continue
             for channel in self._configs:
                 try:
@@ -369,7 +371,11 @@ def open_port(port: str, baud: int) -> serial.SerialBase:
     options: dict[str, Any] = {} if "://" in port else {"exclusive": True}
     try:
         return serial.serial_for_url(
-            port, baudrate=baud, timeout=0.01, write_timeout=pace.wall(_WRITE_TIME), **options
+            port,
+            baudrate=baud,
+            timeout=0.01,
+            write_timeout=scaled_clock.wall(_WRITE_TIME),
+            **options,
         )
     except (serial.SerialException, OSError, ValueError) as error:
         raise DeviceError(

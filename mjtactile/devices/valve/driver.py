@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import ValveState
 from mjtactile.devices.valve.board import ValveBoard, ValveReading
@@ -36,7 +36,10 @@ class BoardValve:
             raise DeviceError(f"valve {self.config.finger} vented by itself: {reading.fault}")
         self._check_moves(reading)
         return ValveState(
-            reading.is_open, reading.pressure_gauge, reading.time, pace.monotonic() - reading.time
+            reading.is_open,
+            reading.pressure_gauge,
+            reading.time,
+            scaled_clock.monotonic() - reading.time,
         )
 
     def open(self, supply_gauge: float) -> None:
@@ -55,7 +58,7 @@ class BoardValve:
                 self._check_supply(supply_gauge)
             self.board.set(config.channel, supply_gauge)
         self._goal = supply_gauge
-        self._goal_time = pace.monotonic()
+        self._goal_time = scaled_clock.monotonic()
 
     def close(self) -> None:
         """Seal the chamber, once its pressure is what was set. Raises DeviceError for a valve that
@@ -64,7 +67,7 @@ class BoardValve:
             self.board.measure(self.config.channel)
         ):
             self._check_moves(self.board.measure(self.config.channel))
-            pace.sleep(_SETTLE_POLL)
+            scaled_clock.sleep(_SETTLE_POLL)
         self.board.seal(self.config.channel)
         self._goal = None
 
@@ -76,7 +79,7 @@ class BoardValve:
             self._goal = None
             return
         if self._goal is None:
-            self._goal_time = pace.monotonic()
+            self._goal_time = scaled_clock.monotonic()
         self._goal = min(max(pressure_gauge, 0.0), self.config.pressure_max)
         self.board.aim(self.config.channel, self._goal)
 
@@ -98,8 +101,8 @@ class BoardValve:
 
     def _check_moves(self, reading: ValveReading) -> None:
         if self._has_moved(reading):
-            self._goal_time = pace.monotonic()  # from here on it may be late again
-        elif pace.monotonic() - self._goal_time >= _SETTLE_TIME:
+            self._goal_time = scaled_clock.monotonic()  # from here on it may be late again
+        elif scaled_clock.monotonic() - self._goal_time >= _SETTLE_TIME:
             raise DeviceError(
                 f"valve {self.config.finger} is stuck: {self._goal:g} Pa was set {_SETTLE_TIME:g} "
                 f"s ago, the chamber has {reading.pressure_gauge:.0f} Pa"

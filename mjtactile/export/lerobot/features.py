@@ -17,8 +17,8 @@ import numpy as np
 
 from mjtactile.core.types import Array, Image
 from mjtactile.export.episode import LISTS, Perceived, RecordedEpisode, part_names
-from mjtactile.recording.columns import TRUE
 from mjtactile.recording.files import to_json
+from mjtactile.recording.log_schema import TRUE
 
 IMAGES = {"video": ("video", 3), "png": ("image", 1), "none": ("", 0)}
 """How images are kept, to LeRobot's word for it and to the channels that a reader gets."""

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.recording.columns import Seen
 from mjtactile.recording.files import to_json
+from mjtactile.recording.log_schema import Seen
 from mjtactile.recording.reader import Recording
 from mjtactile.report.html import document, table
 from mjtactile.report.page.data import page_data

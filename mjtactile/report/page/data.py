@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array, Image, Touch
-from mjtactile.recording.columns import Seen
+from mjtactile.recording.log_schema import Seen
 from mjtactile.recording.reader import Recording
-from mjtactile.report.body_lines import lines_of, true_lines, words_of
 from mjtactile.report.html import data_uri
 from mjtactile.report.overlay import with_ellipses
-from mjtactile.report.scene_picture import picture_of
+from mjtactile.report.shape_wireframe import lines_of, true_lines, words_of
+from mjtactile.report.software_renderer import picture_of
 from mjtactile.report.summary_figure import FINGER_COLOURS, PHASE_COLOURS, arrow_unit, arrows
 
 # px: width of a camera's picture; height and width of the scene's

@@ -8,14 +8,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.film import FilmState
-from mjtactile.film.state import TENSION
-from mjtactile.sensing.body.bodies import Hint
-from mjtactile.sensing.body.common import touching
-from mjtactile.sensing.body.families import Family, face_of
-from mjtactile.sensing.body.fit import Fit
-from mjtactile.sensing.body.forward import SUM_AREA, Forward
-from mjtactile.sensing.body.stick import sticks
+from mjtactile.quasistatic import FilmState
+from mjtactile.quasistatic.solution import TENSION
+from mjtactile.sensing.contact_shape.forward_model import SUM_AREA, Forward
+from mjtactile.sensing.contact_shape.gauss_newton import Fit
+from mjtactile.sensing.contact_shape.primitives import Hint
+from mjtactile.sensing.contact_shape.shape_filter import touching
+from mjtactile.sensing.contact_shape.shape_models import Family, face_of
+from mjtactile.sensing.contact_shape.stiction_factor import sticks
 from mjtactile.sensing.settings import BodySettings
 
 _INTERVAL = (0.16, 0.84)

@@ -12,17 +12,17 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.status import OK, Status, StatusCode
 from mjtactile.core.types import SHAPES, Array, Contact, FeltShape, Touch
-from mjtactile.sensing.body.area import area_sd, areas, interval
-from mjtactile.sensing.body.bodies import Hint, room_in
-from mjtactile.sensing.body.candidates import Press
-from mjtactile.sensing.body.forward import Forward
-from mjtactile.sensing.body.fuse import Borne, borne
-from mjtactile.sensing.body.motion import RubberMotion, motion, tracked
-from mjtactile.sensing.body.press import follow
-from mjtactile.sensing.body.search import Films
-from mjtactile.sensing.body.standing import Data
-from mjtactile.sensing.body.words import words
-from mjtactile.sensing.force.rest import InverseRest
+from mjtactile.sensing.contact_shape.contact_area import area_sd, areas, interval
+from mjtactile.sensing.contact_shape.fit_state import Data
+from mjtactile.sensing.contact_shape.force_fusion import Borne, borne
+from mjtactile.sensing.contact_shape.forward_model import Forward
+from mjtactile.sensing.contact_shape.hypotheses import Press
+from mjtactile.sensing.contact_shape.initial_search import Films
+from mjtactile.sensing.contact_shape.press_tracker import follow
+from mjtactile.sensing.contact_shape.primitives import Hint, room_in
+from mjtactile.sensing.contact_shape.relative_motion import RubberMotion, motion, tracked
+from mjtactile.sensing.contact_shape.shape_result import words
+from mjtactile.sensing.force.rest_equilibrium import InverseRest
 from mjtactile.sensing.settings import DEFAULTS, BodySettings, Settings
 
 _EDGE = 1.5e-3  # m from the frame, where bodies that go on are cut off

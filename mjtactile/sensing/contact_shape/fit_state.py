@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array, Touch
-from mjtactile.film import FilmState
-from mjtactile.sensing.body.bodies import Hint
-from mjtactile.sensing.body.families import Family
-from mjtactile.sensing.body.forward import Forward, converged
+from mjtactile.quasistatic import FilmState
+from mjtactile.sensing.contact_shape.forward_model import Forward, converged
+from mjtactile.sensing.contact_shape.primitives import Hint
+from mjtactile.sensing.contact_shape.shape_models import Family
 from mjtactile.sensing.settings import BodySettings
 
 

@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mjtactile.core.types import SHAPES, Array, Touch
-from mjtactile.film import FilmState
-from mjtactile.sensing.body.bodies import principal
-from mjtactile.sensing.body.candidates import Press
-from mjtactile.sensing.body.fit import Fit
-from mjtactile.sensing.body.forward import Forward
-from mjtactile.sensing.body.stick import sticks
+from mjtactile.quasistatic import FilmState
+from mjtactile.sensing.contact_shape.forward_model import Forward
+from mjtactile.sensing.contact_shape.gauss_newton import Fit
+from mjtactile.sensing.contact_shape.hypotheses import Press
+from mjtactile.sensing.contact_shape.primitives import principal
+from mjtactile.sensing.contact_shape.stiction_factor import sticks
 from mjtactile.sensing.settings import BodySettings
 
 _NORMAL = 2

@@ -9,12 +9,12 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
-from mjtactile.film import Film, FilmState, Obstacle
-from mjtactile.film.bodies import NUMBERS, pooled
-from mjtactile.film.derivatives import answered, derived
-from mjtactile.film.places import carried
-from mjtactile.film.state import AREA, FOUND, PRESSURE, STATUS, FilmBatch
-from mjtactile.sensing.force.rest import InverseRest
+from mjtactile.quasistatic import Film, FilmState, Obstacle
+from mjtactile.quasistatic.interpolation import carried
+from mjtactile.quasistatic.obstacles import NUMBERS, pooled
+from mjtactile.quasistatic.sensitivities import answered, derived
+from mjtactile.quasistatic.solution import AREA, FOUND, PRESSURE, STATUS, FilmBatch
+from mjtactile.sensing.force.rest_equilibrium import InverseRest
 
 _STEPS = 20  # of 50 films that come to rest 49 have; those that never do take all
 _MORE = 0.02  # of the pressure, for its derivative

@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.film import FilmState
-from mjtactile.sensing.body.bodies import Hint
-from mjtactile.sensing.body.families import Family
-from mjtactile.sensing.body.forward import Forward
-from mjtactile.sensing.body.slopes import Slopes, find_slopes, learnt, quick_slopes
-from mjtactile.sensing.body.standing import At, Data, Prior, begin
-from mjtactile.sensing.body.stepping import Step, damped_step
+from mjtactile.quasistatic import FilmState
+from mjtactile.sensing.contact_shape.fit_state import At, Data, Prior, begin
+from mjtactile.sensing.contact_shape.forward_model import Forward
+from mjtactile.sensing.contact_shape.jacobian import Slopes, find_slopes, learnt, quick_slopes
+from mjtactile.sensing.contact_shape.levenberg_step import Step, damped_step
+from mjtactile.sensing.contact_shape.primitives import Hint
+from mjtactile.sensing.contact_shape.shape_models import Family
 
 _DAMPING = (1e-2, 1e-8, 1e2)  # first, least, most
 _GOOD = 0.4  # of what a step promised: the next is damped less

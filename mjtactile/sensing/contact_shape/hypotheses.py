@@ -10,14 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.sensing.body.bodies import Hint
-from mjtactile.sensing.body.common import Common
-from mjtactile.sensing.body.families import Family, kinds_of
-from mjtactile.sensing.body.fit import Fit, exactly
-from mjtactile.sensing.body.forward import Forward
-from mjtactile.sensing.body.motion import Track
-from mjtactile.sensing.body.search import Films
-from mjtactile.sensing.body.standing import Data
+from mjtactile.sensing.contact_shape.fit_state import Data
+from mjtactile.sensing.contact_shape.forward_model import Forward
+from mjtactile.sensing.contact_shape.gauss_newton import Fit, exactly
+from mjtactile.sensing.contact_shape.initial_search import Films
+from mjtactile.sensing.contact_shape.primitives import Hint
+from mjtactile.sensing.contact_shape.relative_motion import Track
+from mjtactile.sensing.contact_shape.shape_filter import Common
+from mjtactile.sensing.contact_shape.shape_models import Family, kinds_of
 from mjtactile.sensing.settings import BodySettings
 
 _BEHIND = 10.0  # of the log of evidence: a family that is not looked for again in a press

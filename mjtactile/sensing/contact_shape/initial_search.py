@@ -10,13 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.film import FilmState
-from mjtactile.film.state import AREA
-from mjtactile.sensing.body.bodies import Hint, principal
-from mjtactile.sensing.body.families import Family
-from mjtactile.sensing.body.fit import Fit, refine
-from mjtactile.sensing.body.forward import Forward, converged
-from mjtactile.sensing.body.standing import At, Data, Prior, begin, standing
+from mjtactile.quasistatic import FilmState
+from mjtactile.quasistatic.solution import AREA
+from mjtactile.sensing.contact_shape.fit_state import At, Data, Prior, begin, standing
+from mjtactile.sensing.contact_shape.forward_model import Forward, converged
+from mjtactile.sensing.contact_shape.gauss_newton import Fit, refine
+from mjtactile.sensing.contact_shape.primitives import Hint, principal
+from mjtactile.sensing.contact_shape.shape_models import Family
 
 _APPROACH = (1.2, 0.7, 0.3, 0.0)  # mm above the start: the film is pressed in steps
 _WIDE = (0.75, 1.05)  # times what a contact's area has, of a disc that presses there

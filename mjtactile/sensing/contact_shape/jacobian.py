@@ -9,11 +9,11 @@ import numpy as np
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
-from mjtactile.film import Obstacle
-from mjtactile.sensing.body.bodies import Hint
-from mjtactile.sensing.body.families import Family
-from mjtactile.sensing.body.forward import SUMS, Forward
-from mjtactile.sensing.body.standing import At, Data
+from mjtactile.quasistatic import Obstacle
+from mjtactile.sensing.contact_shape.fit_state import At, Data
+from mjtactile.sensing.contact_shape.forward_model import SUMS, Forward
+from mjtactile.sensing.contact_shape.primitives import Hint
+from mjtactile.sensing.contact_shape.shape_models import Family
 
 _WORN = 8.0  # steps of a derivative that a number may go before it is taken anew
 # of a family's steps: bodies' own differences, which are closed forms

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
-from mjtactile.sensing.body.families import Family
-from mjtactile.sensing.body.standing import At, Prior
+from mjtactile.sensing.contact_shape.fit_state import At, Prior
+from mjtactile.sensing.contact_shape.shape_models import Family
 
 # mm and rad that a step may go at most, and shares of a curvature (1/m, of what is as flat as that
 # at least) and of a size

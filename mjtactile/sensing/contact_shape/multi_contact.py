@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from mjtactile.sensing.body.families import Family, several
-from mjtactile.sensing.body.fit import Fit, refine
-from mjtactile.sensing.body.onward import LOOKED
-from mjtactile.sensing.body.search import Films
-from mjtactile.sensing.body.standing import Data, Prior, begin
+from mjtactile.sensing.contact_shape.fit_state import Data, Prior, begin
+from mjtactile.sensing.contact_shape.gauss_newton import Fit, refine
+from mjtactile.sensing.contact_shape.initial_search import Films
+from mjtactile.sensing.contact_shape.refit import LOOKED
+from mjtactile.sensing.contact_shape.shape_models import Family, several
 from mjtactile.sensing.settings import BodySettings
 
 _PARTS = ("ball", "cylinder", "disc", "block")

@@ -6,15 +6,15 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from mjtactile.sensing.body.bodies import Hint
-from mjtactile.sensing.body.candidates import Looked, Press, weighed
-from mjtactile.sensing.body.common import Common
-from mjtactile.sensing.body.families import FAMILIES, several
-from mjtactile.sensing.body.fit import exactly
-from mjtactile.sensing.body.onward import FOLLOWED, LOOKED, begun_anew, from_before
-from mjtactile.sensing.body.parts import other_parts
-from mjtactile.sensing.body.search import Films, search
-from mjtactile.sensing.body.standing import Data
+from mjtactile.sensing.contact_shape.fit_state import Data
+from mjtactile.sensing.contact_shape.gauss_newton import exactly
+from mjtactile.sensing.contact_shape.hypotheses import Looked, Press, weighed
+from mjtactile.sensing.contact_shape.initial_search import Films, search
+from mjtactile.sensing.contact_shape.multi_contact import other_parts
+from mjtactile.sensing.contact_shape.primitives import Hint
+from mjtactile.sensing.contact_shape.refit import FOLLOWED, LOOKED, begun_anew, from_before
+from mjtactile.sensing.contact_shape.shape_filter import Common
+from mjtactile.sensing.contact_shape.shape_models import FAMILIES, several
 from mjtactile.sensing.settings import BodySettings
 
 _WORSE = 1.5  # times as much is left as when all families were looked for: they are again,

@@ -13,8 +13,8 @@ import numpy as np
 
 from mjtactile.core.sensor_parts import Frame
 from mjtactile.core.types import Array
-from mjtactile.film import Obstacle
-from mjtactile.film.bodies import ready
+from mjtactile.quasistatic import Obstacle
+from mjtactile.quasistatic.obstacles import ready
 
 _FLAT = 0.2  # 1/m: what is less curved is as good as flat over a sensor
 _RIM_SLOPE = 2.0  # of the flank beyond a rim

@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from mjtactile.film import FilmState
-from mjtactile.sensing.body.area import FACES
-from mjtactile.sensing.body.bodies import Hint
-from mjtactile.sensing.body.candidates import Candidate
-from mjtactile.sensing.body.fit import Fit, refine
-from mjtactile.sensing.body.search import Films, approach, beside, search
-from mjtactile.sensing.body.standing import Data, begin, standing
+from mjtactile.quasistatic import FilmState
+from mjtactile.sensing.contact_shape.contact_area import FACES
+from mjtactile.sensing.contact_shape.fit_state import Data, begin, standing
+from mjtactile.sensing.contact_shape.gauss_newton import Fit, refine
+from mjtactile.sensing.contact_shape.hypotheses import Candidate
+from mjtactile.sensing.contact_shape.initial_search import Films, approach, beside, search
+from mjtactile.sensing.contact_shape.primitives import Hint
 
 FOLLOWED = 3  # rounds of a fit that is followed
 LOOKED = 5  # the same, at a look

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjtactile.core.types import Array, BodyMotion
-from mjtactile.sensing.body.bodies import place_of
-from mjtactile.sensing.body.fit import Fit
+from mjtactile.sensing.contact_shape.gauss_newton import Fit
+from mjtactile.sensing.contact_shape.primitives import place_of
 from mjtactile.sensing.settings import BodySettings
 
 _LEAST = 3  # images that a rate wants

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.sensing.body.bodies import Hint
-from mjtactile.sensing.body.families import Family
-from mjtactile.sensing.body.fit import Fit
-from mjtactile.sensing.body.standing import Prior
+from mjtactile.sensing.contact_shape.fit_state import Prior
+from mjtactile.sensing.contact_shape.gauss_newton import Fit
+from mjtactile.sensing.contact_shape.primitives import Hint
+from mjtactile.sensing.contact_shape.shape_models import Family
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.film import Obstacle
-from mjtactile.sensing.body.bodies import (
+from mjtactile.quasistatic import Obstacle
+from mjtactile.sensing.contact_shape.primitives import (
     Hint,
     ball,
     block,

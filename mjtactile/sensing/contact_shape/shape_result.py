@@ -11,13 +11,13 @@ import cv2
 import numpy as np
 
 from mjtactile.core.types import SHAPES, Array, FeltShape
-from mjtactile.sensing.body.area import areas, nearest_part, shares
-from mjtactile.sensing.body.bodies import Hint, about, place_of, principal
-from mjtactile.sensing.body.common import touching
-from mjtactile.sensing.body.families import Family, kinds_of
-from mjtactile.sensing.body.fit import Fit
-from mjtactile.sensing.body.forward import Forward
-from mjtactile.sensing.body.stick import sticks
+from mjtactile.sensing.contact_shape.contact_area import areas, nearest_part, shares
+from mjtactile.sensing.contact_shape.forward_model import Forward
+from mjtactile.sensing.contact_shape.gauss_newton import Fit
+from mjtactile.sensing.contact_shape.primitives import Hint, about, place_of, principal
+from mjtactile.sensing.contact_shape.shape_filter import touching
+from mjtactile.sensing.contact_shape.shape_models import Family, kinds_of
+from mjtactile.sensing.contact_shape.stiction_factor import sticks
 from mjtactile.sensing.settings import BodySettings
 
 _FINER = 4  # of the film's nodes, for an outline

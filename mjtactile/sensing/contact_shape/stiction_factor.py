@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from mjtactile.film import FilmState
-from mjtactile.sensing.body.forward import Forward
+from mjtactile.quasistatic import FilmState
+from mjtactile.sensing.contact_shape.forward_model import Forward
 from mjtactile.sensing.settings import BodySettings
 
 

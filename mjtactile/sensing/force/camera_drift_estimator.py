@@ -1,10 +1,11 @@
 """The camera as fiducials show it: what has changed of it since the rest reference, and how well
 that is known (Eq. F11).
 
-Each way in which a camera changes (`mjtactile.sensing.force.drift`, and the picture's middle) moves
-the fiducials' centres and sizes as it moves markers. Rows of fiducials in a fit of tractions that
-they do not depend on are the same as a better prior of the camera: their normal equations come
-first, the markers are taken back by their mean, and what is left in doubt are the fit's unknowns.
+Each way in which a camera changes (`mjtactile.sensing.force.camera_drift_model`, and the picture's
+middle) moves the fiducials' centres and sizes as it moves markers. Rows of fiducials in a fit of
+tractions that they do not depend on are the same as a better prior of the camera: their normal
+equations come first, the markers are taken back by their mean, and what is left in doubt are the
+fit's unknowns.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.fiducials import Fiducials
 from mjtactile.core.optics import Camera
 from mjtactile.core.types import Array, CameraChange, FiducialsSeen
-from mjtactile.sensing.force.drift import MODES, camera_modes
-from mjtactile.sensing.force.tone import tone_of
-from mjtactile.sensing.pose.picture import PictureChange
+from mjtactile.sensing.force.camera_drift_model import MODES, camera_modes
+from mjtactile.sensing.force.tone_curve import tone_of
+from mjtactile.sensing.pose.image_transform import PictureChange
 from mjtactile.sensing.settings import FiducialSettings, InverseSettings
 
 KNOWN_MODES = MODES + 2

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mjtactile.core.types import Array, Markers, Traction
-from mjtactile.sensing.force.gain import Shape
-from mjtactile.sensing.force.inverse import InverseMembrane
-from mjtactile.sensing.force.rest import InverseRest
+from mjtactile.sensing.force.inverse_fem import InverseMembrane
+from mjtactile.sensing.force.linearization import Shape
+from mjtactile.sensing.force.rest_equilibrium import InverseRest
 from mjtactile.sensing.settings import DEFAULTS, ZeroSettings
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from mjtactile.core.sensor_parts import Chamber
 from mjtactile.core.types import Array, PressureReading
-from mjtactile.sensing.force.sheet import Gas
+from mjtactile.sensing.force.spline_fem import Gas
 from mjtactile.sensing.settings import DEFAULTS, GaugeSettings
 
 # sd of the pressure when a valve has just moved, of the ambient one: so wide that the first reading

@@ -2,13 +2,13 @@
 docs/theory/equations.md, Eq. F9-F12).
 
 Unknown are the tractions at the nodes of a grid. They deform the sheet of
-`mjtactile.sensing.force.sheet` from its forward-solved rest shape, so the bulge is not interpolated
-but computed; markers see the deformation at their places and, where they stand far apart, its
-slopes too. Nothing touches almost everywhere: the prior of `mjtactile.sensing.force.prior` follows
-the tractions found before, so that contacts become compact. The amount of gas and the camera's
-place may have drifted a little since they were measured; they are unknowns, too. And next to a
-sharp edge markers move in ways that the sheet's splines cannot follow: a marker counts the less,
-the worse it was explained.
+`mjtactile.sensing.force.spline_fem` from its forward-solved rest shape, so the bulge is not
+interpolated but computed; markers see the deformation at their places and, where they stand far
+apart, its slopes too. Nothing touches almost everywhere: the prior of
+`mjtactile.sensing.force.prior` follows the tractions found before, so that contacts become compact.
+The amount of gas and the camera's place may have drifted a little since they were measured; they
+are unknowns, too. And next to a sharp edge markers move in ways that the sheet's splines cannot
+follow: a marker counts the less, the worse it was explained.
 
 A frame is one Gauss-Newton step, or a few after a sudden change. Stiffness and gains are kept as
 long as the shape stays near where they were computed; then the step is back-substitutions only. The
@@ -25,15 +25,15 @@ from numpy.typing import NDArray
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, Markers, Traction
 from mjtactile.kernels import kernel
-from mjtactile.sensing.force.camera import CameraSeen, known_modes
-from mjtactile.sensing.force.doubt import AXES, Doubt, ShapeEvidence
-from mjtactile.sensing.force.drift import CameraBelief, camera_modes, drift_of
-from mjtactile.sensing.force.gain import Gain, Shape
-from mjtactile.sensing.force.loaded import LoadedSheet
+from mjtactile.sensing.force.camera_drift_estimator import CameraSeen, known_modes
+from mjtactile.sensing.force.camera_drift_model import CameraBelief, camera_modes, drift_of
+from mjtactile.sensing.force.linearization import Gain, Shape
+from mjtactile.sensing.force.model_error import AXES, Doubt, ShapeEvidence
 from mjtactile.sensing.force.prior import LoadPrior
-from mjtactile.sensing.force.rest import InverseRest, darker
-from mjtactile.sensing.force.sheet import State, Stiffness
+from mjtactile.sensing.force.rest_equilibrium import InverseRest, darker
 from mjtactile.sensing.force.slopes import MarkerSlopes
+from mjtactile.sensing.force.spline_fem import State, Stiffness
+from mjtactile.sensing.force.traction_grid import LoadedSheet
 from mjtactile.sensing.settings import (
     DEFAULTS,
     DoubtSettings,

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array, Markers
-from mjtactile.sensing.force.camera import CameraSeen
-from mjtactile.sensing.force.drift import CameraBelief
-from mjtactile.sensing.force.rest import InverseRest, darker
-from mjtactile.sensing.force.sheet import Stiffness
+from mjtactile.sensing.force.camera_drift_estimator import CameraSeen
+from mjtactile.sensing.force.camera_drift_model import CameraBelief
+from mjtactile.sensing.force.rest_equilibrium import InverseRest, darker
+from mjtactile.sensing.force.spline_fem import Stiffness
 
 NEAR = 2e-4  # m: a distance over which stiffness and gains are kept
 _SD_RATIO = 1.3  # by which the gas's pressure may become better or worse known meanwhile

@@ -1,7 +1,7 @@
 """A sensor's sheet with its markers and with nothing touching (docs/theory/equations.md, Eq. F25).
 
-The bulge is not interpolated but computed: the sheet of `mjtactile.sensing.force.sheet`, forward
-solved, as stiff as the markers at rest show it to be.
+The bulge is not interpolated but computed: the sheet of `mjtactile.sensing.force.spline_fem`,
+forward solved, as stiff as the markers at rest show it to be.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, Markers
-from mjtactile.sensing.force.relaxing import Relaxing
-from mjtactile.sensing.force.sheet import FEWEST_SPANS, Gas, Sheet, State
+from mjtactile.sensing.force.spline_fem import FEWEST_SPANS, Gas, Sheet, State
+from mjtactile.sensing.force.stress_relaxation import Relaxing
 from mjtactile.sensing.settings import InverseSettings
 
 _GAS_NEAR = 3.0  # Pa, over which the sheet at rest is kept

@@ -15,7 +15,7 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Array, Markers
-from mjtactile.sensing.force.rest import InverseRest
+from mjtactile.sensing.force.rest_equilibrium import InverseRest
 from mjtactile.sensing.settings import DEFAULTS, ReferenceSettings, Settings
 
 

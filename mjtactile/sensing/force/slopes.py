@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from mjtactile.core import geometry
 from mjtactile.core.types import Array, Markers
-from mjtactile.sensing.force.sheet import Sheet
+from mjtactile.sensing.force.spline_fem import Sheet
 from mjtactile.sensing.settings import InverseSettings
-from mjtactile.sensing.shape.slope import slope_sd
+from mjtactile.sensing.surface.slope_noise import slope_sd
 
 
 class MarkerSlopes:

@@ -6,7 +6,7 @@ frame. Its generalised forces are those of membrane stress, of gas at gauge pres
 on the surface (docs/theory/equations.md, Eq. F3-F5, F9). Coefficients are stored as (3, n):
 component by component, n = kx * ky splines with y fastest. Splines overlap only their neighbours,
 so that the stiffness is a band, but for the gas's term of rank one, which Sherman and Morrison's
-formula keeps apart. The arithmetic is in mjtactile/kernels/sheet.c.
+formula keeps apart. The arithmetic is in mjtactile/kernels/spline_fem.c.
 
 The splines are functions of the sheet's own coordinates, which fill a rectangle. Of a rectangular
 frame they are the places X themselves; another outline is the rectangle's image by the smooth map
@@ -25,7 +25,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError, MjtactileError
 from mjtactile.core.types import Array
 from mjtactile.kernels import band_stride, kernel
-from mjtactile.sensing.law import SheetLaw
+from mjtactile.sensing.constitutive_law import SheetLaw
 
 # nodes in each interval of the spline: what is integrated varies over markers, several intervals
 # wide
@@ -269,7 +269,7 @@ class Sheet:
 
     def tangent(self, state: State, pressure_gauge: float) -> Array:
         """d(residual)/dc at constant pressure, N/m (Eq. F10): the lower band (3 n, stride) as
-        kernels/band.h has it, with the three components of a spline together."""
+        kernels/band_cholesky_f64.h has it, with the three components of a spline together."""
         band = np.empty((3 * self.count, band_stride(self.width)))
         law = self._law(state.stretch)
         kernel("sheet_tangent")(*self.shape, *law, state.c, state.scale, pressure_gauge, band)

@@ -14,7 +14,7 @@ import numpy as np
 
 from mjtactile.core.relaxation import Relaxation
 from mjtactile.core.types import Array
-from mjtactile.sensing.force.sheet import Sheet
+from mjtactile.sensing.force.spline_fem import Sheet
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from mjtactile.core.bspline import hats
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
-from mjtactile.sensing.force.gain import Shape
-from mjtactile.sensing.force.rest import MarkedSheet
-from mjtactile.sensing.force.sheet import product
+from mjtactile.sensing.force.linearization import Shape
+from mjtactile.sensing.force.rest_equilibrium import MarkedSheet
+from mjtactile.sensing.force.spline_fem import product
 from mjtactile.sensing.settings import InverseSettings
 
 REFINE = 5  # cells of the fine grid, for outlines, to a cell of the traction grid

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
 from mjtactile.sensing.image import ellipse
-from mjtactile.sensing.image.bands import Around, Pixels, band
+from mjtactile.sensing.image.edge_bands import Around, Pixels, band
 from mjtactile.sensing.image.edge_model import model
 from mjtactile.sensing.settings import DEFAULTS, EdgeSettings
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
-from mjtactile.sensing.image.bands import Pixels
+from mjtactile.sensing.image.edge_bands import Pixels
 
 _HERMITE = (
     (0.0, 8 / 15),

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Ellipses
 from mjtactile.kernels import kernel
-from mjtactile.sensing.image import edges, ellipse, profiles
+from mjtactile.sensing.image import edge_fit, ellipse, profile_fit
 from mjtactile.sensing.image.candidates import Candidates
-from mjtactile.sensing.image.edges import EdgeFit
+from mjtactile.sensing.image.edge_fit import EdgeFit
 from mjtactile.sensing.settings import Settings
 
 
@@ -22,21 +22,21 @@ def fit_candidates(grey: NDArray, found: Candidates, settings: Settings) -> Edge
     axes, _ = ellipse.axes_from_shape(found.shape)
     large = axes[:, 1] >= settings.markers.profile_min_radius
     if not large.any():
-        return sound(edges.fit(grey, found.center, found.shape, s=settings.edges))
+        return sound(edge_fit.fit(grey, found.center, found.shape, s=settings.edges))
     fit = _by_profiles(grey, found.take(large), axes[large, 1], settings)
     if large.all():
         return sound(fit)
     small = found.take(~large)
     others = found.center[large], found.shape[large]
-    by_pixels = edges.fit(grey, small.center, small.shape, others=others, s=settings.edges)
-    return sound(edges.merge(large, fit, by_pixels))
+    by_pixels = edge_fit.fit(grey, small.center, small.shape, others=others, s=settings.edges)
+    return sound(edge_fit.merge(large, fit, by_pixels))
 
 
 def _by_profiles(grey: NDArray, found: Candidates, radius: NDArray, settings: Settings) -> EdgeFit:
     """Fits of candidates with these semi-minor axes (N,) px by profiles; by pixels, again, where
     the blur turns out to leave profiles no room."""
     s = settings.markers
-    fit = profiles.fit(grey, found.center, found.shape, settings.profiles)
+    fit = profile_fit.fit(grey, found.center, found.shape, settings.profiles)
     # fits by pixels know of no motion
     blurred = (fit.blur * s.profile_min_blurs > radius) & (fit.motion < s.min_motion)
     # a drawing, or a blur that was taken for size
@@ -44,16 +44,18 @@ def _by_profiles(grey: NDArray, found: Candidates, radius: NDArray, settings: Se
     if sharpest.any():
         start = found.take(sharpest)
         wide = s.start_blur_share * float(ellipse.middle(radius[sharpest]))
-        again = edges.fit(grey, start.center, start.shape, blur=wide, s=settings.edges)
-        settled = again.residual < edges.UNSETTLED
+        again = edge_fit.fit(grey, start.center, start.shape, blur=wide, s=settings.edges)
+        settled = again.residual < edge_fit.UNSETTLED
         sharpest[sharpest] = settled
-        fit = edges.merge(sharpest, again.take(settled), fit.take(~sharpest))
+        fit = edge_fit.merge(sharpest, again.take(settled), fit.take(~sharpest))
         blurred &= ~sharpest
     if not blurred.any():
         return fit
     common = float(np.median(fit.blur[blurred]))
-    again = edges.fit(grey, fit.center[blurred], fit.shape[blurred], blur=common, s=settings.edges)
-    return edges.merge(blurred, again, fit.take(~blurred))
+    again = edge_fit.fit(
+        grey, fit.center[blurred], fit.shape[blurred], blur=common, s=settings.edges
+    )
+    return edge_fit.merge(blurred, again, fit.take(~blurred))
 
 
 def sound(fit: EdgeFit) -> EdgeFit:

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from mjtactile.core.types import Array, Ellipses, Image
-from mjtactile.sensing.image import candidates, edges, ellipse, markers
+from mjtactile.sensing.image import candidates, edge_fit, ellipse, markers
 from mjtactile.sensing.image.candidates import Candidates
-from mjtactile.sensing.image.fit import as_ellipses, fit_candidates, sound
-from mjtactile.sensing.image.judge import implausible, judge
+from mjtactile.sensing.image.ellipse_fit import as_ellipses, fit_candidates, sound
+from mjtactile.sensing.image.fit_validation import implausible, judge
 from mjtactile.sensing.settings import DEFAULTS, Settings, ThoroughSettings
 
 
@@ -165,11 +165,11 @@ def _black_hat(dark: NDArray[np.uint8], settings: Settings) -> NDArray[np.uint8]
 def _second_try(
     grey: NDArray,
     found: Candidates,
-    fit: edges.EdgeFit,
+    fit: edge_fit.EdgeFit,
     polarity: markers.Polarity,
     min_radius_px: float,
     settings: Settings,
-) -> edges.EdgeFit:
+) -> edge_fit.EdgeFit:
     """`fit` with what was no marker fitted again, the blur being held near that of the markers that
     are trusted."""
     status, keep = judge(fit, found, polarity, grey.shape, min_radius_px, settings.markers)
@@ -181,7 +181,7 @@ def _second_try(
     if blur < s.retry_blur:
         grey = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), s.retry_blur)
         blur = float(np.hypot(blur, s.retry_blur))
-    again = edges.fit(
+    again = edge_fit.fit(
         grey,
         found.center[~keep],
         found.shape[~keep],
@@ -190,4 +190,4 @@ def _second_try(
         others=(found.center[keep], found.shape[keep]),
         s=settings.edges,
     )
-    return edges.merge(~keep, sound(again), fit.take(keep))
+    return edge_fit.merge(~keep, sound(again), fit.take(keep))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from mjtactile.kernels import kernel
 from mjtactile.sensing.image.candidates import Candidates
-from mjtactile.sensing.image.edges import EdgeFit
+from mjtactile.sensing.image.edge_fit import EdgeFit
 from mjtactile.sensing.settings import MarkerSettings, as_numbers
 
 CUT = "cut by image border"

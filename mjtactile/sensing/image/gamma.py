@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array, Ellipses
-from mjtactile.sensing.image import edge_model, edges, ellipse
-from mjtactile.sensing.image.bands import Around, Pixels
+from mjtactile.sensing.image import edge_fit, edge_model, ellipse
+from mjtactile.sensing.image.edge_bands import Around, Pixels
 from mjtactile.sensing.settings import DEFAULTS, GammaSettings, Settings
 
 _MIDDLE = 128.0  # grey levels, to which levels are relative inside
@@ -80,14 +80,16 @@ def _pixels(grey: NDArray, center: Array, shape: Array, settings: Settings) -> t
     around = Around.of(
         center, shape, len(center), settings.gamma.profile_half_width, settings.edges
     )
-    pixels, _, origin = edges.gather(grey, center, shape, around, settings.gamma.profile_half_width)
+    pixels, _, origin = edge_fit.gather(
+        grey, center, shape, around, settings.gamma.profile_half_width
+    )
     return pixels, origin
 
 
 def _start(pixels: Pixels, center: Array, shape: Array, s: GammaSettings) -> Array:
     """Parameters (n, 10) to start from, as those of `edges`, but with the levels inside and outside
     in grey levels."""
-    theta = np.zeros((len(center), edges.PARAMETERS))
+    theta = np.zeros((len(center), edge_fit.PARAMETERS))
     theta[:, :2] = center
     theta[:, 2:5] = shape
     theta[:, 9] = s.start_blur
@@ -115,14 +117,14 @@ def _fit(pixels: Pixels, theta: Array, s: GammaSettings) -> Gamma:
         residual = pixels.observed - level
         scale = 4 * np.sqrt(pixels.sums(residual * residual) / pixels.counts)
         weight = 1 / (1 + (residual / pixels.spread(scale)) ** 4) if k else np.ones_like(residual)
-        H = edges.normal_matrix(pixels, G, weight) + 1e-6 * np.eye(edges.PARAMETERS)
+        H = edge_fit.normal_matrix(pixels, G, weight) + 1e-6 * np.eye(edge_fit.PARAMETERS)
         right = pixels.sums(weight * residual * G).T
         mixed = pixels.sums(weight * by_gamma * G).T
         solved = np.linalg.solve(H, np.stack([right, mixed], axis=2))
         tells = pixels.sums(weight * by_gamma**2) - (mixed * solved[..., 1]).sum(axis=1)
         pull = pixels.sums(weight * by_gamma * residual) - (mixed * solved[..., 0]).sum(axis=1)
         variance = pixels.sums(weight * residual**2) / np.maximum(
-            pixels.sums(weight) - edges.PARAMETERS, 1
+            pixels.sums(weight) - edge_fit.PARAMETERS, 1
         )
         own = pull / tells
         sd = np.sqrt(variance / tells)
@@ -145,7 +147,7 @@ def _levels(pixels: Pixels, theta: Array, gamma: float) -> tuple[NDArray, NDArra
     edge = theta[:, 5:7] / _MIDDLE
     linear = theta.copy()
     linear[:, 5:7] = edge**gamma
-    J = np.empty((edges.PARAMETERS, len(pixels.x)), np.float32)
+    J = np.empty((edge_fit.PARAMETERS, len(pixels.x)), np.float32)
     light = edge_model.model(pixels, linear, J, small=True)
     light = np.maximum(light, _DARKEST).astype(np.float32)
     level = light ** np.float32(1 / gamma)

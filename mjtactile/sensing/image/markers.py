@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Ellipses, Image
 from mjtactile.sensing.image import candidates
-from mjtactile.sensing.image.edges import EdgeFit
-from mjtactile.sensing.image.fit import as_ellipses, fit_candidates
-from mjtactile.sensing.image.judge import implausible, judge
+from mjtactile.sensing.image.edge_fit import EdgeFit
+from mjtactile.sensing.image.ellipse_fit import as_ellipses, fit_candidates
+from mjtactile.sensing.image.fit_validation import implausible, judge
 from mjtactile.sensing.settings import DEFAULTS, Settings
 
 Polarity = Literal["dark", "bright"]

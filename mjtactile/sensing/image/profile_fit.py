@@ -8,7 +8,7 @@ Cramer-Rao bound close to the edge).
 A disc blurred by a Gaussian of sd sigma has its 50 % level further in by kappa sigma^2/2 (kappa:
 curvature of the edge); sigma is measured from the profiles themselves and the bias removed. To
 first order in kappa sigma: `edges` is for the small markers where that is not enough. The
-arithmetic is in mjtactile/kernels/profiles.c.
+arithmetic is in mjtactile/kernels/ellipse_profiles.c.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
 from mjtactile.kernels import kernel
-from mjtactile.sensing.image.edges import SOFTEN, EdgeFit
+from mjtactile.sensing.image.edge_fit import SOFTEN, EdgeFit
 from mjtactile.sensing.settings import DEFAULTS, ProfileSettings, as_numbers
 
 

@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array, Ellipses, Image
-from mjtactile.sensing.image import edges, markers
+from mjtactile.sensing.image import edge_fit, markers
 from mjtactile.sensing.image.candidates import Candidates
-from mjtactile.sensing.image.fit import as_ellipses, fit_candidates
-from mjtactile.sensing.image.judge import judge
+from mjtactile.sensing.image.ellipse_fit import as_ellipses, fit_candidates
+from mjtactile.sensing.image.fit_validation import judge
 from mjtactile.sensing.settings import DEFAULTS, Settings, TrackingSettings
 
 
@@ -32,7 +32,7 @@ class Tracks:
     search."""
 
     time: float
-    fit: edges.EdgeFit
+    fit: edge_fit.EdgeFit
     velocity: Array
     count: int
     left: int
@@ -75,7 +75,7 @@ def follow(
 
 def _tracked(
     grey: NDArray, time: float, before: Tracks, min_radius_px: float, settings: Settings
-) -> edges.EdgeFit | None:
+) -> edge_fit.EdgeFit | None:
     """The fits of `before`, moved on; None where a search is due or one of them is not to be
     believed."""
     s = settings.tracking
@@ -93,7 +93,7 @@ def _tracked(
 
 
 def _believable(
-    fit: edges.EdgeFit, start: Candidates, before: edges.EdgeFit, s: TrackingSettings
+    fit: edge_fit.EdgeFit, start: Candidates, before: edge_fit.EdgeFit, s: TrackingSettings
 ) -> bool:
     """Whether all fits are where and as they were expected."""
     contrast = fit.outside - fit.inside
@@ -105,7 +105,7 @@ def _believable(
     )
 
 
-def _calm(fit: edges.EdgeFit, s: TrackingSettings) -> bool:
+def _calm(fit: edge_fit.EdgeFit, s: TrackingSettings) -> bool:
     """Whether no fit leaves more than its neighbours do: nothing lies on a marker's edge."""
     return bool(
         fit.residual.max() < s.max_residual * statistics.median(fit.residual.tolist())

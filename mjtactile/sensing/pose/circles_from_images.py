@@ -1,5 +1,5 @@
 """Circles in image files: read a file, find the circles, say where each is. The pure part of
-`mjtactile locate`."""
+`mjtactile detect-circles`."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from mjtactile.core import optics
 from mjtactile.core.errors import InputError
-from mjtactile.core.images import decode
+from mjtactile.core.image_decoding import decode
 from mjtactile.core.sensor_parts import CameraDesign
 from mjtactile.core.types import Array, CirclePoses, Ellipses, Image
+from mjtactile.sensing.image.exhaustive_detection import NO_REJECTED, Rejected, detect_thoroughly
 from mjtactile.sensing.image.exposure import is_overexposed
 from mjtactile.sensing.image.gamma import UNKNOWN, Gamma, estimate_gamma, linear_light
 from mjtactile.sensing.image.markers import Polarity, grey_image
-from mjtactile.sensing.image.thorough import NO_REJECTED, Rejected, detect_thoroughly
 from mjtactile.sensing.pose.circles import estimate_poses, pose_covariances
-from mjtactile.sensing.pose.consensus import share_elongation
-from mjtactile.sensing.pose.preference import prefer
+from mjtactile.sensing.pose.neighbor_smoothing import share_elongation
+from mjtactile.sensing.pose.pose_disambiguation import prefer
 from mjtactile.sensing.settings import DEFAULTS, Settings
-from mjtactile.sensing.shape.smoothness import agree_on_depth
+from mjtactile.sensing.surface.depth_smoothing import agree_on_depth
 
 Neighbours = Literal["auto", "always", "never"]
 _GREY = np.full((1, 3), 1 / 3)
@@ -152,14 +152,17 @@ def _check_options(neighbours: str, gamma: object) -> None:
     if neighbours not in ("auto", "always", "never"):
         raise InputError(
             f"{neighbours!r}",
-            source="locate",
+            source="detect-circles",
             field="neighbours",
             choices=("auto", "always", "never"),
         )
     low, high = GAMMAS
     if gamma != "auto" and not (isinstance(gamma, int | float) and low <= gamma <= high):
         raise InputError(
-            f"{gamma!r}", source="locate", field="gamma", choices=("auto", f"{low:g} to {high:g}")
+            f"{gamma!r}",
+            source="detect-circles",
+            field="gamma",
+            choices=("auto", f"{low:g} to {high:g}"),
         )
 
 

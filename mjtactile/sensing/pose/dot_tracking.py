@@ -13,9 +13,9 @@ from mjtactile.core import optics
 from mjtactile.core.errors import InputError
 from mjtactile.core.sensor_parts import CameraDesign
 from mjtactile.core.types import Array, CirclePoses, Ellipses, Image
+from mjtactile.sensing.image.exhaustive_detection import detect_thoroughly
 from mjtactile.sensing.image.markers import Polarity, grey_image
-from mjtactile.sensing.image.thorough import detect_thoroughly
-from mjtactile.sensing.pose.locate import find_circles, plain_grey
+from mjtactile.sensing.pose.circles_from_images import find_circles, plain_grey
 from mjtactile.sensing.settings import DEFAULTS, Settings
 
 NOBODY = -1  # of a circle that is not followed

@@ -19,7 +19,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, CirclePoses, Markers
 from mjtactile.kernels import kernel
 from mjtactile.sensing.settings import DEFAULTS, IdentitySettings, as_numbers
-from mjtactile.sensing.shape.surface import SurfaceFitter
+from mjtactile.sensing.surface.surface import SurfaceFitter
 
 Ids = NDArray[np.int64]
 

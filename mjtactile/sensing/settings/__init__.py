@@ -43,7 +43,6 @@ from mjtactile.sensing.settings.locate import (
     PreferenceSettings,
     SmoothnessSettings,
 )
-from mjtactile.sensing.settings.number import TRIED, as_numbers, check, number
 from mjtactile.sensing.settings.pose import IdentitySettings, ReferenceSettings, SurfaceSettings
 from mjtactile.sensing.settings.touch import (
     BodySettings,
@@ -52,6 +51,7 @@ from mjtactile.sensing.settings.touch import (
     SlipSettings,
     SqueezeSettings,
 )
+from mjtactile.sensing.settings.tunable_parameter import TRIED, as_numbers, check, number
 
 __all__ = [
     "DEFAULTS",

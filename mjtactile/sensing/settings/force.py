@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mjtactile.sensing.settings.number import GAUGED, SEEN, TRIED, number
+from mjtactile.sensing.settings.tunable_parameter import GAUGED, SEEN, TRIED, number
 
 _BARS = "bench bars: fitted to scenes of seeds below 1000, which its table leaves out"
 
@@ -31,7 +31,7 @@ class PriorSettings:
 
 @dataclass(frozen=True)
 class InverseSettings:
-    """Tractions from markers (sensing/force/inverse.py, sensing/force/slopes.py)."""
+    """Tractions from markers (sensing/force/inverse_fem.py, sensing/force/slopes.py)."""
 
     spans: tuple[int, int] = number(
         (14, 10), "intervals of the sheet's spline along x and y", TRIED, low=4, high=40
@@ -134,10 +134,12 @@ class InverseSettings:
         0.06,
         "sd of the sheet's stiffness, a share, by which a bulge that is not the file's is put down "
         "to it or to the pre-stretch",
-        "mixed silicone from batch to batch, and its thickness (models/variations/default.toml)",
+        "mixed silicone from batch to batch, and its thickness (models/randomization/default.toml)",
     )
     pre_stretch_sd: float = number(
-        0.005, "sd of the pre-stretch", "0.2 mm of a frame of 40 (models/variations/default.toml)"
+        0.005,
+        "sd of the pre-stretch",
+        "0.2 mm of a frame of 40 (models/randomization/default.toml)",
     )
     cold_load: float = number(
         0.3,
@@ -181,7 +183,7 @@ class InverseSettings:
 
 @dataclass(frozen=True)
 class FiducialSettings:
-    """The camera by circles that do not move (sensing/force/camera.py)."""
+    """The camera by circles that do not move (sensing/force/camera_drift_estimator.py)."""
 
     fewest: int = number(
         4,
@@ -234,7 +236,7 @@ class FiducialSettings:
 
 @dataclass(frozen=True)
 class DoubtSettings:
-    """What the wrench's posterior leaves out (sensing/force/doubt.py), each for shear, normal
+    """What the wrench's posterior leaves out (sensing/force/model_error.py), each for shear, normal
     force, tilt and spin."""
 
     share: tuple[float, float, float, float] = number(
@@ -298,8 +300,8 @@ class DoubtSettings:
 
 @dataclass(frozen=True)
 class GaugeSettings:
-    """The gas that a pressure gauge tells of (sensing/force/gauge.py). Pressures and amounts are
-    shares of the absolute ambient pressure: 1e-5 is a pascal."""
+    """The gas that a pressure gauge tells of (sensing/force/gas_filter.py). Pressures and amounts
+    are shares of the absolute ambient pressure: 1e-5 is a pascal."""
 
     floor: float = number(1.5, "Pa, sd of a gauge's mean, however many readings", GAUGED)
     scale: float = number(
@@ -328,7 +330,7 @@ class GaugeSettings:
 @dataclass(frozen=True)
 class ZeroSettings:
     """Is there a touch, and the zero that follows the weather while there is none
-    (sensing/force/zero.py)."""
+    (sensing/force/contact_detection.py)."""
 
     touch_sd: float = number(
         5.0, "sd of the noise that a force, or its level, must exceed to be a touch", TRIED

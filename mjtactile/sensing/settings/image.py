@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mjtactile.sensing.settings.number import SEEN, TRIED, number
+from mjtactile.sensing.settings.tunable_parameter import SEEN, TRIED, number
 
 _MONTE_CARLO = "Monte Carlo: the covariance against the scatter of fits to simulated noise"
 
@@ -43,8 +43,8 @@ class CandidateSettings:
 
 @dataclass(frozen=True)
 class EdgeSettings:
-    """Ellipses from the image itself, for small or much blurred markers (sensing/image/edges.py,
-    sensing/image/bands.py)."""
+    """Ellipses from the image itself, for small or much blurred markers (sensing/image/edge_fit.py,
+    sensing/image/edge_bands.py)."""
 
     small_radius: float = number(
         7.0,
@@ -81,7 +81,7 @@ class EdgeSettings:
 
 @dataclass(frozen=True)
 class ProfileSettings:
-    """Ellipses from profiles across their edges (sensing/image/profiles.py)."""
+    """Ellipses from profiles across their edges (sensing/image/profile_fit.py)."""
 
     step: float = number(
         0.75,
@@ -119,7 +119,8 @@ class ProfileSettings:
 
 @dataclass(frozen=True)
 class MarkerSettings:
-    """Which ellipses are to be trusted (sensing/image/judge.py, sensing/image/fit.py)."""
+    """Which ellipses are to be trusted (sensing/image/fit_validation.py,
+    sensing/image/ellipse_fit.py)."""
 
     profile_min_radius: float = number(
         6.0, "px, semi-minor axis from which on profiles have room", TRIED
@@ -217,7 +218,8 @@ class TrackingSettings:
 
 @dataclass(frozen=True)
 class ThoroughSettings:
-    """The second look of `mjtactile locate` at photographs (sensing/image/thorough.py)."""
+    """The second look of `mjtactile detect-circles` at photographs
+    (sensing/image/exhaustive_detection.py)."""
 
     closing_size: int = number(
         17,

@@ -1,18 +1,18 @@
-"""Numbers of what `mjtactile locate` does beyond touch sensing: circles of photographs that help
-each other."""
+"""Numbers of what `mjtactile detect-circles` does beyond touch sensing: circles of photographs that
+help each other."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mjtactile.sensing.settings.number import SEEN, TRIED, number
+from mjtactile.sensing.settings.tunable_parameter import SEEN, TRIED, number
 
 _PHOTOGRAPHS = "photographs of flat boards of dots; " + SEEN
 
 
 @dataclass(frozen=True)
 class LocateSettings:
-    """Circles in photographs (sensing/pose/locate.py)."""
+    """Circles in photographs (sensing/pose/circles_from_images.py)."""
 
     min_shared_radius: float = number(
         6.0,
@@ -38,7 +38,7 @@ class LocateSettings:
 
 @dataclass(frozen=True)
 class ConsensusSettings:
-    """When circles share their elongation (sensing/pose/consensus.py)."""
+    """When circles share their elongation (sensing/pose/neighbor_smoothing.py)."""
 
     min_circles: int = number(40, "circles", "a second-order field asks for many")
     max_scatter: float = number(
@@ -53,7 +53,7 @@ class ConsensusSettings:
 
 @dataclass(frozen=True)
 class SmoothnessSettings:
-    """When circles share their depth, and how smooth it is (sensing/shape/smoothness.py, Eq.
+    """When circles share their depth, and how smooth it is (sensing/surface/depth_smoothing.py, Eq.
     V10)."""
 
     circle_range: tuple[int, int] = number(
@@ -78,7 +78,7 @@ class SmoothnessSettings:
 
 @dataclass(frozen=True)
 class PreferenceSettings:
-    """Which of a circle's two poses is likelier (sensing/pose/preference.py)."""
+    """Which of a circle's two poses is likelier (sensing/pose/pose_disambiguation.py)."""
 
     plane_circles: int = number(
         9, "circles that a plane is laid through, the circle itself among them", TRIED

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mjtactile.sensing.settings.number import TRIED, number
+from mjtactile.sensing.settings.tunable_parameter import TRIED, number
 
 _BULGE = (
     "100 simulated sensors, each with its own stiffness (30 %), pre-stretch (0.02), lens (3 %, 6 "
@@ -14,7 +14,7 @@ _BULGE = (
 
 @dataclass(frozen=True)
 class IdentitySettings:
-    """Which circle is which marker (sensing/pose/identity.py)."""
+    """Which circle is which marker (sensing/pose/marker_matching.py)."""
 
     gate: float = number(
         0.6,
@@ -39,8 +39,8 @@ class IdentitySettings:
 
 @dataclass(frozen=True)
 class ReferenceSettings:
-    """Which flat and resting membranes are believed (sensing/pose/reference.py,
-    sensing/force/bulge.py)."""
+    """Which flat and resting membranes are believed (sensing/pose/flat_reference.py,
+    sensing/force/rest_shape_check.py)."""
 
     radius_range: float = number(
         0.1, "share by which a marker's size may be off the sensor file's", TRIED
@@ -74,7 +74,7 @@ class ReferenceSettings:
 
 @dataclass(frozen=True)
 class SurfaceSettings:
-    """The smoothing spline through the markers (sensing/shape/surface.py)."""
+    """The smoothing spline through the markers (sensing/surface/surface.py)."""
 
     roughness: float = number(3e3, "1/m^2, rms gradient of the Laplacian to expect", TRIED)
     laplacian: float = number(300.0, "1/m, rms Laplacian to expect", TRIED)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mjtactile.sensing.settings.number import PRESSED, TRIED, number
+from mjtactile.sensing.settings.tunable_parameter import PRESSED, TRIED, number
 
 _PRESSED = "bench bars: fitted to scenes of seeds below 1000"
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.core.entries import Number, Numbers
-from mjtactile.core.fields import entries, entry
+from mjtactile.core.config_fields import entries, entry
+from mjtactile.core.field_types import Number, Numbers
 from mjtactile.core.toml import Section
 
 TRIED = "tried: docs/reference/parameters.md has what half and twice of it do"

@@ -12,7 +12,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.sensor_parts import Frame
 from mjtactile.core.types import Array, Surface
 from mjtactile.sensing.settings import DEFAULTS
-from mjtactile.sensing.shape.surface import GAUSS, GRID_STEP, enough, grid_of
+from mjtactile.sensing.surface.surface import GAUSS, GRID_STEP, enough, grid_of
 
 
 def reconstruct_delaunay(

@@ -19,10 +19,10 @@ on each side, so that they are free to leave it with any slope. Integrals are ov
 opening, on its outline z is zero to `_RIM_SD`, as if it were measured there, and beyond it the
 fourth term, much weakened, keeps the fit finite.
 
-The arithmetic is in mjtactile/kernels/surface.c. The Hessian is a band, since splines overlap only
-their neighbours.
+The arithmetic is in mjtactile/kernels/smoothing_spline.c. The Hessian is a band, since splines
+overlap only their neighbours.
 
-The paper's own route is in `mjtactile.sensing.shape.delaunay`.
+The paper's own route is in `mjtactile.sensing.surface.delaunay`.
 """
 
 from __future__ import annotations
@@ -288,7 +288,8 @@ def _derivatives(basis: Cubic) -> list[Array]:
 
 def banded(matrix: Array, width: int) -> Array:
     """The lower triangle of a symmetric `matrix` (n, n) that vanishes beyond `width` from its
-    diagonal, as kernels/band.h has it: (n, stride), row j column j from its diagonal on."""
+    diagonal, as kernels/band_cholesky_f64.h has it: (n, stride), row j column j from its diagonal
+    on."""
     band = np.zeros((len(matrix), band_stride(width)))
     for below in range(min(width + 1, len(matrix))):
         band[: len(matrix) - below, below] = np.diagonal(matrix, -below)

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array, Contact
 from mjtactile.kernels import kernel
-from mjtactile.sensing.force.gain import Shape
-from mjtactile.sensing.force.inverse import InverseMembrane
-from mjtactile.sensing.force.loaded import REFINE
-from mjtactile.sensing.force.rest import InverseRest
+from mjtactile.sensing.force.inverse_fem import InverseMembrane
+from mjtactile.sensing.force.linearization import Shape
+from mjtactile.sensing.force.rest_equilibrium import InverseRest
+from mjtactile.sensing.force.traction_grid import REFINE
 from mjtactile.sensing.settings import DEFAULTS, PatchSettings, as_numbers
 
 

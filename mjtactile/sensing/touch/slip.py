@@ -32,8 +32,8 @@ import numpy as np
 
 from mjtactile.core.status import Status, StatusCode
 from mjtactile.core.types import Array, Contact, Slip, SlipState
-from mjtactile.sensing.force.gain import Shape
-from mjtactile.sensing.force.inverse import InverseMembrane
+from mjtactile.sensing.force.inverse_fem import InverseMembrane
+from mjtactile.sensing.force.linearization import Shape
 from mjtactile.sensing.settings import DEFAULTS, SlipSettings
 
 # of the peak: less is the contact's edge, where little pressure divides little shear

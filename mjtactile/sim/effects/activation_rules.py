@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjtactile.core import theory
+from mjtactile.core import analytical_solutions
 from mjtactile.core.design import SensorDesign
-from mjtactile.sim.effects import steepness
+from mjtactile.sim.effects import membrane_slope
 from mjtactile.sim.scenes.objects import ObjectModel
 
 GRAVITY = 9.81
@@ -38,7 +38,7 @@ class Scene:
     def bulge(self) -> float:
         """Height of the free bulge at the supply's pressure, m; an estimate outside of the theory's
         table."""
-        height = theory.bulge_height(self.design, self.design.chamber.supply_gauge)
+        height = analytical_solutions.bulge_height(self.design, self.design.chamber.supply_gauge)
         if math.isfinite(height):
             return abs(height)
         return 0.1 * min(self.design.frame.length, self.design.frame.width)
@@ -65,7 +65,7 @@ def gas(s: Scene) -> tuple[bool, str]:
 def large_deflection(s: Scene) -> tuple[bool, str]:
     sheet = s.design.membrane
     frame = s.design.frame
-    c1, c2 = theory.rectangle_coefficients(
+    c1, c2 = analytical_solutions.rectangle_coefficients(
         max(frame.length, frame.width) / (2 * s.half_width), sheet.poisson
     )
     tension = max(sheet.pretension, 1e-9)
@@ -112,7 +112,7 @@ def follower(s: Scene) -> tuple[bool, str]:
 
 
 def hyperelastic(s: Scene) -> tuple[bool, str]:
-    lower = theory.stvk_height_error(s.design, s.design.chamber.supply_gauge)
+    lower = analytical_solutions.stvk_height_error(s.design, s.design.chamber.supply_gauge)
     share = f"by {lower:.0%}" if math.isfinite(lower) else "by an unknown share"
     return True, (
         f"rubber softens as it stretches: without, it bulges less {share} at the supply's pressure"
@@ -194,7 +194,7 @@ def shadows(s: Scene) -> tuple[bool, str]:
     lowest = math.atan2(
         s.design.camera.distance, math.hypot(frame.length, frame.width) / 2 + leds.ring_radius
     )
-    slope = steepness.deepest(s.design, s.half_extents, _HELD)
+    slope = membrane_slope.deepest(s.design, s.half_extents, _HELD)
     shaded = _SHADED * _HELD * math.tan(min(slope, lowest)) ** 2
     angles = (
         f"slopes of {math.degrees(slope):.0f} deg at {_HELD:g} N, LEDs from "

@@ -24,12 +24,12 @@ import numpy as np
 from mjtactile.core import resources
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
-from mjtactile.sim.effects import gates, steepness
+from mjtactile.sim.effects import activation_rules, membrane_slope
+from mjtactile.sim.effects.activation_rules import Gate, Scene
 from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR
-from mjtactile.sim.effects.gates import Gate, Scene
 from mjtactile.sim.scenes.objects import ObjectModel, read_spec
-from mjtactile.sim.sensor import features
-from mjtactile.sim.sensor.switches import Effect
+from mjtactile.sim.sensor import feature_size
+from mjtactile.sim.sensor.effect_switches import Effect
 
 
 @dataclass(frozen=True)
@@ -163,29 +163,36 @@ EFFECTS: tuple[EffectEntry, ...] = (
         "physics",
         lambda s: (True, "without, a film lies on what touches, beside MuJoCo's model"),
     ),
-    EffectEntry(Effect.GAS, "physics", gates.gas),
+    EffectEntry(Effect.GAS, "physics", activation_rules.gas),
     EffectEntry(
-        Effect.LARGE_DEFLECTION, "the membrane's elements", gates.large_deflection, fixed=True
+        Effect.LARGE_DEFLECTION,
+        "the membrane's elements",
+        activation_rules.large_deflection,
+        fixed=True,
     ),
-    EffectEntry(Effect.BENDING, "physics", gates.bending),
-    EffectEntry(Effect.FRICTION, "physics", gates.friction),
-    EffectEntry(Effect.GRAVITY, "physics", gates.gravity),
-    EffectEntry(Effect.FOLLOWER_PRESSURE, "physics", gates.follower),
-    EffectEntry(Effect.HYPERELASTICITY, "membrane", gates.hyperelastic),
-    EffectEntry(Effect.HEAT_EXCHANGE, "chamber", gates.heat),
-    EffectEntry(Effect.VALVE_FLOW, "chamber", gates.valve),
-    EffectEntry(Effect.RELAXATION, "membrane", gates.relaxation),
-    EffectEntry(Effect.SERVO_DYNAMICS, "rig", gates.servo),
+    EffectEntry(Effect.BENDING, "physics", activation_rules.bending),
+    EffectEntry(Effect.FRICTION, "physics", activation_rules.friction),
+    EffectEntry(Effect.GRAVITY, "physics", activation_rules.gravity),
+    EffectEntry(Effect.FOLLOWER_PRESSURE, "physics", activation_rules.follower),
+    EffectEntry(Effect.HYPERELASTICITY, "membrane", activation_rules.hyperelastic),
+    EffectEntry(Effect.HEAT_EXCHANGE, "chamber", activation_rules.heat),
+    EffectEntry(Effect.VALVE_FLOW, "chamber", activation_rules.valve),
+    EffectEntry(Effect.RELAXATION, "membrane", activation_rules.relaxation),
+    EffectEntry(Effect.SERVO_DYNAMICS, "rig", activation_rules.servo),
     EffectEntry(
-        Effect.CAMERA_NOISE, "camera", lambda s: gates.has(s.design.camera.noise_dn, "noise")
+        Effect.CAMERA_NOISE,
+        "camera",
+        lambda s: activation_rules.has(s.design.camera.noise_dn, "noise"),
     ),
-    EffectEntry(Effect.BLUR, "camera", lambda s: gates.has(s.design.camera.blur_px, "blur")),
-    EffectEntry(Effect.MOTION_BLUR, "camera", gates.motion_blur),
-    EffectEntry(Effect.DISTORTION, "camera", gates.distortion),
-    EffectEntry(Effect.REFRACTION, "camera", gates.refraction),
-    EffectEntry(Effect.LED_SHADING, "camera", gates.led_shading),
-    EffectEntry(Effect.SHADOWS, "camera", gates.shadows),
-    EffectEntry(Effect.LATENCY, "camera", gates.latency),
+    EffectEntry(
+        Effect.BLUR, "camera", lambda s: activation_rules.has(s.design.camera.blur_px, "blur")
+    ),
+    EffectEntry(Effect.MOTION_BLUR, "camera", activation_rules.motion_blur),
+    EffectEntry(Effect.DISTORTION, "camera", activation_rules.distortion),
+    EffectEntry(Effect.REFRACTION, "camera", activation_rules.refraction),
+    EffectEntry(Effect.LED_SHADING, "camera", activation_rules.led_shading),
+    EffectEntry(Effect.SHADOWS, "camera", activation_rules.shadows),
+    EffectEntry(Effect.LATENCY, "camera", activation_rules.latency),
     EffectEntry(
         Effect.IMAGES,
         "camera",
@@ -199,13 +206,13 @@ EFFECTS: tuple[EffectEntry, ...] = (
     EffectEntry(
         Effect.PLASTICITY,
         "the object's own file (docs/reference/object_files.md)",
-        gates.material("amorphous"),
+        activation_rules.material("amorphous"),
         built=False,
     ),
     EffectEntry(
         Effect.VOLUMETRIC_SOFTNESS,
         "the object's own file (docs/reference/object_files.md)",
-        gates.material("soft"),
+        activation_rules.material("soft"),
         built=False,
     ),
 )
@@ -225,13 +232,17 @@ def _feature(grasped: ObjectModel | None) -> tuple[float, bool, tuple[float, flo
     if grasped is None:
         return math.inf, False, (math.inf, math.inf)
     model = read_spec(grasped).compile()
-    geoms = features.touching_geoms(model)
+    geoms = feature_size.touching_geoms(model)
     kinds = model.geom_type[geoms]
     sharp = np.isin(
         kinds,
         (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_MESH),
     ).any()
-    return features.smallest_feature(model)[0], bool(sharp), steepness.half_extents(model, geoms)
+    return (
+        feature_size.smallest_feature(model)[0],
+        bool(sharp),
+        membrane_slope.half_extents(model, geoms),
+    )
 
 
 def _number(value: float | None) -> float:

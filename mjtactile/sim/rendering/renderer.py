@@ -24,9 +24,9 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.optics import Camera
 from mjtactile.core.types import Array, Image
 from mjtactile.kernels import kernel
-from mjtactile.sim.picture.fixed import FixedCircles
-from mjtactile.sim.picture.light import Light
-from mjtactile.sim.picture.shadows import ShadowedLight
+from mjtactile.sim.rendering.fiducials import FixedCircles
+from mjtactile.sim.rendering.led_illumination import Light
+from mjtactile.sim.rendering.shadows import ShadowedLight
 
 # grey level of the frame's inner wall against the membrane's: matte, clearly neither of the two
 _WALL_SHARE = 0.45

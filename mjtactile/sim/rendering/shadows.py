@@ -25,7 +25,7 @@ from mjtactile.core.optics import Camera
 from mjtactile.core.sensor_parts import Frame
 from mjtactile.core.types import Array
 from mjtactile.kernels import kernel
-from mjtactile.sim.picture.light import BLOCK_PX, Floats, Light, block_slopes
+from mjtactile.sim.rendering.led_illumination import BLOCK_PX, Floats, Light, block_slopes
 
 LED_RADIUS = 1.5e-3
 """Radius, m, of an LED's luminous window: of the usual packages 3528 and 5050. It makes the

@@ -21,8 +21,8 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.optics import Camera
 from mjtactile.core.types import Array, Ellipses, Sighting
 from mjtactile.kernels import kernel
-from mjtactile.sim.picture.fixed import FixedCircles
-from mjtactile.sim.picture.light import Light
+from mjtactile.sim.rendering.fiducials import FixedCircles
+from mjtactile.sim.rendering.led_illumination import Light
 
 _POINTS = 12  # on a boundary: what lens and pane add has few harmonics; 1e-12 px
 _ROUNDING = 1 / 12  # px^2 of a pixel's square, DN^2 of a rounded grey level

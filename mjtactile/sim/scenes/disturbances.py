@@ -20,7 +20,7 @@ from mjtactile.core.types import Array
 from mjtactile.sim.scenes.objects import PREFIX, moving_bodies
 
 if TYPE_CHECKING:
-    from mjtactile.sim.scenes.hand_world import HandWorld
+    from mjtactile.sim.scenes.gripper_world import HandWorld
 
 _UP = 0.9
 """Of the height that the robot is told to lift to: then the hand is up, and time begins."""

@@ -12,13 +12,13 @@ from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.simulated import SimRigFile
-from mjtactile.sim.scenes.clearance import require_clear
-from mjtactile.sim.scenes.hand_world import DEFAULT_TIMESTEP, HandWorld
+from mjtactile.sim.scenes.gripper_world import DEFAULT_TIMESTEP, HandWorld
+from mjtactile.sim.scenes.initial_contact_check import require_clear
+from mjtactile.sim.scenes.initial_state import Start
 from mjtactile.sim.scenes.objects import PREFIX, ObjectModel, add_object, load_object
-from mjtactile.sim.scenes.start import Start
 from mjtactile.sim.scenes.strain import SoftSolid, soft_flex
-from mjtactile.sim.sensor.limits import Flags
-from mjtactile.sim.sensor.switches import PHYSICS
+from mjtactile.sim.sensor.effect_switches import PHYSICS
+from mjtactile.sim.sensor.validity_checks import Flags
 
 _STRAINED = 0.2
 """Compression from which rubber (neo-Hookean, incompressible) is stiffer than linear elements by 27

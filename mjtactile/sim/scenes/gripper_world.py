@@ -13,15 +13,15 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.rig.simulated import SimRigFile
 from mjtactile.sim.attach import attach_membrane, recommend_options
-from mjtactile.sim.film_stepper import FilmStepper, is_there
+from mjtactile.sim.batched_quasistatic_step import FilmStepper, is_there
 from mjtactile.sim.scenes.actuators import PositionActuator
+from mjtactile.sim.scenes.initial_state import Start, load_robot, place_jaws, plan_start
+from mjtactile.sim.scenes.inverse_kinematics import solve
 from mjtactile.sim.scenes.jaws import Jaws
 from mjtactile.sim.scenes.lifts import make_lift
-from mjtactile.sim.scenes.posture import solve
-from mjtactile.sim.scenes.start import Start, load_robot, place_jaws, plan_start
 from mjtactile.sim.scenes.world import World
-from mjtactile.sim.sensor.film_sensor import FilmSensor
-from mjtactile.sim.sensor.switches import PHYSICS, set_servo
+from mjtactile.sim.sensor.effect_switches import PHYSICS, set_servo
+from mjtactile.sim.sensor.quasistatic_sensor import FilmSensor
 
 DEFAULT_TIMESTEP = 4e-3
 

@@ -16,8 +16,8 @@ from mjtactile.sim.attach import attach_membrane, recommend_options
 from mjtactile.sim.scenes.meshes import SUFFIXES, add_solid, convex_parts, load_solid
 from mjtactile.sim.scenes.mjcf import read_mjcf
 from mjtactile.sim.scenes.world import World
+from mjtactile.sim.sensor.effect_switches import PHYSICS
 from mjtactile.sim.sensor.mesh import MarkerInterpolator
-from mjtactile.sim.sensor.switches import PHYSICS
 
 SHAPES = ("sphere:R_mm", "cylinder:R_mm", "box:A_mm", "FILE.stl", "FILE.obj", "FILE.xml")
 _LENGTH = 0.03  # m, of a cylinder along its axis

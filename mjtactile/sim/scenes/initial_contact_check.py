@@ -6,7 +6,7 @@ from __future__ import annotations
 from mjtactile.core.errors import InputError
 from mjtactile.sim.scenes.objects import PREFIX, ObjectModel
 from mjtactile.sim.scenes.world import World
-from mjtactile.sim.sensor.any import AnySensor
+from mjtactile.sim.sensor.sensor_types import AnySensor
 
 
 def touched_by_sensors(world: World) -> set[tuple[str, str, str]]:

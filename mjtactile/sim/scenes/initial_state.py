@@ -18,8 +18,8 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.rig.simulated import SimRigFile
 from mjtactile.sim.scenes.actuators import PositionActuator
+from mjtactile.sim.scenes.inverse_kinematics import Condition, actuator_at, hand_at, solve
 from mjtactile.sim.scenes.mjcf import read_mjcf
-from mjtactile.sim.scenes.posture import Condition, actuator_at, hand_at, solve
 
 _GOOD = 1e-4  # m and rad: a posture that is nearer is reached
 # m of height between an arm's postures, linear between: within 5 um on a path of 0.3 m radius

@@ -8,9 +8,9 @@ import math
 import mujoco
 import numpy as np
 
-from mjtactile.rig.jaws import LINEAR, JawLaw
+from mjtactile.rig.jaw_transmission import LINEAR, JawLaw
 from mjtactile.rig.simulated import SimRigFile
-from mjtactile.sim.film_stepper import Drive
+from mjtactile.sim.batched_quasistatic_step import Drive
 from mjtactile.sim.scenes.actuators import PositionActuator
 from mjtactile.sim.scenes.lifts import ActuatorLift, Lift, NoLift
 

@@ -11,7 +11,7 @@ import numpy as np
 from mjtactile.core.types import Array
 from mjtactile.rig.simulated import SimRigFile
 from mjtactile.sim.scenes.actuators import PositionActuator
-from mjtactile.sim.scenes.start import ArmPath, Start
+from mjtactile.sim.scenes.initial_state import ArmPath, Start
 
 
 class Lift(Protocol):

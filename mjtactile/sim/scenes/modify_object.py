@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjtactile.rig.variation import ObjectChange
+from mjtactile.rig.domain_randomization import ObjectChange
 
 
 def change(spec: mujoco.MjSpec, changes: ObjectChange) -> None:

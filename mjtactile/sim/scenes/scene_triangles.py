@@ -1,5 +1,5 @@
 """A scene as coloured triangles, for a picture of it where no OpenGL is:
-`mjtactile.report.scene_picture` projects and shades them."""
+`mjtactile.report.software_renderer` projects and shades them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
 from mjtactile.sim.scenes.world import World
-from mjtactile.sim.sensor.film_sensor import FilmSensor
+from mjtactile.sim.sensor.quasistatic_sensor import FilmSensor
 
 _SHOWN = 3  # MuJoCo's viewers hide the geoms of this group and above
 # edges around and along a round body

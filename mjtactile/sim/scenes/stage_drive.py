@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mjtactile.core.errors import InputError
-from mjtactile.recording.stage import Move
+from mjtactile.recording.stage_protocol import Move
 from mjtactile.sim.scenes.indentation import PressWorld
 
 LIFTED = -2e-3  # m below first touch: where nothing touches

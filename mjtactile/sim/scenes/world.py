@@ -11,11 +11,11 @@ import numpy as np
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.sim.attach import Attachment
-from mjtactile.sim.film_stepper import MOST, FilmStepper
-from mjtactile.sim.log import route_warnings
-from mjtactile.sim.sensor.any import AnySensor
-from mjtactile.sim.sensor.limits import Flags
-from mjtactile.sim.stepper import Stepper
+from mjtactile.sim.batched_quasistatic_step import MOST, FilmStepper
+from mjtactile.sim.checked_stepper import Stepper
+from mjtactile.sim.mujoco_log import route_warnings
+from mjtactile.sim.sensor.sensor_types import AnySensor
+from mjtactile.sim.sensor.validity_checks import Flags
 
 
 class World:

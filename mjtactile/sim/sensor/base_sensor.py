@@ -11,11 +11,11 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
+from mjtactile.sim.sensor.effect_switches import make_gas
 from mjtactile.sim.sensor.gas import ChamberGas
 from mjtactile.sim.sensor.membrane import BODY
 from mjtactile.sim.sensor.mesh import MarkerInterpolator, MembraneMesh
-from mjtactile.sim.sensor.stretches import stretches_of
-from mjtactile.sim.sensor.switches import make_gas
+from mjtactile.sim.sensor.triangle_stretch import stretches_of
 
 
 class SheetSensor(ABC):

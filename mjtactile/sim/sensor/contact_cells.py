@@ -12,8 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
-from mjtactile.sim.sensor import features, shapes
-from mjtactile.sim.sensor.spread import WIDEST, depth_beyond_mesh, depth_of_neighbours, profile
+from mjtactile.sim.sensor import feature_size, ray_intersection
+from mjtactile.sim.sensor.subgrid_indentation import (
+    WIDEST,
+    depth_beyond_mesh,
+    depth_of_neighbours,
+    profile,
+)
 
 REACH = 0.6
 """Half width of the cell in which a vertex looks for contact, in cells: a little more than a
@@ -53,7 +58,7 @@ class Cells(NamedTuple):
     def of(self, rows: NDArray[np.int64]) -> Cells:
         return Cells(self.places[rows], self.axes, self.sizes[rows])
 
-    def gaps(self, entry: shapes.Entry, shifts: Array) -> Array:
+    def gaps(self, entry: ray_intersection.Entry, shifts: Array) -> Array:
         """Distances (k, s), in cells, outward to the shape at `shifts` (k, s, 2) in cells from the
         vertices."""
         points = (
@@ -73,7 +78,7 @@ def axes_of(normal: Array) -> Array:
     return np.stack([first, np.cross(normal, first), normal])
 
 
-def hints_of(cells: Cells, entry: shapes.Entry, core: Array) -> tuple[Array, Array]:
+def hints_of(cells: Cells, entry: ray_intersection.Entry, core: Array) -> tuple[Array, Array]:
     """Shifts (k, 2), in cells, to where something thin, with the points `core` (m, 3) m inside,
     reaches farthest into each cell; gaps (k,) there, `_MISSED` where it does not."""
     outward = cells.axes[2]
@@ -88,7 +93,11 @@ def hints_of(cells: Cells, entry: shapes.Entry, core: Array) -> tuple[Array, Arr
 
 
 def deepest(
-    cells: Cells, entry: shapes.Entry, reach: Array, foot: Array, hints: tuple[Array, Array] | None
+    cells: Cells,
+    entry: ray_intersection.Entry,
+    reach: Array,
+    foot: Array,
+    hints: tuple[Array, Array] | None,
 ) -> tuple[NDArray[np.int64], Array, Array]:
     """Rows of those cells that a shape juts into; shifts (k, 2), in cells, to where it reaches
     farthest in; gaps (k,) there.
@@ -135,7 +144,7 @@ def deepest(
 
 def stand_back(
     cells: Cells,
-    entry: shapes.Entry,
+    entry: ray_intersection.Entry,
     at: Array,
     loads: Array,
     flat: Array,
@@ -177,7 +186,9 @@ def lie(cells: Cells, core: Array, at: Array) -> Array:
     return np.arctan2(2 * xy, xx - yy) / 2
 
 
-def _juts(cells: Cells, entry: shapes.Entry, at: Array, wider: float) -> NDArray[np.bool_]:
+def _juts(
+    cells: Cells, entry: ray_intersection.Entry, at: Array, wider: float
+) -> NDArray[np.bool_]:
     """Whether the shape falls away on both sides of `at` (k, 2), along each of the two axes (k, 2),
     `wider` times as far from it as usual:
     not at the edge of a face, where a sphere would now and then be on one side, now on the other,
@@ -198,7 +209,7 @@ def _uneven(gaps: Array) -> NDArray[np.int64]:
         ],
         axis=1,
     ).reshape(-1, 6)
-    smooth = (np.abs(bends) < 1 / features.RESOLVED).all(axis=1)
+    smooth = (np.abs(bends) < 1 / feature_size.RESOLVED).all(axis=1)
     return np.flatnonzero(~smooth & (gaps.min(axis=1) < REACHED))
 
 

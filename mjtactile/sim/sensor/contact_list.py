@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-# as in kernels/membrane.c
+# as in kernels/membrane_flex.c
 _FIELDS = ("dist", "includemargin", "frame", "friction", "dim", "geom", "flex", "efc_address")
 _layout = np.zeros(1 + len(_FIELDS), np.int64)
 

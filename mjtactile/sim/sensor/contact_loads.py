@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from mjtactile.core import geometry
 from mjtactile.core.types import Array
-from mjtactile.sim.sensor.any import AnySensor
-from mjtactile.sim.sensor.film_sensor import FilmSensor
+from mjtactile.sim.sensor.quasistatic_sensor import FilmSensor
+from mjtactile.sim.sensor.sensor_types import AnySensor
 
 
 def on_membrane(

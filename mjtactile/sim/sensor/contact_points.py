@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
-from mjtactile.sim.sensor import features, shapes
-from mjtactile.sim.sensor.cells import (
+from mjtactile.sim.sensor import feature_size, ray_intersection
+from mjtactile.sim.sensor.contact_cells import (
     FOOT,
     REACH,
     REACHED,
@@ -38,8 +38,8 @@ from mjtactile.sim.sensor.cells import (
     stand_back,
 )
 from mjtactile.sim.sensor.mesh import MembraneMesh, normals_of
-from mjtactile.sim.sensor.sharp import KINDS, sharp_geoms
-from mjtactile.sim.sensor.spread import depth_under_end
+from mjtactile.sim.sensor.sharp_geoms import KINDS, sharp_geoms
+from mjtactile.sim.sensor.subgrid_indentation import depth_under_end
 
 EVERY = 0.01
 SETTLE = 0.02
@@ -262,7 +262,7 @@ class ContactPoints:
         return [
             geom
             for geom in found
-            if features.box_distances(self._model, data, geom, p_W[None])[0] <= reach
+            if feature_size.box_distances(self._model, data, geom, p_W[None])[0] <= reach
         ]
 
     def _close_to(self, geom: int, vertices: Array) -> NDArray[np.int64]:
@@ -280,7 +280,7 @@ class ContactPoints:
         reach = np.abs(cells.places[:, 2]) + 2 * cells.sizes
         return np.flatnonzero(reach > self._model.geom_size[geom, 1])
 
-    def _hints(self, geom: int, entry: shapes.Entry, cells: Cells) -> tuple[Array, Array]:
+    def _hints(self, geom: int, entry: ray_intersection.Entry, cells: Cells) -> tuple[Array, Array]:
         """Shifts and gaps to where a thin geom reaches farthest in; `update` looks at every step
         before it is met."""
         hints = hints_of(cells, entry, self._cores[geom])
@@ -291,13 +291,13 @@ class ContactPoints:
 
     def _foot(self, geom: int) -> Array:
         """What of a sphere must stand on a thin geom, in cells."""
-        thin = features.feature_radius(self._model, geom) / self._sizes[0]
+        thin = feature_size.feature_radius(self._model, geom) / self._sizes[0]
         return min(1.0, _HALF * thin / np.abs(FOOT).max()) * FOOT
 
     def _stand_back(
         self,
         geom: int,
-        entry: shapes.Entry,
+        entry: ray_intersection.Entry,
         cells: Cells,
         at: Array,
         loads: Array,
@@ -340,13 +340,13 @@ class ContactPoints:
     def _width(self, geom: int) -> float:
         """Half width, m, of the flat edge of a blade; 0 of what is round."""
         if int(self._model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_BOX):
-            return features.feature_radius(self._model, geom)
+            return feature_size.feature_radius(self._model, geom)
         return 0.0
 
     def _end(self, geom: int, outward: Array) -> float:
         """Radius, m, of the flat end with which a pin presses along the unit vector `outward` of
         its frame; 0 of what presses otherwise."""
-        on_end = abs(float(outward[2])) > features.END
+        on_end = abs(float(outward[2])) > feature_size.END
         if on_end and int(self._model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_CYLINDER):
             return float(self._model.geom_size[geom, 0])
         return 0.0
@@ -355,7 +355,7 @@ class ContactPoints:
         """Whether the box around a geom, which fills little of its ball, is two cells away."""
         data = self._data
         p_WV = data.xpos[self._body] + vertices @ data.xmat[self._body].reshape(3, 3).T
-        away = features.box_distances(self._model, data, geom, p_WV)
+        away = feature_size.box_distances(self._model, data, geom, p_WV)
         return bool(away.min() > 2 * self._sizes[0])
 
     def _in_sensor(self, p_W: Array) -> Array:

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
 from mjtactile.kernels import bound, kernel
-from mjtactile.sim.sensor.contacts import listed
-from mjtactile.sim.sensor.features import END, RESOLVED
+from mjtactile.sim.sensor.contact_list import listed
+from mjtactile.sim.sensor.feature_size import END, RESOLVED
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
 SHARE = 0.25  # of the facets' mean sagitta

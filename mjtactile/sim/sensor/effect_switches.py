@@ -18,7 +18,7 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
-from mjtactile.core.rubber import Law
+from mjtactile.core.neo_hookean import Law
 from mjtactile.core.sensor_parts import Chamber
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor.chamber import ChamberGeometry, GasTendon

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.sim.sensor import features
+from mjtactile.sim.sensor import feature_size
 
 _MOST_POINTS = 300  # of a mesh
 
@@ -63,5 +63,5 @@ def _mesh(model: mujoco.MjModel, geom: int) -> Array:
     points = np.concatenate([corners, between.reshape(-1, 3)])
     points = points[:: max(1, len(points) // _MOST_POINTS)]
     away = np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1e-9)
-    thin = features.feature_radius(model, geom)
+    thin = feature_size.feature_radius(model, geom)
     return points * np.maximum(1 - thin / away, 0.0)

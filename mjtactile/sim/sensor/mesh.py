@@ -14,8 +14,8 @@ from mjtactile.core.bspline import interpolating
 from mjtactile.core.errors import InputError
 from mjtactile.core.outline import Outline
 from mjtactile.core.types import Array
-from mjtactile.film import Film
-from mjtactile.film.places import carried
+from mjtactile.quasistatic import Film
+from mjtactile.quasistatic.interpolation import carried
 
 GRADING = 0.0
 """How much closer the vertices stand in the middle than on average; 0 is a uniform mesh. 0.25

@@ -7,25 +7,25 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mjtactile.core import theory
+from mjtactile.core import analytical_solutions
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
-from mjtactile.core.rubber import Law, principal_stresses
+from mjtactile.core.neo_hookean import Law, principal_stresses
 from mjtactile.core.types import Array
-from mjtactile.sim.sensor import limits
-from mjtactile.sim.sensor.approach import Approach, refuse_thin
-from mjtactile.sim.sensor.facets import StandOff
+from mjtactile.sim.sensor import validity_checks
+from mjtactile.sim.sensor.base_sensor import SheetSensor, require
+from mjtactile.sim.sensor.contact_points import ContactPoints
+from mjtactile.sim.sensor.curvature_standoff import StandOff
+from mjtactile.sim.sensor.effect_switches import PHYSICS, make_geometry, make_load
 from mjtactile.sim.sensor.membrane import FLEX, ContactStiffness, pre_stretch, touch_with
 from mjtactile.sim.sensor.mesh import MembraneMesh
-from mjtactile.sim.sensor.points import ContactPoints
-from mjtactile.sim.sensor.relaxing import RelaxingMesh
-from mjtactile.sim.sensor.rubber import Rubber, all_rows
-from mjtactile.sim.sensor.sharp import missed
-from mjtactile.sim.sensor.sheet_sensor import SheetSensor, require
+from mjtactile.sim.sensor.neo_hookean_flex import Rubber, all_rows
+from mjtactile.sim.sensor.sharp_geoms import missed
 from mjtactile.sim.sensor.sleep import Sleeper
+from mjtactile.sim.sensor.spin_damping_correction import Turning
 from mjtactile.sim.sensor.stiction import Stiction
-from mjtactile.sim.sensor.switches import PHYSICS, make_geometry, make_load
-from mjtactile.sim.sensor.turning import Turning
+from mjtactile.sim.sensor.stress_relaxation import RelaxingMesh
+from mjtactile.sim.sensor.thin_object_margin import Approach, refuse_thin
 
 GLASS_MARGIN = 0.02
 """Share of the chamber's depth in front of the glass that the membrane may not enter."""
@@ -280,9 +280,9 @@ class TactileSensor(SheetSensor):
             self._relaxing.settle(self.p_SV)
         self._follow()
 
-    def flags(self) -> limits.Flags:
+    def flags(self) -> validity_checks.Flags:
         """What makes the present numbers less good than they look; empty when nothing does."""
-        return limits.sheet_flags(self.design, self.pressure_gauge, *self.stretches())
+        return validity_checks.sheet_flags(self.design, self.pressure_gauge, *self.stretches())
 
     def failure(self) -> str | None:
         """Say why this sensor's state is outside what the model describes, or None."""
@@ -302,7 +302,7 @@ class TactileSensor(SheetSensor):
         if most > reach:
             pressure = self.pressure_gauge
             bursts = self.design.membrane.law is Law.NEO_HOOKEAN and np.isnan(
-                theory.bulge_height(self.design, pressure)
+                analytical_solutions.bulge_height(self.design, pressure)
             )
             return (
                 f"sensor {self.prefix!r}: the membrane has moved "

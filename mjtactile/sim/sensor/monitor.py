@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from mjtactile.core import geometry
 from mjtactile.core.types import Array
-from mjtactile.sim.sensor import features, limits, loads
-from mjtactile.sim.sensor.any import AnySensor
-from mjtactile.sim.sensor.film_sensor import FilmSensor
-from mjtactile.sim.sensor.limits import Flags
-from mjtactile.sim.sensor.passed import CorePoints
+from mjtactile.sim.sensor import contact_loads, feature_size, validity_checks
+from mjtactile.sim.sensor.quasistatic_sensor import FilmSensor
+from mjtactile.sim.sensor.sensor_types import AnySensor
+from mjtactile.sim.sensor.tunneling_check import CorePoints
+from mjtactile.sim.sensor.validity_checks import Flags
 
 PENETRATION = 0.05  # share of the indentation
 _SUNK = 0.5  # share of the indentation at which a force means nothing
@@ -38,14 +38,14 @@ class SceneMonitor:
         self._model = model
         self._data = data
         self._sensors = sensors
-        felt = [features.touching_geoms(model, sensor.body_id) for sensor in sensors]
+        felt = [feature_size.touching_geoms(model, sensor.body_id) for sensor in sensors]
         self._geoms = np.unique(np.concatenate([np.empty(0, int), *felt]))
         self._felt = [np.isin(self._geoms, own) for own in felt]
         """Which of `_geoms` each sensor can feel."""
-        self._sizes = np.array([features.feature_radius(model, int(g)) for g in self._geoms])
+        self._sizes = np.array([feature_size.feature_radius(model, int(g)) for g in self._geoms])
         self._seen = [self._geoms[own] for own in self._felt]
         self._thin = [
-            self._geoms[own & (self._sizes < features.RESOLVED * sensor.mesh.spacing)]
+            self._geoms[own & (self._sizes < feature_size.RESOLVED * sensor.mesh.spacing)]
             for own, sensor in zip(self._felt, sensors, strict=True)
         ]
         self._any_thin = any(map(len, self._thin))
@@ -60,7 +60,7 @@ class SceneMonitor:
         self._index = np.full(model.ngeom + 1, -1)  # of geom ids, and of -1
         self._index[self._geoms] = np.arange(len(self._geoms))
         self._faces, self._sides = (
-            np.array([features.edge_half_width(model, int(g), axial) for g in self._geoms])
+            np.array([feature_size.edge_half_width(model, int(g), axial) for g in self._geoms])
             for axial in (1.0, 0.0)
         )
         self._has_edges = np.isfinite(np.minimum(self._faces, self._sides)).tolist()
@@ -92,7 +92,7 @@ class SceneMonitor:
         """Flags of the scene as it was built."""
         flags: Flags = {}
         for sensor in self._sensors:
-            flags |= limits.design_flags(sensor.design, sensor.mesh.nx, sensor.mesh.ny)
+            flags |= validity_checks.design_flags(sensor.design, sensor.mesh.nx, sensor.mesh.ny)
             if isinstance(sensor, FilmSensor) or sensor.contact != "vertices":
                 continue
             radius, name = sensor.missed
@@ -121,7 +121,7 @@ class SceneMonitor:
                 continue
             if self._looks % _RARELY == 0:
                 flags |= sensor.flags()
-            rows = loads.on_membrane(self._data, sensor)[0]
+            rows = contact_loads.on_membrane(self._data, sensor)[0]
             rows = rows[self._data.contact.exclude[rows] == 0]  # 1: near, but not touching
             flags |= self._frame(number)
             flags |= self._shapes(sensor, rows) if len(rows) else {}
@@ -150,7 +150,7 @@ class SceneMonitor:
         if not touching:
             return flags
         smallest = min(touching, key=lambda k: self._sizes[k])
-        feature = features.resolution_flag(
+        feature = feature_size.resolution_flag(
             self._model,
             int(self._geoms[smallest]),
             float(self._sizes[smallest]),
@@ -160,13 +160,13 @@ class SceneMonitor:
         if feature:
             flags["feature"] = feature
         if any(self._has_edges[k] for k in touching):
-            edge = features.edge_flag(
+            edge = feature_size.edge_flag(
                 self._nearest_edge(rows[others >= 0], others[others >= 0]), sensor.mesh
             )
             flags |= {"edge": edge} if edge else {}
         for k in touching:
             if k not in self._hulls:
-                self._hulls[k] = features.hull_flag(self._model, int(self._geoms[k]))
+                self._hulls[k] = feature_size.hull_flag(self._model, int(self._geoms[k]))
             if hull := self._hulls[k]:
                 flags["hull"] = hull
         return flags
@@ -176,7 +176,9 @@ class SceneMonitor:
         geoms `others` in `_geoms`."""
         axes = self._data.geom_xmat[self._geoms[others]].reshape(-1, 3, 3)[:, :, 2]
         axial = np.abs(np.einsum("ki,ki->k", self._data.contact.frame[rows, :3], axes))
-        return float(np.where(axial > features.END, self._faces[others], self._sides[others]).min())
+        return float(
+            np.where(axial > feature_size.END, self._faces[others], self._sides[others]).min()
+        )
 
     def _penetration(self, number: int, rows: NDArray[np.int64]) -> float:
         """Penetration as a share of the indentation, if it lasts for some looks: an impact sinks in
@@ -197,7 +199,7 @@ class SceneMonitor:
     def _frame(self, number: int) -> Flags:
         """Say when the frame of a sensor carries force for some looks, which its camera cannot
         see."""
-        load = loads.frame_load(self._data, self._sensors[number])
+        load = contact_loads.frame_load(self._data, self._sensors[number])
         self._framed[number].append(load)
         lasting = min(self._framed[number])
         if lasting < _FRAMED or lasting <= self._most_framed:
@@ -268,7 +270,7 @@ class SceneMonitor:
         return None
 
     def _went_through(self, sensor: AnySensor, geom: int) -> str:
-        name = features.name_of(self._model, geom)
+        name = feature_size.name_of(self._model, geom)
         return (
             f"sensor {sensor.prefix!r}: {name!r} went through the membrane; use a smaller "
             "timestep or finer mesh"

@@ -11,7 +11,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from mjtactile.core.rubber import shear_modulus
+from mjtactile.core.neo_hookean import shear_modulus
 from mjtactile.core.sensor_parts import Membrane
 from mjtactile.core.types import Array
 from mjtactile.kernels import bound
@@ -103,7 +103,7 @@ class Rubber:
         every step.
 
         Of each triangle: secant moduli mu', lambda', times what turns them into MuJoCo's matrix
-        (mjtactile/kernels/membrane.c).
+        (mjtactile/kernels/membrane_flex.c).
         """
         self._p_SV[:] = p_SV
         self._write()

@@ -8,8 +8,8 @@ from functools import lru_cache
 import mujoco
 
 from mjtactile.core.design import SensorDesign
-from mjtactile.film import Film
-from mjtactile.film.live import LiveFilm, Sticking, empty_rows
+from mjtactile.quasistatic import Film
+from mjtactile.quasistatic.incremental import LiveFilm, Sticking, empty_rows
 
 FILM_GRID = (21, 16)
 FEELER = "feeler"

@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 
 from mjtactile.core.types import Array
-from mjtactile.film import FilmStatus
-from mjtactile.film.live import HEAT_RATIO, LiveFilm
-from mjtactile.sim.sensor.film_memory import FilmMemory
+from mjtactile.quasistatic import FilmStatus
+from mjtactile.quasistatic.incremental import HEAT_RATIO, LiveFilm
 from mjtactile.sim.sensor.gas import ChamberGas
+from mjtactile.sim.sensor.quasistatic_state import FilmMemory
 
 _FLAT = 1.0  # Pa, below which the sheet lies flat
 _SEALED = 1  # place of it in a film's settings

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.errors import InputError
-from mjtactile.film import bodies
-from mjtactile.film.bodies import Obstacle, obstacle
-from mjtactile.film.live import empty_rows
-from mjtactile.sim.sensor import features
+from mjtactile.quasistatic import obstacles
+from mjtactile.quasistatic.incremental import empty_rows
+from mjtactile.quasistatic.obstacles import Obstacle, obstacle
+from mjtactile.sim.sensor import feature_size
 
 _G = mujoco.mjtGeom
 _KINDS = {
@@ -40,10 +40,12 @@ class FeltGeoms:
 
         Raises InputError for what a film cannot feel: soft bodies, height fields.
         """
-        felt = np.intersect1d(features.touching_geoms(model, body), features.touching_geoms(model))
+        felt = np.intersect1d(
+            feature_size.touching_geoms(model, body), feature_size.touching_geoms(model)
+        )
         self.ids: NDArray[np.int64] = felt.astype(np.int64)
         made = [_body_of(model, int(geom)) for geom in self.ids]
-        filled, self.pool = bodies.pooled(made, (0, 0)) if made else (empty_rows(0), None)
+        filled, self.pool = obstacles.pooled(made, (0, 0)) if made else (empty_rows(0), None)
         self.rows = np.ascontiguousarray(filled)
         self.bodies: NDArray[np.int64] = model.geom_bodyid[self.ids].astype(np.int64)
         near = (reach + model.geom_rbound[self.ids]) ** 2

@@ -1,7 +1,7 @@
 """`FilmSensor`: one attached sensor whose sheet is a film and no part of MuJoCo's model. It serves
 as `TactileSensor` does: call `update` before every `mj_step`; read markers and pressure.
 
-The film lies on the bodies where they are (`mjtactile.film`), sticks to them and slides by
+The film lies on the bodies where they are (`mjtactile.quasistatic`), sticks to them and slides by
 Coulomb's law, and pushes them and its own frame with what it bears. It has no mass and no damping:
 it is always at rest. Gas and valve are the full sensor's.
 """
@@ -17,19 +17,19 @@ from numpy.typing import NDArray
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
-from mjtactile.film import FilmStatus
-from mjtactile.film.live import LiveFilm
 from mjtactile.kernels import bound, words
-from mjtactile.sim.sensor import limits
-from mjtactile.sim.sensor.film_gas import FilmGas
-from mjtactile.sim.sensor.film_memory import FilmMemory
-from mjtactile.sim.sensor.films import FEELER, bulge_stiffness, film_of, sticking_of
+from mjtactile.quasistatic import FilmStatus
+from mjtactile.quasistatic.incremental import LiveFilm
+from mjtactile.sim.sensor import validity_checks
+from mjtactile.sim.sensor.base_sensor import SheetSensor
+from mjtactile.sim.sensor.effect_switches import Effect
 from mjtactile.sim.sensor.gas import ChamberGas
-from mjtactile.sim.sensor.geoms import FeltGeoms
 from mjtactile.sim.sensor.mesh import MembraneMesh, onto_mesh
-from mjtactile.sim.sensor.pushes import HOLD, pushes_of
-from mjtactile.sim.sensor.sheet_sensor import SheetSensor
-from mjtactile.sim.sensor.switches import Effect
+from mjtactile.sim.sensor.quasistatic_cache import FEELER, bulge_stiffness, film_of, sticking_of
+from mjtactile.sim.sensor.quasistatic_forces import HOLD, pushes_of
+from mjtactile.sim.sensor.quasistatic_gas import FilmGas
+from mjtactile.sim.sensor.quasistatic_geoms import FeltGeoms
+from mjtactile.sim.sensor.quasistatic_state import FilmMemory
 
 _PATIENCE = 25  # steps without a solution in a row
 _LATE = 2  # such steps that are not worth a word
@@ -67,7 +67,7 @@ class FilmSensor(SheetSensor):
         self._geoms = FeltGeoms(model, self.body_id, reach)
         self._live = LiveFilm(film, self._geoms.rows, self._geoms.pool, design.membrane.thickness)
         self._sticking = sticking_of(film)
-        self._given = np.array(  # as `Given` of kernels/film_hold.h has it
+        self._given = np.array(  # as `Given` of kernels/qs_friction.h has it
             [
                 design.membrane.friction if Effect.FRICTION in effects else 0.0,
                 bulge_stiffness(film),
@@ -343,21 +343,23 @@ class FilmSensor(SheetSensor):
 
     # -- its limits
 
-    def flags(self) -> limits.Flags:
+    def flags(self) -> validity_checks.Flags:
         """What makes the present numbers less good than they look."""
-        flags: limits.Flags = {}
+        flags: validity_checks.Flags = {}
         lost = self._memory.lost
         if lost > _LATE:
             flags["film"] = f"the film found no rest for {lost} steps: {self._reason()}"
         if self._memory.near:
             narrow = self._live.doubt() if self.is_touched else 0.0
-            flags |= limits.film_flags(self._live.below_rim(), narrow)
+            flags |= validity_checks.film_flags(self._live.below_rim(), narrow)
         if self._memory.near > 1:
             flags["bodies"] = (
                 "several bodies are near one film, which takes all that touches it for one of "
                 "them; leave the sheet on"
             )
-        return flags | limits.sheet_flags(self.design, self.pressure_gauge, *self.stretches())
+        return flags | validity_checks.sheet_flags(
+            self.design, self.pressure_gauge, *self.stretches()
+        )
 
     def failure(self) -> str | None:
         """Say why this sensor's state is outside what the film describes, or None."""

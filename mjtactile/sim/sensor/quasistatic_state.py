@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.film import FilmStatus
+from mjtactile.quasistatic import FilmStatus
 
-# places, as kernels/film_hold.h has them
+# places, as kernels/qs_friction.h has them
 _COUNT = 69
 _BODY = 0
 _WRENCH = slice(1, 7)

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.sim.sensor import cores, features, shapes
+from mjtactile.sim.sensor import feature_size, interior_points, ray_intersection
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
 KINDS = tuple(
@@ -35,7 +35,7 @@ class SharpGeoms(NamedTuple):
             a geom may lie between all places where a cell looks.
     """
 
-    shapes: dict[int, shapes.Entry]
+    shapes: dict[int, ray_intersection.Entry]
     round: set[int]
     cores: dict[int, Array]
 
@@ -44,9 +44,14 @@ def missed(model: mujoco.MjModel, carrier: int, mesh: MembraneMesh) -> tuple[flo
     """Radius, m, and name of the thinnest thing that could slip between vertices, since its shape
     is not known here (a mesh of too many faces); infinite when there is none."""
     found = []
-    for geom in map(int, features.touching_geoms(model, carrier)):
-        if _is_thin(model, geom, mesh) and shapes.entry_of(model, geom, _MOST_FACES) is None:
-            found.append((features.feature_radius(model, geom), features.name_of(model, geom)))
+    for geom in map(int, feature_size.touching_geoms(model, carrier)):
+        if (
+            _is_thin(model, geom, mesh)
+            and ray_intersection.entry_of(model, geom, _MOST_FACES) is None
+        ):
+            found.append(
+                (feature_size.feature_radius(model, geom), feature_size.name_of(model, geom))
+            )
     return min(found, default=(np.inf, ""))
 
 
@@ -54,28 +59,28 @@ def sharp_geoms(model: mujoco.MjModel, carrier: int, mesh: MembraneMesh, cell: f
     """What may touch the sensor on the body `carrier` and is small or sharp beside its mesh, whose
     vertices stand for cells of `cell` m."""
     found = SharpGeoms({}, set(), {})
-    for geom in map(int, features.touching_geoms(model, carrier)):
+    for geom in map(int, feature_size.touching_geoms(model, carrier)):
         if not _is_sharp(model, geom, mesh):
             continue
         is_thin = _is_thin(model, geom, mesh)
-        entry = shapes.entry_of(model, geom, _MOST_FACES if is_thin else None)
+        entry = ray_intersection.entry_of(model, geom, _MOST_FACES if is_thin else None)
         if entry is None:
             continue
         found.shapes[geom] = entry
         if is_thin:
-            found.cores[geom] = cores.core(model, geom, _APART * cell)
+            found.cores[geom] = interior_points.core(model, geom, _APART * cell)
         is_cylinder = int(model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_CYLINDER)
-        if is_cylinder and model.geom_size[geom, 0] >= features.RESOLVED * mesh.spacing:
+        if is_cylinder and model.geom_size[geom, 0] >= feature_size.RESOLVED * mesh.spacing:
             found.round.add(geom)
     return found
 
 
 def _is_thin(model: mujoco.MjModel, geom: int, mesh: MembraneMesh) -> bool:
     """Whether it fits between vertices."""
-    return features.feature_radius(model, geom) < features.SLIPS * mesh.spacing
+    return feature_size.feature_radius(model, geom) < feature_size.SLIPS * mesh.spacing
 
 
 def _is_sharp(model: mujoco.MjModel, geom: int, mesh: MembraneMesh) -> bool:
     """Whether it has edges, or is small."""
-    is_small = features.feature_radius(model, geom) < features.RESOLVED * mesh.spacing
+    is_small = feature_size.feature_radius(model, geom) < feature_size.RESOLVED * mesh.spacing
     return is_small or int(model.geom_type[geom]) in KINDS

@@ -9,7 +9,7 @@ sphere (MuJoCo's conveyor belt), the one that drives the friction which was ther
 inside its cone, which the solver sees to, and acts on both bodies, whatever they are. This is the
 method of multipliers (docs/theory/equations.md, C3; decision 10).
 
-The arithmetic is in mjtactile/kernels/membrane.c.
+The arithmetic is in mjtactile/kernels/membrane_flex.c.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
 from mjtactile.kernels import bound
-from mjtactile.sim.sensor.contacts import listed
+from mjtactile.sim.sensor.contact_list import listed
 
 # Shares of a step's error that are mended in the next step. Half as much is half as fast; twice as
 # much rings.

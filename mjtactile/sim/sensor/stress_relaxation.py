@@ -18,8 +18,8 @@ import math
 
 import numpy as np
 
+from mjtactile.core.neo_hookean import shear_modulus
 from mjtactile.core.relaxation import Relaxation
-from mjtactile.core.rubber import shear_modulus
 from mjtactile.core.sensor_parts import Membrane
 from mjtactile.core.types import Array
 from mjtactile.kernels import bound

@@ -14,7 +14,7 @@ import numpy as np
 from mjtactile.core import geometry
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
-from mjtactile.sim.sensor import features
+from mjtactile.sim.sensor import feature_size
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
 _STEPS = 1.5  # of its way
@@ -43,8 +43,8 @@ class Approach:
         self._flex = flex_id
         self._thin = [
             int(geom)
-            for geom in features.touching_geoms(model, body_id)
-            if features.feature_radius(model, int(geom)) < features.RESOLVED * mesh.spacing
+            for geom in feature_size.touching_geoms(model, body_id)
+            if feature_size.feature_radius(model, int(geom)) < feature_size.RESOLVED * mesh.spacing
         ]
         self._step = float(model.opt.timestep)
         self._margin = 0.0
@@ -74,7 +74,7 @@ class Approach:
         if np.linalg.norm(p_SV - middle, axis=1).min() > reach:
             return 0.0
         p_WV = p_WS + p_SV @ R_WS.T
-        away = features.box_distances(self._model, data, geom, p_WV)
+        away = feature_size.box_distances(self._model, data, geom, p_WV)
         nearest = int(away.argmin())
         if away[nearest] > _NEAR:
             return 0.0
@@ -94,12 +94,12 @@ class Approach:
 def refuse_thin(model: mujoco.MjModel, carrier: int, mesh: MembraneMesh) -> None:
     """Raise InputError for a thin box or capsule that the triangles on body `carrier` would miss:
     MuJoCo's routines for these look at corners, ends and the triangle's vertices."""
-    for geom in features.touching_geoms(model, carrier):
+    for geom in feature_size.touching_geoms(model, carrier):
         if int(model.geom_type[geom]) not in _PRIMITIVES:
             continue
-        if features.feature_radius(model, int(geom)) < features.SLIPS * mesh.spacing:
+        if feature_size.feature_radius(model, int(geom)) < feature_size.SLIPS * mesh.spacing:
             raise InputError(
-                f"triangles would miss {features.name_of(model, int(geom))!r}, a thin box or "
+                f"triangles would miss {feature_size.name_of(model, int(geom))!r}, a thin box or "
                 "capsule: contact 'auto' feels it, or give it as a mesh or cylinder",
                 source="attach",
                 field="contact",

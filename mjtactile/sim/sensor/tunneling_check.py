@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
-from mjtactile.sim.sensor.cores import core
+from mjtactile.sim.sensor.interior_points import core
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
 _SLACK = 0.3e-3  # m: triangles may stand in a thin thing by so much while they find their place

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from mjtactile.core import theory
+from mjtactile.core import analytical_solutions
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
-from mjtactile.core.rubber import Law, principal_stresses
+from mjtactile.core.neo_hookean import Law, principal_stresses
 from mjtactile.core.types import Array
 
 Flags = dict[str, str]
@@ -99,7 +99,11 @@ def sheet_flags(
     sheet = design.membrane
     ninth = (9 * len(stretches)) // 10  # a few triangles at an edge do not make the bulge
     largest = float(np.partition(stretches[:, 1], ninth)[ninth])
-    error = theory.stvk_height_error(design, pressure_gauge) if sheet.law is Law.STVK else 0.0
+    error = (
+        analytical_solutions.stvk_height_error(design, pressure_gauge)
+        if sheet.law is Law.STVK
+        else 0.0
+    )
     if error > STVK_ERROR:
         flags["stretch"] = (
             f"the sheet is St. Venant-Kirchhoff's: rubber bulges higher by {error:.0%} at "

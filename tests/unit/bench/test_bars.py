@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.bars.run import run, scene_rows
-from benchmarks.bars.scenes import FINE, FINE_FROM, KINDS, SENSORS, draw_scene
-from benchmarks.bars.tables import summary, table
-from benchmarks.bars.watch import watch
+from benchmarks.uncertainty.evaluate_scene import watch
+from benchmarks.uncertainty.run import run, scene_rows
+from benchmarks.uncertainty.scenes import FINE, FINE_FROM, KINDS, SENSORS, draw_scene
+from benchmarks.uncertainty.tables import summary, table
 from mjtactile.sim.scenes.indentation import Indenter
 
 SD = np.array([1e-3, 2e-3, 8e-3, 1e-5, 2e-5, 3e-5])
@@ -154,8 +154,8 @@ def test_pieces_are_kept(tmp_path, monkeypatch):
 
         map = staticmethod(map)
 
-    monkeypatch.setattr("benchmarks.bars.run.ProcessPoolExecutor", Inline)
-    monkeypatch.setattr("benchmarks.bars.run.scene_rows", rows)
+    monkeypatch.setattr("benchmarks.uncertainty.run.ProcessPoolExecutor", Inline)
+    monkeypatch.setattr("benchmarks.uncertainty.run.scene_rows", rows)
     first = run(tmp_path, quick=True)
     (tmp_path / "scenes" / f"{calls[0]}.json").unlink()
     assert run(tmp_path, quick=True, resume=True)["groups"].keys() == first["groups"].keys()
@@ -168,6 +168,6 @@ def test_a_scene_that_cannot_be_simulated_is_said(monkeypatch):
     def broken(_):
         raise SimulationError("the state\n is not finite", step=1, time=0.1)
 
-    monkeypatch.setattr("benchmarks.bars.run.watch", broken)
+    monkeypatch.setattr("benchmarks.uncertainty.run.watch", broken)
     found = scene_rows(5)
     assert found["rows"] == [] and "not finite" in found["error"] and summary([found])["failed"]

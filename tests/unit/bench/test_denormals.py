@@ -7,8 +7,8 @@ import numpy as np
 
 from benchmarks.speed import denormals
 from mjtactile.core.design import load_sensor
-from mjtactile.sensing.chain import Chain
-from mjtactile.sim.picture.renderer import Renderer, _brush
+from mjtactile.sensing.pipeline import Chain
+from mjtactile.sim.rendering.renderer import Renderer, _brush
 
 
 @dataclass

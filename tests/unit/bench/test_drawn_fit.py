@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.learning import drawn
+from benchmarks.learning import fit_error_model
 
 
 def test_one_grasp_that_errs_by_ten_times_is_not_what_all_are_drawn_with():
@@ -21,9 +21,9 @@ def test_one_grasp_that_errs_by_ten_times_is_not_what_all_are_drawn_with():
         "seed": np.repeat(np.arange(20), images),
         "finger": np.zeros(20 * images, int),
     }
-    near = drawn._shares(np.full(20 * images, 0.5))
-    mean, sd, factor, spread = drawn._by_grasps(error, near, rows)
-    at = int(np.flatnonzero(drawn.LOADS == 0.5)[0])
+    near = fit_error_model._shares(np.full(20 * images, 0.5))
+    mean, sd, factor, spread = fit_error_model._by_grasps(error, near, rows)
+    at = int(np.flatnonzero(fit_error_model.LOADS == 0.5)[0])
     assert 5e-3 < sd[at, 2] < 8.5e-3 < np.sqrt((error[:, 2] ** 2).mean())
     assert not mean[:, :2].any()
     assert spread[at] == pytest.approx(np.std(np.log(factors)), rel=0.1)
@@ -65,8 +65,8 @@ def test_what_is_new_what_lasts_and_what_a_grasp_errs_by_are_told_apart():
     for name in ("area", "depth"):
         rows |= {name: np.full(count, 1e-3), f"felt_{name}": np.full(count, 1e-3)}
     rows |= {"centroid": np.zeros((count, 2)), "felt_centroid": np.zeros((count, 2))}
-    found = drawn.fit(rows)
-    at = int(np.flatnonzero(drawn.LOADS == 0.5)[0])
+    found = fit_error_model.fit(rows)
+    at = int(np.flatnonzero(fit_error_model.LOADS == 0.5)[0])
     # what lasts is new by 8 mN * sqrt(1 - kept^2) = 2.8 mN an image, a fifth of it in this measure
     assert found.fresh[at, 2] == pytest.approx(2.2e-3, rel=0.2)
     assert found.sd[at, 2] == pytest.approx(8.2e-3, rel=0.1)

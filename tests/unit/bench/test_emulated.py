@@ -1,6 +1,6 @@
 """The emulated grasps' table says what the rows say."""
 
-from benchmarks.rig.held import table
+from benchmarks.rig.emulated_grasps import table
 
 
 def row(name, outcome, hold=0.4):

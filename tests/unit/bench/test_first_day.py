@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.first_day import day as first_day
+from benchmarks.commissioning import commissioning_steps as first_day
 
 
 def test_grasps_that_were_made_are_not_made_again(tmp_path, monkeypatch):

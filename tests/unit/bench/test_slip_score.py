@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.scenes.slip_cases import BODIES, FRICTION, HOLDS, SLIPS, draw_case
 from benchmarks.slip.score import Frame, outcome
-from benchmarks.worlds.slip_cases import BODIES, FRICTION, HOLDS, SLIPS, draw_case
 
 RATE = 30.0
 

@@ -5,10 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.slip import tested
-from benchmarks.tasks.levels import agreement
-from benchmarks.tasks.picture import draw
+from benchmarks.slip import active_slip_test
+from benchmarks.tasks.figure import draw
 from benchmarks.tasks.run import TASKS, run, suite_of, table, together, weighed
+from benchmarks.tasks.simulation_levels import agreement
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Slip, Touch, Traction
 from mjtactile.evaluate.statistics import summarise
@@ -112,6 +112,6 @@ def test_a_sign_of_slip_counts_unless_the_shear_stays(follows, counts):
             slip = Slip("slipping", np.zeros(2), 0.0, 0.0)
             touch = Touch(0.0, 0.01, force, 0.003, True, traction=traction, slip=slip)
             looks.append(SimpleNamespace(time=time, touch=touch))
-        states = tested.states(looks)
+        states = active_slip_test.states(looks)
         assert states[5] == "slipping"  # nothing is known of the test yet: the sign alone
         assert (states[-1] == "slipping") == counts

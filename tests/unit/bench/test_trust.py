@@ -4,10 +4,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from benchmarks.trust.kinds import ALWAYS, REFERENCES, RUN, TABLES, kinds
-from benchmarks.trust.numbers import numbers
-from benchmarks.trust.replay import Felt
-from benchmarks.trust.run import _sums, table
+from benchmarks.camera_faults.error_statistics import numbers
+from benchmarks.camera_faults.fault_kinds import ALWAYS, REFERENCES, RUN, TABLES, kinds
+from benchmarks.camera_faults.replay import Felt
+from benchmarks.camera_faults.run import _sums, table
 from mjtactile.core.status import OK, Status, StatusCode
 from mjtactile.core.types import Touch
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-from benchmarks.truth import run
-from benchmarks.truth.cases import MOTIONS, load_case, load_cases
-from benchmarks.truth.measure import measure
+from benchmarks.reference_cases import run
+from benchmarks.reference_cases.cases import MOTIONS, load_case, load_cases
+from benchmarks.reference_cases.measure import measure
 from mjtactile.core.errors import InputError
 
 BULGE = """about = "a bulge"

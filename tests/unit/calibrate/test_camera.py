@@ -10,11 +10,11 @@ import pytest
 import yaml
 
 from mjtactile.calibrate.camera import Board, BoardFinder, calibrate_camera
-from mjtactile.calibrate.live import collect_views
+from mjtactile.calibrate.interactive import collect_views
 from mjtactile.cli import main
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.core.optics import Camera
-from mjtactile.emulator.stream import StreamServer
+from mjtactile.emulator.mjpeg_server import StreamServer
 from mjtactile.rig.file import load_rig_file
 
 SIZE = (640, 480)
@@ -189,7 +189,7 @@ def test_live_through_a_stream(photos, tmp_path, capsys):
         cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(photos.glob("*.png"))
     ]
     server = StreamServer(("left",))
-    stop = pace.Event()
+    stop = scaled_clock.Event()
 
     def play():
         count = 0
@@ -210,7 +210,7 @@ def test_live_through_a_stream(photos, tmp_path, capsys):
     rig = tmp_path / "rig.toml"
     rig.write_text("\n".join(lines))
     try:
-        begin = pace.monotonic()
+        begin = scaled_clock.monotonic()
         code = main(
             [
                 "calibrate",
@@ -226,7 +226,9 @@ def test_live_through_a_stream(photos, tmp_path, capsys):
                 "--json",
             ]
         )
-        assert pace.monotonic() - begin < 30 + 15  # never more than was allowed, and connecting
+        assert (
+            scaled_clock.monotonic() - begin < 30 + 15
+        )  # never more than was allowed, and connecting
     finally:
         stop.set()
         thread.join()

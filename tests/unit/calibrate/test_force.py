@@ -10,7 +10,7 @@ from mjtactile.calibrate.force import GRAVITY
 from mjtactile.cli import main
 from mjtactile.core.calibration import load_calibration
 from mjtactile.core.design import load_sensor
-from mjtactile.sim.picture.renderer import Renderer
+from mjtactile.sim.rendering.renderer import Renderer
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 DESIGN = load_sensor("dense")

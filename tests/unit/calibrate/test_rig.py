@@ -15,15 +15,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mjtactile.calibrate import live
+from mjtactile.calibrate import interactive
 from mjtactile.calibrate.gripper import calibrate_force, calibrate_opening, servo_lines
 from mjtactile.calibrate.valve import calibrate_valve
 from mjtactile.cli import main
 from mjtactile.commands.calibrate.terminal import ask
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.core.calibration import load_calibration
 from mjtactile.core.errors import DeviceError, InputError
-from mjtactile.devices.dynamixel.jaws import JawGeometry
+from mjtactile.devices.dynamixel.jaw_kinematics import JawGeometry
 from mjtactile.devices.valve.driver import connect_valves
 from mjtactile.rig.file import load_rig_file
 from tests.emulated import ANGLE, GRIPPER, servo_bench, valve_bench, valve_configs
@@ -150,7 +150,7 @@ class Mechanism:
         self.share = torque_share
         self.motor = self.jaw = RADIUS * ANGLE  # m, of each jaw
         self.force = 0.0
-        self._stop = pace.Event()
+        self._stop = scaled_clock.Event()
         self._thread = threading.Thread(target=self._run)
 
     def __enter__(self):
@@ -199,7 +199,7 @@ def hurry(monkeypatch):
         ("_STALL_TIME", 0.12),
         ("_VALVE_STAGES", (0.35, 0.7, 0.3)),
     ):
-        monkeypatch.setattr(live, name, value)
+        monkeypatch.setattr(interactive, name, value)
 
 
 @pytest.mark.clock(7)
@@ -210,7 +210,7 @@ def test_backlash_and_zero_of_jaws_on_a_bus(hurry):
         contextlib.closing(bench.gripper()) as gripper,
     ):
         fit = calibrate_opening(
-            *live.measure_openings(
+            *interactive.measure_openings(
                 gripper, [0.055, 0.08], lambda _: 1e3 * (jaws.opening + 5e-4), 2.0, lambda _: None
             )
         )
@@ -229,7 +229,7 @@ def test_current_to_force_of_jaws_on_a_bus(hurry):
         contextlib.closing(bench.gripper()) as gripper,
     ):
         fit = calibrate_force(
-            *live.measure_forces(
+            *interactive.measure_forces(
                 gripper, [1.0, 2.0, 3.0, 4.0], lambda _: jaws.force, lambda _: None
             )
         )
@@ -245,7 +245,7 @@ def test_jaws_that_meet_nothing_are_no_calibration(hurry):
         contextlib.closing(bench.gripper()) as gripper,
         pytest.raises(DeviceError, match="met nothing"),
     ):
-        live.measure_forces(gripper, [1.0], lambda _: 0.0, lambda _: None)
+        interactive.measure_forces(gripper, [1.0], lambda _: 0.0, lambda _: None)
 
 
 # -- valve
@@ -309,13 +309,13 @@ def test_recorded_step_through_the_command(tmp_path, capsys):
 def test_a_valve_on_a_pty(hurry):
     with valve_bench() as (port, _, _, chambers):
         boards, valves = connect_valves(valve_configs(port.path))
-        begin = pace.monotonic()
+        begin = scaled_clock.monotonic()
         chambers.leak = 0.1  # Pa every 5 ms
         try:
-            fit = live.calibrate_live_valve(valves[0], 1000.0, 2.0, lambda _: None)
+            fit = interactive.calibrate_live_valve(valves[0], 1000.0, 2.0, lambda _: None)
         finally:
             boards[0].close()
-        passed = pace.monotonic() - begin
+        passed = scaled_clock.monotonic() - begin
     assert fit.offset == pytest.approx(0, abs=5)  # 5 Pa of noise, some 20 samples
     # The board's lag of 50 ms gives 0.11 s; its clock stands still while a busy computer does not
     # let it tick.
@@ -330,7 +330,7 @@ def test_a_board_without_a_sensor_cannot_be_calibrated(hurry):
         boards, valves = connect_valves(valve_configs(port.path))
         try:
             with pytest.raises(InputError, match="no pressure sensor"):
-                live.step_valve(valves[0], 1000.0, 1.0, lambda _: None)
+                interactive.step_valve(valves[0], 1000.0, 1.0, lambda _: None)
         finally:
             boards[0].close()
 

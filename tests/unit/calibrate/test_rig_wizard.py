@@ -6,15 +6,15 @@ import re
 import numpy as np
 import pytest
 
-from mjtactile.calibrate.setup import _bus, _Offered, _write, edited, flip_of, setup
+from mjtactile.calibrate.rig_wizard import _bus, _Offered, _write, edited, flip_of, setup
 from mjtactile.commands.emulate import client_text
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
-from mjtactile.devices.listing import SerialPort
+from mjtactile.devices.discovery import SerialPort
 from mjtactile.devices.valve.driver import connect_valves
 from mjtactile.emulator.process import EmulatorProcess
 from mjtactile.rig.file import load_rig_file
-from mjtactile.sim.picture.renderer import Renderer
+from mjtactile.sim.rendering.renderer import Renderer
 
 
 @pytest.fixture
@@ -29,7 +29,7 @@ def emulator():
 def test_a_new_rig_from_nothing_but_ports_and_streams(tmp_path, emulator, monkeypatch):
     # sooner, on a busy computer
     for name, value in (("BAUDS", (1_000_000,)), ("IDS", range(1, 4)), ("_REPLY_TIME", 0.3)):
-        monkeypatch.setattr(f"mjtactile.devices.listing.{name}", value)
+        monkeypatch.setattr(f"mjtactile.devices.discovery.{name}", value)
     ends = emulator.endpoints
     nowhere = {
         "servo": "/dev/none",
@@ -109,7 +109,7 @@ def test_a_servo_of_another_model_brings_its_own_torque_and_gain(tmp_path, monke
     """1.78 N m/A of an XM430 in the lines of an XL330, which has 0.354, made forces five times too
     large."""
     found = SerialPort("/dev/tty9", "/dev/tty9", "", "", 57600, {1: "XL330-M288", 2: "XM430-W350"})
-    monkeypatch.setattr("mjtactile.calibrate.setup.serial_ports", lambda *_, **__: [found])
+    monkeypatch.setattr("mjtactile.calibrate.rig_wizard.serial_ports", lambda *_, **__: [found])
     path = tmp_path / "mine.toml"
     path.write_text(load_rig_file("two_xm430").path.read_text())
     said = []

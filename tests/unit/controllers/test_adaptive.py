@@ -18,7 +18,7 @@ from mjtactile.core.types import (
     Touch,
     Traction,
 )
-from mjtactile.run.controller import load_controller
+from mjtactile.runtime.controller import load_controller
 
 PERIOD = 1 / 30
 GRID = np.linspace(-0.01, 0.01, 3)

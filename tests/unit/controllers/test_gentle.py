@@ -16,8 +16,8 @@ from mjtactile.core.types import (
     Traction,
     ValveState,
 )
-from mjtactile.rig.limits import Limits
-from mjtactile.run.controller import load_controller
+from mjtactile.rig.command_limits import Limits
+from mjtactile.runtime.controller import load_controller
 
 PERIOD = 1 / 30
 step = load_controller("gentle").step

@@ -8,7 +8,7 @@ import pytest
 
 from mjtactile.core import resources
 from mjtactile.core.policy import policy_command, policy_vector
-from mjtactile.run.controller import load_controller
+from mjtactile.runtime.controller import load_controller
 from tests.unit.core.test_policy import seen
 
 

@@ -3,7 +3,7 @@
 import pytest
 
 from mjtactile.core.types import Command, GripperState, Observation, Touch
-from mjtactile.run.controller import load_controller
+from mjtactile.runtime.controller import load_controller
 
 PERIOD = 1 / 30
 probe = load_controller("probe")

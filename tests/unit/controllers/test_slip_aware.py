@@ -16,7 +16,7 @@ from mjtactile.core.types import (
     Touch,
     ValveState,
 )
-from mjtactile.run.controller import load_controller
+from mjtactile.runtime.controller import load_controller
 
 PERIOD = 1 / 30
 controller = load_controller("slip_aware")

@@ -6,9 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from mjtactile.core.entries import NumberArray, Pairs, Span, Texts
-from mjtactile.core.errors import InputError
-from mjtactile.core.fields import (
+from mjtactile.core.config_fields import (
     DEGREE,
     MM,
     entry,
@@ -24,6 +22,8 @@ from mjtactile.core.fields import (
     whole,
     write,
 )
+from mjtactile.core.errors import InputError
+from mjtactile.core.field_types import NumberArray, Pairs, Span, Texts
 from mjtactile.core.toml import Section
 
 

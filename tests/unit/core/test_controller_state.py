@@ -7,7 +7,7 @@ from enum import Enum, IntEnum, StrEnum
 import numpy as np
 import pytest
 
-from mjtactile.core.notebook import DEEPEST, MOST, plain
+from mjtactile.core.controller_state import DEEPEST, MOST, plain
 
 
 class Number(IntEnum):

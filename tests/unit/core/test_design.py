@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import pytest
 
-from mjtactile.core import fields, resources
+from mjtactile.core import config_fields, resources
 from mjtactile.core.design import SensorDesign, load_sensor, sensor_from_table
 from mjtactile.core.errors import InputError
-from mjtactile.core.rubber import Law
+from mjtactile.core.neo_hookean import Law
 from mjtactile.core.sensor_parts import Frame
 
 DENSE = resources.find("dense", "models/sensors", ".toml")
@@ -100,7 +100,7 @@ def test_a_wrong_field_is_named(changes, words):
 
 def test_every_field_is_checked():
     """No number of the file can be NaN or text without being named."""
-    labels = [label for label, *_ in fields.scalars(SensorDesign)]
+    labels = [label for label, *_ in config_fields.scalars(SensorDesign)]
     assert len(labels) == 49
     circles = {"surface": "rim", "radius_mm": 1.0, "places_mm": [[21.5, 3.0 * k] for k in range(4)]}
     for label in (*labels, "camera.distortion"):
@@ -117,10 +117,10 @@ def test_every_field_is_checked():
 @pytest.mark.parametrize("name", resources.names("models/sensors", ".toml"))
 def test_what_is_written_is_read_again(name):
     design = load_sensor(name)
-    table = fields.write(design)
+    table = config_fields.write(design)
     assert sensor_from_table(table, name="other", source="other.toml") == design
     round_one = replace(design, frame=Frame(0.07, 0.07, shape="circle"), fiducials=None)
-    table = fields.write(round_one)
+    table = config_fields.write(round_one)
     assert table["frame"] == {"diameter_mm": 70.0, "rim_mm": 3.0, "shape": "circle"}
     assert sensor_from_table(table, name="other", source="other.toml") == round_one
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from mjtactile.core.levels import LEFT_OUT, left_out_of, level_texts
+from mjtactile.core.fidelity_levels import LEFT_OUT, left_out_of, level_texts
 
 
 @pytest.mark.parametrize(

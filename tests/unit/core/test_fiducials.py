@@ -8,10 +8,10 @@ import pytest
 
 from mjtactile.core import resources
 from mjtactile.core.calibration_parts import fingerprint
+from mjtactile.core.config_fields import from_table, write
 from mjtactile.core.design import load_sensor, sensor_from_table
 from mjtactile.core.errors import InputError
 from mjtactile.core.fiducials import Fiducials
-from mjtactile.core.fields import from_table, write
 
 PANE = {
     "surface": "pane",

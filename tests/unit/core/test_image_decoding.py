@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from mjtactile.core.images import decode
+from mjtactile.core.image_decoding import decode
 
 
 def png(pixels):

@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from mjtactile.core import process, system
-from mjtactile.emulator.shared import SharedState
+from mjtactile.core import platform_support, process
+from mjtactile.emulator.shared_memory import SharedState
 
 WINDOWS = """if True:
     import signal, sys
@@ -24,25 +24,25 @@ def without(name, monkeypatch):
 
 def test_processors_that_this_process_may_use():
     allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    assert system.processors() == allowed
+    assert platform_support.processors() == allowed
 
 
 @pytest.mark.parametrize(("there", "told"), [(6, 6), (None, 1)])
 def test_processors_where_nobody_tells_which_are_allowed(monkeypatch, there, told):
     without("sched_getaffinity", monkeypatch)
     monkeypatch.setattr(os, "cpu_count", lambda: there)
-    assert system.processors() == told
+    assert platform_support.processors() == told
 
 
 @pytest.mark.parametrize("has_it", [True, False])
 def test_memory_is_shared_through_a_descriptor(monkeypatch, has_it):
     if not has_it:
         without("memfd_create", monkeypatch)
-    descriptor = system.memory_file("test")
+    descriptor = platform_support.memory_file("test")
     ours = SharedState(descriptor, ["opening"])
     ours["opening"] = 0.08
     code = f"""if True:
-        from mjtactile.emulator.shared import SharedState
+        from mjtactile.emulator.shared_memory import SharedState
         state = SharedState({descriptor}, ["opening"])
         print(state["opening"])
         state["opening"] = 0.02
@@ -58,7 +58,7 @@ def test_memory_is_shared_through_a_descriptor(monkeypatch, has_it):
 
 def test_the_end_of_a_process_can_be_waited_for_or_there_is_nothing_to_wait_for(monkeypatch):
     child = subprocess.Popen(["sleep", "300"])
-    end = system.watch_process(child.pid)
+    end = platform_support.watch_process(child.pid)
     if end is not None:
         assert not select.select([end], [], [], 0)[0]
     child.kill()
@@ -66,9 +66,11 @@ def test_the_end_of_a_process_can_be_waited_for_or_there_is_nothing_to_wait_for(
     if end is not None:
         assert select.select([end], [], [], 10)[0]
         os.close(end)
-    assert system.watch_process(child.pid) is None  # ended: there is no such process any more
+    assert (
+        platform_support.watch_process(child.pid) is None
+    )  # ended: there is no such process any more
     without("pidfd_open", monkeypatch)
-    assert system.watch_process(os.getpid()) is None
+    assert platform_support.watch_process(os.getpid()) is None
 
 
 def test_a_child_ends_with_its_parent_where_nobody_tells_of_its_end():

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mjtactile.core import theory
+from mjtactile.core import analytical_solutions
 from mjtactile.core.design import load_sensor
-from mjtactile.core.ritz import inflated_height
-from mjtactile.core.rubber import Law
-from mjtactile.sensing.force.sheet import Gas, Sheet
+from mjtactile.core.neo_hookean import Law
+from mjtactile.core.ritz_bulge import inflated_height
+from mjtactile.sensing.force.spline_fem import Gas, Sheet
 
 DENSE = load_sensor("dense")
 ROUND = load_sensor("round30")
@@ -34,7 +34,7 @@ def by_splines(design, pressure, spans):
 def test_a_flat_circle_is_henckys():
     membrane = replace(ROUND.membrane, law=Law.STVK, pre_stretch=1.0)
     pressure = 1e-3 * 300 / 15e-3  # p a / E h = 1e-3: the closed form is that of small slopes
-    expected = theory.hencky_height(15e-3, 300.0, membrane.poisson, pressure)
+    expected = analytical_solutions.hencky_height(15e-3, 300.0, membrane.poisson, pressure)
     found = inflated_height(replace(ROUND, membrane=membrane), pressure)
     assert found == pytest.approx(expected, rel=1e-3)
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.devices.rig import build_device_rig
@@ -23,18 +23,20 @@ def five():
 
 
 @pytest.mark.parametrize(
-    "wait", [pace.sleep, lambda seconds: pace.Event().wait(seconds)], ids=["sleep", "Event"]
+    "wait",
+    [scaled_clock.sleep, lambda seconds: scaled_clock.Event().wait(seconds)],
+    ids=["sleep", "Event"],
 )
 def test_a_fifth_of_the_speed(five, wait):
     wall = time.monotonic()
-    slow = pace.monotonic()
+    slow = scaled_clock.monotonic()
     wait(0.02)
     wall = time.monotonic() - wall
-    slow = pace.monotonic() - slow
+    slow = scaled_clock.monotonic() - slow
     assert wall > 0.0999  # s; a clock's resolution below 5 x 0.02
     # s: what lies between the two readings of the clocks on a busy computer
     assert slow == pytest.approx(wall / 5, abs=2e-3)
-    assert pace.wall(0.02) == pytest.approx(0.1)
+    assert scaled_clock.wall(0.02) == pytest.approx(0.1)
 
 
 def test_processes_that_are_started_inherit_it(five):

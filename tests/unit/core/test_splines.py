@@ -9,7 +9,7 @@ from scipy.interpolate import (
     make_interp_spline,
 )
 
-from mjtactile.core import theory
+from mjtactile.core import analytical_solutions
 from mjtactile.core.bspline import Cubic, interpolating
 
 RNG = np.random.default_rng(0)
@@ -45,18 +45,20 @@ def test_monotone_interpolation():
         x = np.cumsum(RNG.uniform(0.1, 1, 6))
         y = RNG.normal(size=6).round(int(RNG.integers(0, 3)))
         at = float(RNG.uniform(x[0], x[-1]))
-        assert theory._between(x, y, at) == pytest.approx(
+        assert analytical_solutions._between(x, y, at) == pytest.approx(
             float(PchipInterpolator(x, y)(at)), abs=1e-13
         )
 
 
 def test_coefficients_of_a_rectangle():
-    for aspect in (*RNG.uniform(1, 4, 20), *theory._ASPECT):
-        for poisson in (*RNG.uniform(0.3, 0.5, 3), *theory._POISSON):
-            method = "pchip" if aspect not in theory._ASPECT else "linear"
+    for aspect in (*RNG.uniform(1, 4, 20), *analytical_solutions._ASPECT):
+        for poisson in (*RNG.uniform(0.3, 0.5, 3), *analytical_solutions._POISSON):
+            method = "pchip" if aspect not in analytical_solutions._ASPECT else "linear"
             c2 = RegularGridInterpolator(
-                (theory._ASPECT, theory._POISSON), theory._C2, method=method
+                (analytical_solutions._ASPECT, analytical_solutions._POISSON),
+                analytical_solutions._C2,
+                method=method,
             )((aspect, poisson))
-            c1 = PchipInterpolator(theory._ASPECT, theory._C1)(aspect)
-            found = theory.rectangle_coefficients(float(aspect), float(poisson))
+            c1 = PchipInterpolator(analytical_solutions._ASPECT, analytical_solutions._C1)(aspect)
+            found = analytical_solutions.rectangle_coefficients(float(aspect), float(poisson))
             assert found == pytest.approx((float(c1), float(c2)), rel=1e-13)

@@ -7,8 +7,8 @@ from dataclasses import fields, replace
 import pytest
 
 from mjtactile.core import resources
+from mjtactile.core.config_fields import entries
 from mjtactile.core.errors import InputError
-from mjtactile.core.fields import entries
 from mjtactile.core.task import Counts, Happening, Orders, Task, TaskObject, load_task
 from mjtactile.core.types import Told
 

@@ -9,10 +9,10 @@ import pytest
 
 from mjtactile import InputError, load_sensor
 from mjtactile.cli import main
-from mjtactile.study import files, given, sweep
-from mjtactile.study.reach import Reacher, ball, place_sd
-from mjtactile.study.score import Score
-from mjtactile.study.stand import Stand
+from mjtactile.design_study import design_sweep, predict_file, sensor_file_edit
+from mjtactile.design_study.resolution import Reacher, ball, place_sd
+from mjtactile.design_study.score import Score
+from mjtactile.design_study.virtual_bench import Stand
 
 MIDDLE = np.zeros(2)
 PLACES = ((1e-3, 0.7e-3), (-3.1e-3, 2.2e-3), (4.3e-3, -1.4e-3))
@@ -40,7 +40,7 @@ def test_a_marker_is_known_as_a_circle_of_its_pixels_is(paper16):
     # the twelfth of a grey level of rounding is beside it: 1 % at 1 DN
     noisy = sd(with_camera(noise_dn=4.0)) / own
     np.testing.assert_allclose(noisy, 2.0, rtol=0.02)
-    longer = sd(files.scaled_lens(design, 1.3)) / own
+    longer = sd(sensor_file_edit.scaled_lens(design, 1.3)) / own
     # the chain's tilt comes in a little, and more blur for its radius
     np.testing.assert_allclose(longer, 1.3**-1.5, rtol=0.06)
 
@@ -63,8 +63,8 @@ def test_noise_of_the_force_bounds_the_scatter_of_drawn_images(paper16):
 
 def test_twice_the_markers_tell_an_edge_by_the_root_of_two_better():
     # each marker's height tells of the edge on its own; alike in size, so that each is as well seen
-    few = files.with_markers(load_sensor("dense"), 7, 9, (32e-3, 24e-3), 0.2)
-    many = files.with_markers(load_sensor("dense"), 10, 13, (32e-3, 24e-3), 0.2)
+    few = sensor_file_edit.with_markers(load_sensor("dense"), 7, 9, (32e-3, 24e-3), 0.2)
+    many = sensor_file_edit.with_markers(load_sensor("dense"), 10, 13, (32e-3, 24e-3), 0.2)
     radius = 0.6e-3
     sds = []
     for design in (few, many):
@@ -94,7 +94,7 @@ def test_place_of_a_force():
 def test_a_written_file_is_the_sensor(tmp_path, name):
     design = load_sensor(name)
     path = tmp_path / f"{name}.toml"
-    path.write_text(files.sensor_text(design, "two\nlines"))
+    path.write_text(sensor_file_edit.sensor_text(design, "two\nlines"))
     assert load_sensor(path) == design
 
 
@@ -106,26 +106,26 @@ def test_front():
 
     def tried(force, edge, side, missed):
         score = Score(0.02, 0.01, force, 0.0, 0.0, edge, 0.0, 1.0)
-        made = files.with_markers(design, side, side, (30e-3, 20e-3), 0.2)
-        return sweep.Tried(made, score, missed)
+        made = sensor_file_edit.with_markers(design, side, side, (30e-3, 20e-3), 0.2)
+        return design_sweep.Tried(made, score, missed)
 
     all_of_them = [tried(*row, words) for row, words in zip(rows, missed, strict=True)]
-    marked = sweep.with_front(all_of_them)
+    marked = design_sweep.with_front(all_of_them)
     assert [one.on_front for one in marked] == [True, True, False, False, True]
-    best = sweep.best(marked, 2)
+    best = design_sweep.best(marked, 2)
     assert [one.score.force_sd for one in best] == [1.0, 4.0]
 
 
 def test_what_is_missed():
     reached = Score(0.02, 0.01, 0.01, 0.003, 1e-4, 1e-4, math.nan, 3.0)
-    assert sweep.Wish(touch=0.01, most=3.0, edge=1e-4).missed(reached) == []
-    assert sweep.Wish(touch=0.009, most=4.0).missed(reached) == ["touch", "range"]
-    assert sweep.Wish(radius=5e-3).missed(reached) == ["radius"]  # not told at all
+    assert design_sweep.Wish(touch=0.01, most=3.0, edge=1e-4).missed(reached) == []
+    assert design_sweep.Wish(touch=0.009, most=4.0).missed(reached) == ["touch", "range"]
+    assert design_sweep.Wish(radius=5e-3).missed(reached) == ["radius"]  # not told at all
 
 
 def test_markers_out_of_the_picture_are_refused():
     with pytest.raises(InputError, match=r"circles lie whole in the picture"):
-        Stand(files.scaled_lens(load_sensor("dense"), 1.9))
+        Stand(sensor_file_edit.scaled_lens(load_sensor("dense"), 1.9))
 
 
 @pytest.mark.parametrize(
@@ -158,9 +158,9 @@ def test_a_wish_becomes_sensor_files(tmp_path, capsys):
 @pytest.mark.slow(10)
 def test_a_file_has_a_map_and_a_page(tmp_path, capsys, monkeypatch):
     # nine places, and one of the changes that are all scored alike
-    monkeypatch.setattr(given, "_SPACING", 20e-3)
-    variants = given.variants
-    monkeypatch.setattr(given, "variants", lambda *words: list(variants(*words))[:1])
+    monkeypatch.setattr(predict_file, "_SPACING", 20e-3)
+    variants = predict_file.variants
+    monkeypatch.setattr(predict_file, "variants", lambda *words: list(variants(*words))[:1])
     assert main(["design", "--sensor", "paper16", "--json", "--out", str(tmp_path / "out")]) == 0
     result = json.loads(capsys.readouterr().out)
     assert {"design.json", "design.html"} <= {path.name for path in (tmp_path / "out").iterdir()}

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.core.errors import DeviceError
 from mjtactile.devices.camera.opencv import OpenCvCamera
 from mjtactile.devices.rig import FrameClock
-from mjtactile.emulator.stream import StreamServer
+from mjtactile.emulator.mjpeg_server import StreamServer
 from mjtactile.rig.file import CameraConfig
 from tests.emulated import wait_for
 
@@ -53,8 +53,8 @@ class V4l2:
         self.mode = "live"
         self.released = False
         self.pixels = self.picture()
-        self.time = pace.monotonic()
-        self.gate = pace.Event()
+        self.time = scaled_clock.monotonic()
+        self.gate = scaled_clock.Event()
 
     def picture(self):
         return self.rng.integers(0, 255, (48, 64, 3), dtype=np.uint8)
@@ -81,7 +81,7 @@ class V4l2:
         return True
 
     def read(self):
-        pace.sleep(0.01)
+        scaled_clock.sleep(0.01)
         if self.mode in ("gone", "absent"):
             return False, None
         if self.mode == "stopped":
@@ -89,7 +89,7 @@ class V4l2:
             return False, None
         if self.mode == "live":
             self.pixels = self.picture()
-        self.time = pace.monotonic() - 0.004
+        self.time = scaled_clock.monotonic() - 0.004
         self.number += 1
         return True, self.pixels
 
@@ -144,7 +144,7 @@ def test_what_did_not_take_is_refused(prop, largest, name):
 
 def test_time_is_the_kernels(camera):
     image = camera.read()
-    assert 0.004 <= pace.monotonic() - image.time < 5.0  # captured 4 ms before it arrived
+    assert 0.004 <= scaled_clock.monotonic() - image.time < 5.0  # captured 4 ms before it arrived
 
 
 def test_a_kernel_clock_that_is_not_the_monotonic_one_is_refused():
@@ -187,7 +187,7 @@ def test_a_frozen_camera_is_an_error(camera, device):
 
 def test_a_camera_that_stops_is_stale(camera, device):
     device.mode = "stopped"
-    pace.sleep(0.1)  # ten periods
+    scaled_clock.sleep(0.1)  # ten periods
     with pytest.raises(DeviceError, match="stale"):
         camera.read()
 
@@ -236,7 +236,7 @@ def test_another_size_than_asked_for_is_an_error():
 def test_a_stream_over_http_is_read(fourcc):
     """The path of the emulated rig: MJPEG on loopback, decoded here or by FFmpeg."""
     server = StreamServer(("left",))
-    stop = pace.Event()
+    stop = scaled_clock.Event()
     rng = np.random.default_rng(0)
     base = cv2.GaussianBlur(rng.integers(60, 200, (48, 64)).astype(np.float32), (0, 0), 3)
 

@@ -11,7 +11,7 @@ import threading
 
 import pytest
 
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.core.types import Command
 from tests.emulated import ANGLE, servo_bench, wait_for
 
@@ -34,7 +34,7 @@ class Jaws:
         self.bench = bench
         self.touch = touch / 2
         self.silence = 0.0
-        self._stop = pace.Event()
+        self._stop = scaled_clock.Event()
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
 
@@ -57,15 +57,15 @@ class Jaws:
 
         def rests():
             before = self.opening
-            pace.sleep(0.1)
+            scaled_clock.sleep(0.1)
             return self.opening == before
 
         assert wait_for(rests)
 
     def _run(self):
-        last = pace.monotonic()
+        last = scaled_clock.monotonic()
         while not self._stop.wait(0.004):
-            now = pace.monotonic()
+            now = scaled_clock.monotonic()
             for servo in self.bench.servos.values():
                 servo.check_watchdog(now + self.silence)
                 self._move_pressures(servo, min(now - last, 0.02))
@@ -100,12 +100,12 @@ def hand(kind, touch):
 
 def close_until(gripper, condition):
     """Ask for closed jaws, as fast as they go."""
-    deadline = pace.monotonic() + 20
+    deadline = scaled_clock.monotonic() + 20
     while not condition():
-        assert pace.monotonic() < deadline
+        assert scaled_clock.monotonic() < deadline
         gripper.state()
         gripper.command(Command(0.0, FORCE))
-        pace.sleep(0.005)
+        scaled_clock.sleep(0.005)
 
 
 def die(bench, jaws, gripper):

@@ -13,7 +13,7 @@ import pytest
 from mjtactile.cli import main
 from mjtactile.core.errors import DeviceError
 from mjtactile.devices.camera.v4l2 import formats_of, video_devices
-from mjtactile.devices.listing import serial_ports, servos_at, valve_board_at
+from mjtactile.devices.discovery import serial_ports, servos_at, valve_board_at
 from tests.emulated import REPLY_TIMEOUT, servo_bench, valve_bench
 
 MODES = {
@@ -97,8 +97,8 @@ def test_cameras_by_the_name_that_stays(tmp_path):
 @pytest.mark.clock
 def test_servos_and_valve_boards_answer(capsys, monkeypatch):
     # of six speeds and 21 numbers, each a reply's time: a valve board answers none of them
-    monkeypatch.setattr("mjtactile.devices.listing.BAUDS", (57_600, 1_000_000))
-    monkeypatch.setattr("mjtactile.devices.listing.IDS", range(1, 4))
+    monkeypatch.setattr("mjtactile.devices.discovery.BAUDS", (57_600, 1_000_000))
+    monkeypatch.setattr("mjtactile.devices.discovery.IDS", range(1, 4))
     with servo_bench() as bench:
         baud, found = servos_at(bench.bus.path, [1_000_000], reply_time=REPLY_TIMEOUT / 10)
         assert (baud, found) == (1_000_000, {1: "XL330-M288", 2: "XL330-M288"})

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 
 import pytest
 
+from mjtactile.devices.discovery import serial_ports
 from mjtactile.devices.doctor import _check_host_loss, _check_torques, _plugged_in
 from mjtactile.devices.doctor.servos import check_servo
 from mjtactile.devices.dynamixel.bus import DynamixelBus
-from mjtactile.devices.listing import serial_ports
 from mjtactile.rig.file import load_rig_file
 from tests.emulated import servo_bench
 

@@ -8,8 +8,8 @@ import pytest
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.core.types import Command
 from mjtactile.devices.dynamixel.gripper import DynamixelGripper, ServoFault
-from mjtactile.devices.dynamixel.jaws import JawGeometry, JawServo
-from mjtactile.devices.dynamixel.tables import (
+from mjtactile.devices.dynamixel.jaw_kinematics import JawGeometry, JawServo
+from mjtactile.devices.dynamixel.servo_models import (
     MODEL_BY_NUMBER,
     MODELS,
     NO_CURRENT_CONTROL,

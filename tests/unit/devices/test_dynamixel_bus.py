@@ -7,7 +7,7 @@ import pytest
 from dynamixel_sdk import PortHandler, Protocol2PacketHandler
 
 from benchmarks.rig.fuzz import fuzz_servos
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.core.errors import DeviceError
 from mjtactile.devices.dynamixel.bus import BusError, DynamixelBus
 from mjtactile.emulator import protocol2
@@ -107,7 +107,7 @@ def test_time_outs_are_the_files_and_not_the_sdks(bench):
         sdk.setPacketTimeout(21)
         assert sdk.packet_timeout > 30
         # not the wall clock's 1.7e12
-        assert abs(bus._port.getCurrentTime() - 1e3 * pace.monotonic()) < 1e3
+        assert abs(bus._port.getCurrentTime() - 1e3 * scaled_clock.monotonic()) < 1e3
     finally:
         bus.close()
 

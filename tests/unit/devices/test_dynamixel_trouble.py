@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Command
 from mjtactile.devices.dynamixel.gripper import ServoFault
@@ -36,7 +36,7 @@ def test_a_state_is_of_the_time_it_was_asked_for(bench):
     try:
         before = gripper.state()
         gripper.ask()
-        asked = pace.monotonic()
+        asked = scaled_clock.monotonic()
         wait_for(lambda: gripper.bus._port.ser.in_waiting >= 2 * 32)  # both have answered
         bench.servos[2].follow_load(ANGLE + 0.5, 0.0, 0.0, 0.01)
         state = gripper.state()
@@ -128,7 +128,7 @@ def test_a_silent_host_trips_the_watchdog_and_the_driver_says_so(bench):
     gripper = bench.gripper()
     try:
         gripper.command(Command(0.07, 2.0))
-        bench.servos[1].check_watchdog(pace.monotonic() + 10)
+        bench.servos[1].check_watchdog(scaled_clock.monotonic() + 10)
         assert bench.servos[1].drive().goal == pytest.approx(ANGLE, abs=TICK)  # held where it is
         with pytest.raises(ServoFault, match="bus watchdog"):
             for _ in range(12):
@@ -154,7 +154,7 @@ def test_keep_alive_rests_when_the_host_is_silent(bench):
     gripper = bench.gripper(watchdog=0.1)
     try:
         gripper.command(Command(0.07, 2.0))
-        assert wait_for(lambda: pace.monotonic() - bench.servos[1].last_packet > 0.5)
+        assert wait_for(lambda: scaled_clock.monotonic() - bench.servos[1].last_packet > 0.5)
     finally:
         gripper.close()
 

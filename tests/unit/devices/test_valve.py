@@ -3,7 +3,7 @@ test_valve_firmware.py."""
 
 import pytest
 
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.devices.valve import protocol
 from mjtactile.devices.valve.driver import ValveBoard, connect_valves
@@ -94,7 +94,7 @@ def test_the_board_vents_by_itself_when_the_host_is_gone_and_again_when_it_is_go
     _, valves, firmware, _, _ = rig
     for _ in range(2):
         valves[0].open(1000.0)
-        firmware.tick(pace.monotonic() + 10.0, 0.005)
+        firmware.tick(scaled_clock.monotonic() + 10.0, 0.005)
         assert firmware.vent_time is not None
         assert (firmware.channels[1].state, firmware.channels[1].fault) == ("vent", "silent")
         with pytest.raises(DeviceError, match="refuses 'set 1 1000': fault"):
@@ -148,7 +148,7 @@ def test_a_silent_or_babbling_board_is_an_error(rig, fault):
     with pytest.raises(DeviceError, match=f"{board.name} is silent or broken"):
         for _ in range(300):  # 3 s, far more than three answers may take on a busy computer
             valves[0].state()
-            pace.sleep(0.01)
+            scaled_clock.sleep(0.01)
     with pytest.raises(DeviceError):
         valves[0].open(1000.0)
     faults.set(fault, 0)
@@ -242,7 +242,7 @@ def test_an_unplugged_board_is_an_error():
         with pytest.raises(DeviceError, match="lost"):
             for _ in range(300):  # 3 s, as above
                 valves[0].state()
-                pace.sleep(0.01)
+                scaled_clock.sleep(0.01)
         with pytest.raises(DeviceError, match="could not be vented"):
             boards[0].close()
 

@@ -9,12 +9,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mjtactile.core import system
+from mjtactile.core import platform_support
 from mjtactile.core.design import load_sensor
 from mjtactile.emulator.faults import Faults
 from mjtactile.emulator.hardware import EmulatedHardware
 from mjtactile.emulator.options import EmulatorOptions
-from mjtactile.emulator.shared import SharedState
+from mjtactile.emulator.shared_memory import SharedState
 from mjtactile.emulator.world import _FALL_SPEED_MAX, EmulatedWorld
 from mjtactile.rig.file import load_rig_file
 from tests.emulated import servo_bench, wait_for
@@ -22,7 +22,7 @@ from tests.emulated import servo_bench, wait_for
 
 @pytest.mark.clock
 def test_a_lift_without_torque_has_no_goal():
-    descriptor = system.memory_file("test")
+    descriptor = platform_support.memory_file("test")
     shared = SharedState(descriptor)
     os.close(descriptor)
     shared["opening"] = 0.08
@@ -44,7 +44,7 @@ def test_a_lift_without_torque_has_no_goal():
 @pytest.fixture
 def world():
     """The emulated world, stepped by hand; nobody drives."""
-    descriptor = system.memory_file("test")
+    descriptor = platform_support.memory_file("test")
     shared = SharedState(descriptor)
     os.close(descriptor)
     options = EmulatorOptions(load_rig_file("emulated"), load_sensor("paper16"), "egg")

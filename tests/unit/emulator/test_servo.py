@@ -8,7 +8,7 @@ import dynamixel_sdk as sdk
 import pytest
 
 from mjtactile.devices.dynamixel.bus import DynamixelBus
-from mjtactile.devices.dynamixel.tables import MODELS, load_table
+from mjtactile.devices.dynamixel.servo_models import MODELS, load_table
 from mjtactile.emulator import protocol2 as p2
 from mjtactile.emulator.control_table import control_table
 from mjtactile.emulator.servo import EmulatedServo

@@ -8,7 +8,7 @@ import math
 
 import pytest
 
-from mjtactile.core import pace
+from mjtactile.core import scaled_clock
 from mjtactile.emulator.servo import EmulatedServo
 from tests.emulated import ANGLE
 from tests.sdk_client import OK, sdk_client, turn
@@ -135,7 +135,7 @@ def tripped(mode=5, **how):
     for address, size, value in ((11, 1, mode), (98, 1, 5), (64, 1, 1), goal):
         assert servo.write(address, value.to_bytes(size, "little")) == 0
     turn(servo, 0.05)
-    servo.check_watchdog(pace.monotonic() + 1)
+    servo.check_watchdog(scaled_clock.monotonic() + 1)
     return servo, servo.angle
 
 
@@ -172,7 +172,7 @@ def test_with_a_homing_offset_a_trip_moves_the_motor():
     for address, size, value in ((20, 4, 300), (11, 1, 4), (98, 1, 5), (64, 1, 1)):
         assert servo.write(address, value.to_bytes(size, "little")) == 0
     for i in range(100):
-        servo.check_watchdog(pace.monotonic() + 1 + i)
+        servo.check_watchdog(scaled_clock.monotonic() + 1 + i)
         servo.turn(0.01)
     assert servo.angle < -1.0  # and on
 
@@ -181,5 +181,5 @@ def test_with_a_homing_offset_a_trip_moves_the_motor():
 def test_without_torque_it_does_not_trip():
     servo = EmulatedServo(1, "XL330-M288")
     assert servo.write(98, b"\x05") == 0
-    servo.check_watchdog(pace.monotonic() + 10)
+    servo.check_watchdog(scaled_clock.monotonic() + 10)
     assert servo.get("Bus Watchdog") == 5

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from emulated import Chambers
 
-from mjtactile.core import geometry, optics, pace, resources
+from mjtactile.core import geometry, optics, resources, scaled_clock
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
@@ -18,11 +18,11 @@ from mjtactile.emulator.faults import Faults
 from mjtactile.emulator.mechanism import GearedJaws, Jaw
 from mjtactile.emulator.servo import EmulatedServo
 from mjtactile.emulator.valve import ValveFirmware, framed, unframed
+from mjtactile.rig.as_built_sensor import SpecimenConfig, camera_pose, true_design
+from mjtactile.rig.domain_randomization import Drawn
 from mjtactile.rig.file import ServoConfig, load_rig_file, rig_from_table
-from mjtactile.rig.specimen import SpecimenConfig, camera_pose, true_design
-from mjtactile.rig.variation import Drawn
 from mjtactile.sensing.image.markers import detect
-from mjtactile.sim.picture.renderer import Effects, Renderer
+from mjtactile.sim.rendering.renderer import Effects, Renderer
 from mjtactile.sim.rig import build_sim_rig
 
 DESIGN = load_sensor("dense")
@@ -104,10 +104,12 @@ def test_the_valve_board_regulates_by_its_own_sensor():
 
     def settle():
         for _ in range(200):  # 4 s of a 50 ms lag
-            firmware.tick(pace.monotonic(), 0.02)
+            firmware.tick(scaled_clock.monotonic(), 0.02)
 
     def ask(text):
-        return unframed(firmware.reply(framed(f"1 {text}").rstrip(), pace.monotonic()).rstrip())
+        return unframed(
+            firmware.reply(framed(f"1 {text}").rstrip(), scaled_clock.monotonic()).rstrip()
+        )
 
     for text in ("vent 1", "limit 1 3000", "beat 60000", "set 1 1000"):
         assert ask(text) == f"1 {text}"

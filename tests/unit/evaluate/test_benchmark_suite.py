@@ -9,9 +9,9 @@ import pytest
 
 from mjtactile.core import resources
 from mjtactile.core.errors import InputError
-from mjtactile.evaluate import store, suite
+from mjtactile.evaluate import benchmark_suite, store
 from mjtactile.evaluate.statistics import paired
-from mjtactile.run.judge import VERSION
+from mjtactile.runtime.task_scoring import VERSION
 
 MINE = "mine"
 OTHER = "other"
@@ -19,7 +19,7 @@ OTHER = "other"
 
 @pytest.fixture
 def new():
-    return suite.new_suite("mine", ("pour", "shake"), objects=("egg",), seed=7, develop=0)
+    return benchmark_suite.new_suite("mine", ("pour", "shake"), objects=("egg",), seed=7, develop=0)
 
 
 def ran(kind, folder, task, outcomes, **changes):
@@ -66,52 +66,52 @@ def test_what_is_compared_met_the_same_episodes(new, tmp_path):
     ran(new, tmp_path / "theirs", "shake", {OTHER: ["dropped"]})
     table = new.with_results(tmp_path / "theirs")
     table.write(tmp_path / "mine.json")
-    known = suite.load_suite(tmp_path / "mine.json")
+    known = benchmark_suite.load_suite(tmp_path / "mine.json")
     assert known.results["pour"][OTHER]["outcomes"] == "hchuh"
     assert known.results["pour"][OTHER]["margin"] == 3.5
     assert [line["outcome"] for line in known.lines("pour", OTHER)] == words
     ran(new, tmp_path / "own", "pour", {MINE: ["held"] * 4})
-    found = suite.compare(known, tmp_path / "own")
+    found = benchmark_suite.compare(known, tmp_path / "own")
     assert list(found["tasks"]) == ["pour"]  # the other was not run
     pair = found["tasks"]["pour"][MINE]["against"][OTHER]
     assert pair["episodes"] == 4 and pair["difference"] == 0.5
     mine = [{"episode": k, "outcome": "held"} for k in range(4)]
     assert pair == paired(known.lines("pour", OTHER), mine)
-    assert "| pour | mine | 4 of 4 (51-100 %) | 3.0 | +50 (" in suite.table(known, found)
+    assert "| pour | mine | 4 of 4 (51-100 %) | 3.0 | +50 (" in benchmark_suite.table(known, found)
     # the same number of another task is another episode: 3 of 5 are held by the new one alone
     ran(new, tmp_path / "own", "shake", {MINE: ["held"]})
-    found = suite.compare(known, tmp_path / "own")
+    found = benchmark_suite.compare(known, tmp_path / "own")
     together = found["together"][MINE]
     assert together["episodes"] == together["held"] == together["against"][OTHER]["episodes"] == 5
     assert together["against"][OTHER]["difference"] == pytest.approx(0.6)
-    assert "| all 2 | mine | 5 of 5 (57-100 %) | 2.5 | +60 (" in suite.table(known, found)
+    assert "| all 2 | mine | 5 of 5 (57-100 %) | 2.5 | +60 (" in benchmark_suite.table(known, found)
 
 
 def test_nothing_is_compared_with_other_files_or_another_judge(new, tmp_path, monkeypatch):
     path = tmp_path / "mine.json"
     replace(new, files={**new.files, "pour.toml": "0" * 64}).write(path)
     with pytest.raises(InputError, match=r"other files than these: pour\.toml"):
-        suite.load_suite(path)
+        benchmark_suite.load_suite(path)
     new.write(path)
-    monkeypatch.setattr(suite, "VERSION", "99")
+    monkeypatch.setattr(benchmark_suite, "VERSION", "99")
     with pytest.raises(InputError, match=rf"was judged by version {VERSION}, this is 99"):
-        suite.load_suite(path)
+        benchmark_suite.load_suite(path)
     path.write_text("{}")
     with pytest.raises(InputError, match="no suite"):
-        suite.load_suite(path)
+        benchmark_suite.load_suite(path)
 
 
 def test_results_of_another_scenario_are_refused(new, tmp_path):
     with pytest.raises(InputError, match="no results of mine"):
-        suite.compare(new, tmp_path)
+        benchmark_suite.compare(new, tmp_path)
     ran(new, tmp_path, "pour", {MINE: ["held"]}, seed=8)
     with pytest.raises(InputError, match="is not of mine's pour"):
-        suite.compare(new, tmp_path)
+        benchmark_suite.compare(new, tmp_path)
 
 
-@pytest.mark.parametrize("name", resources.names(suite.FOLDER, ".json"))
+@pytest.mark.parametrize("name", resources.names(benchmark_suite.FOLDER, ".json"))
 def test_the_shipped_ones_are_of_the_files_as_they_are(name):
-    known = suite.load_suite(name)
+    known = benchmark_suite.load_suite(name)
     assert known.name == name
     for task in known.tasks:
         assert known.results[task]

@@ -87,8 +87,8 @@ RAISES = "def step(observation):\n    return observation.touch[7]\n"
     ],
 )
 def test_a_controller_that_does_not_end_well_has_failed(tmp_path, monkeypatch, text, kind, reason):
-    monkeypatch.setattr("mjtactile.run.loop.WAIT_TIME", 0.2)
-    monkeypatch.setattr("mjtactile.run.controller._FIRST_TIME", 0.2)
+    monkeypatch.setattr("mjtactile.runtime.control_loop.WAIT_TIME", 0.2)
+    monkeypatch.setattr("mjtactile.runtime.controller._FIRST_TIME", 0.2)
     path = tmp_path / "bad.py"
     path.write_text(text)
     world = tmp_path / "world.toml"

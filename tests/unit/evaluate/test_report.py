@@ -11,10 +11,10 @@ from scipy.stats import mannwhitneyu
 from mjtactile.core.scenario import Scenario
 from mjtactile.evaluate import report, store
 from mjtactile.evaluate.episodes import Episode
+from mjtactile.evaluate.parameter_sensitivity import against, flat, measures
 from mjtactile.evaluate.run import write_report
 from mjtactile.evaluate.statistics import summarise
-from mjtactile.evaluate.varied import against, flat, measures
-from mjtactile.evaluate.worst import draw, worst
+from mjtactile.evaluate.worst_episodes import draw, worst
 from tests.pages import Balanced
 
 
@@ -177,7 +177,7 @@ def test_pictures_of_the_worst_are_in_the_page(tmp_path, monkeypatch):
         (folder / "summary.png").write_bytes(b"png")
         return folder / "summary.png"
 
-    monkeypatch.setattr("mjtactile.evaluate.worst.draw", picture)
+    monkeypatch.setattr("mjtactile.evaluate.worst_episodes.draw", picture)
     path = write_report(tmp_path, 1)
     assert asked == [Episode(asked[0].index, Scenario(seed=3 + asked[0].index))]
     assert 'src="data:image/png;base64,cG5n"' in path.read_text()

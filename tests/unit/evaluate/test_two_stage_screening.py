@@ -5,7 +5,7 @@ import pytest
 from mjtactile.cli import main
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
-from mjtactile.evaluate import screen
+from mjtactile.evaluate import two_stage_screening
 from mjtactile.evaluate.pool import Running
 from mjtactile.evaluate.statistics import exact_limits
 from mjtactile.evaluate.store import read_lines
@@ -29,7 +29,7 @@ def pretended(episode):
 
 
 def run(folder, sample, *, resume=False):
-    return screen.screen(
+    return two_stage_screening.screen(
         folder, Scenario(), sample=sample, controllers=["gentle"], count=20, objects=["egg"],
         running=Running(workers=1, run_one=pretended, resume=resume),
     )  # fmt: skip
@@ -62,8 +62,8 @@ def test_with_all_run_again_the_share_is_that_of_full_fidelity(tmp_path):
 
 def test_the_sample_is_any_and_the_same_each_time():
     lines = [{"episode": k, "controller": "gentle", "outcome": "held"} for k in range(300)]
-    first = screen.to_run_again(lines, 30)
-    assert first == screen.to_run_again(lines, 30) and len(set(first)) == 30
+    first = two_stage_screening.to_run_again(lines, 30)
+    assert first == two_stage_screening.to_run_again(lines, 30) and len(set(first)) == 30
     assert max(first) > 200 and min(first) < 100  # not the first thirty
     # limits of Clopper and Pearson: none of n leaves 1 - 0.025^(1/n)
     assert exact_limits(0, 30) == pytest.approx((0.0, 1 - 0.025 ** (1 / 30)))
@@ -71,7 +71,7 @@ def test_the_sample_is_any_and_the_same_each_time():
 
 def test_bad_input(tmp_path, capsys):
     with pytest.raises(InputError, match="nothing is left to screen"):
-        screen.screen(
+        two_stage_screening.screen(
             tmp_path, Scenario(effects="-sheet"), sample=1, controllers=["gentle"], count=1,
             objects=["egg"],
         )  # fmt: skip

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from mjtactile.core.errors import InputError
-from mjtactile.explore.files import write_ply, write_stl
-from mjtactile.explore.page import write_page
-from mjtactile.explore.patch import Patch
-from mjtactile.explore.run import PatchStore, explored
-from mjtactile.explore.stiffness import ComplianceMap
+from mjtactile.explore.compliance_map import ComplianceMap
+from mjtactile.explore.exploration import PatchStore, explored
+from mjtactile.explore.html_report import write_page
+from mjtactile.explore.surface_export import write_ply, write_stl
+from mjtactile.explore.surface_patch import Patch
 
 RADIUS = 0.012
 

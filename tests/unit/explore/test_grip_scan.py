@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from mjtactile.core.types import Command, GripperState, Observation, Touch
-from mjtactile.explore.fuse import fuse
-from mjtactile.explore.grip import _FACING, HEIGHTS, GripController, GripCycle, grips_of
-from mjtactile.explore.patch import Patch, between
+from mjtactile.explore.grip_scan import _FACING, HEIGHTS, GripController, GripCycle, grips_of
+from mjtactile.explore.meshing import mesh_of
+from mjtactile.explore.object_size import principal_sizes
 from mjtactile.explore.simulated import TURNS, next_grip
-from mjtactile.explore.size import principal_sizes
-from mjtactile.explore.solid import mesh_of
+from mjtactile.explore.surface_fusion import fuse
+from mjtactile.explore.surface_patch import Patch, between
 
 RADIUS = 0.012
 

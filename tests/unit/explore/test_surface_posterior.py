@@ -9,43 +9,47 @@ import pytest
 from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 
-from mjtactile.explore import body
-from mjtactile.explore.fuse import fuse, shares
-from mjtactile.explore.patch import Patch
-from mjtactile.explore.plan import Mesh, _around, next_aim
-from mjtactile.explore.run import volume
-from mjtactile.explore.size import news_of_size, principal_sizes, sizes
-from mjtactile.explore.solid import mesh_of
-from mjtactile.explore.surface import unknown
+from mjtactile.explore import superquadric
+from mjtactile.explore.exploration import volume
+from mjtactile.explore.meshing import mesh_of
+from mjtactile.explore.next_best_touch import Mesh, _around, next_aim
+from mjtactile.explore.object_size import news_of_size, principal_sizes, sizes
+from mjtactile.explore.surface_fusion import fuse, shares
+from mjtactile.explore.surface_patch import Patch
+from mjtactile.explore.surface_posterior import unknown
 
 HALF = np.array([0.012, 0.010, 0.016])  # m, of an ellipsoid
 TURN = Rotation.from_rotvec([0.4, -0.3, 0.8]).as_matrix()
 PLACE = np.array([2e-3, -1e-3, 3e-3])
 
 
-def theta(sizes_mm, exponents, taper=(0.0, 0.0), cut=body.WHOLE):
+def theta(sizes_mm, exponents, taper=(0.0, 0.0), cut=superquadric.WHOLE):
     return np.concatenate([np.zeros(6), np.log(sizes_mm), exponents, taper, [cut]])
 
 
 def test_distance_is_exact_where_geometry_has_a_closed_form():
     # a ball of 10 mm, anywhere; a box 2 mm over the middle of a face; a cylinder 1 mm beside its wall
     out = np.array([[3.0, 4.0, 12.0], [6.0, 0.0, 0.0]])
-    assert body.distance(theta([10.0] * 3, [1.0, 1.0]), out) == pytest.approx([3.0, -4.0], abs=1e-9)
+    assert superquadric.distance(theta([10.0] * 3, [1.0, 1.0]), out) == pytest.approx(
+        [3.0, -4.0], abs=1e-9
+    )
     box = theta([12.0, 9.0, 8.0], [0.1, 0.1])
     # exponents of 0.1 round a box's edges by 1 %, nothing near the middle of a face
-    assert body.distance(box, np.array([[1.0, 2.0, 10.0]])) == pytest.approx(2.0, abs=1e-3)
-    assert body.distance(box, np.array([[-14.0, 1.0, 1.0]])) == pytest.approx(2.0, abs=1e-3)
+    assert superquadric.distance(box, np.array([[1.0, 2.0, 10.0]])) == pytest.approx(2.0, abs=1e-3)
+    assert superquadric.distance(box, np.array([[-14.0, 1.0, 1.0]])) == pytest.approx(2.0, abs=1e-3)
     wall = 12 * np.array([np.cos(0.7), np.sin(0.7), 0.0])[None]
-    assert body.distance(theta([11.0, 11.0, 25.0], [0.1, 1.0]), wall) == pytest.approx(
+    assert superquadric.distance(theta([11.0, 11.0, 25.0], [0.1, 1.0]), wall) == pytest.approx(
         1.0, abs=1e-3
     )
     # a stump of a cone: 10 mm wide in the middle, 12 at its upper end
     cone = theta([10.0, 10.0, 20.0], [0.1, 1.0], (0.2, 0.2))
-    assert body.distance(cone, np.array([[11.0, 0.0, 10.0]])) == pytest.approx(0.0, abs=1e-3)
+    assert superquadric.distance(cone, np.array([[11.0, 0.0, 10.0]])) == pytest.approx(
+        0.0, abs=1e-3
+    )
     # a ball that is cut off 8 mm below its middle, 4 mm below and 1 mm inside of the flat end
     dome = theta([10.0] * 3, [1.0, 1.0], cut=0.8)
     below = np.array([[1.0, 2.0, -12.0], [1.0, 2.0, -7.0]])
-    assert body.distance(dome, below) == pytest.approx([4.0, -1.0], abs=1e-9)
+    assert superquadric.distance(dome, below) == pytest.approx([4.0, -1.0], abs=1e-9)
 
 
 def test_the_slope_within_a_distance_is_that_of_its_level():
@@ -53,11 +57,11 @@ def test_the_slope_within_a_distance_is_that_of_its_level():
     # is nothing special
     at = np.random.default_rng(3).normal(0, 12, (40, 3))
     numbers = theta([12.0, 9.0, 15.0], [0.5, 0.8], (0.2, -0.1))
-    slope = body._level(numbers[None], at)[1][0]
+    slope = superquadric._level(numbers[None], at)[1][0]
     step = 1e-5
     for axis in range(3):
         off = step * np.eye(3)[axis]
-        more, less = (body._level(numbers[None], at + way)[0][0] for way in (off, -off))
+        more, less = (superquadric._level(numbers[None], at + way)[0][0] for way in (off, -off))
         differences = (more - less) / (2 * step)
         # 1e-5 mm steps leave 1e-9; where a point is at a kink (its end's plane) they differ
         assert np.median(np.abs(differences - slope[:, axis])) < 1e-8

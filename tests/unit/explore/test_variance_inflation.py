@@ -7,9 +7,9 @@ import pytest
 from scipy.linalg import block_diag, cho_factor
 from scipy.spatial.transform import Rotation
 
-from mjtactile.explore.foretold import excess
-from mjtactile.explore.fuse import fuse
-from mjtactile.explore.patch import Patch
+from mjtactile.explore.surface_fusion import fuse
+from mjtactile.explore.surface_patch import Patch
+from mjtactile.explore.variance_inflation import excess
 
 TOUCHES, EACH = 5, 4
 PARTS = [slice(EACH * k, EACH * (k + 1)) for k in range(TOUCHES)]

@@ -4,10 +4,10 @@ import pytest
 
 from mjtactile.commands.record import Monitor
 from mjtactile.core.design import load_sensor
-from mjtactile.experiments.stage import record_stage
-from mjtactile.recording.stage import Move, Stage
+from mjtactile.experiments.motion_stage import record_stage
+from mjtactile.recording.stage_protocol import Move, Stage
 from mjtactile.recording.writer import Recorder
-from mjtactile.run.session import open_session
+from mjtactile.runtime.session import open_session
 from tests.fake_run import fake_cycle, write_fake_recording
 
 

@@ -11,9 +11,9 @@ from websockets.sync.client import connect
 import mjtactile
 from mjtactile.commands.record import Monitor
 from mjtactile.core.design import load_sensor
-from mjtactile.export import drawing, live, mcap
+from mjtactile.export import live_view, mcap, viewer_entities
 from mjtactile.export.episode import RecordedEpisode
-from mjtactile.run.session import open_session
+from mjtactile.runtime.session import open_session
 from tests.unit.export.test_export import read_mcap
 
 needs_rerun = pytest.mark.skipif(
@@ -72,13 +72,13 @@ def test_a_membrane_is_drawn_where_it_is_felt(press, tmp_path):
 
 def test_an_arrow_is_the_force(press):
     touch = list(RecordedEpisode(press).cycles())[-1].touch[0]
-    arrow = drawing.force_arrow(touch.traction, touch.surface)
-    np.testing.assert_allclose(arrow.vectors[0], drawing.FORCE * touch.traction.wrench[:3])
+    arrow = viewer_entities.force_arrow(touch.traction, touch.surface)
+    np.testing.assert_allclose(arrow.vectors[0], viewer_entities.FORCE * touch.traction.wrench[:3])
     # the press was in the middle: the axis of the wrench goes through it, to the markers' noise
     np.testing.assert_allclose((arrow.tails + arrow.vectors)[0, :2], 0, atol=2e-3)
-    tractions = drawing.traction_arrows(touch.traction, touch.surface)
+    tractions = viewer_entities.traction_arrows(touch.traction, touch.surface)
     node = np.diff(touch.traction.x)[0] * np.diff(touch.traction.y)[0]
-    total = tractions.vectors.sum(axis=0)[2] * node / drawing.TRACTION
+    total = tractions.vectors.sum(axis=0)[2] * node / viewer_entities.TRACTION
     # what is not drawn is less than 3 % of the largest at a node
     assert total == pytest.approx(touch.traction.wrench[2], rel=0.1)
 
@@ -143,7 +143,7 @@ def test_who_connects_later_sees_the_scene():
     )
     scene = SimpleNamespace(solids=lambda: [solid], soft_bodies=lambda: [])
     seen = SimpleNamespace(view=scene, time=0.0, ellipses=(), touch=())
-    drawn = drawing.Drawing(SimpleNamespace(fingers=()))
+    drawn = viewer_entities.Drawing(SimpleNamespace(fingers=()))
     assert [i.topic for i in drawn.of(seen)] == ["/scene/egg", "/tf_scene"]
     assert not list(drawn.of(seen))  # it has not moved
     drawn.again()
@@ -177,13 +177,13 @@ def test_a_viewer_that_fails_is_given_up(tmp_path, caplog):
 )
 def test_a_target_that_is_none_is_named(target, said):
     with pytest.raises(mjtactile.InputError, match=said):
-        live.LiveView(target)
+        live_view.LiveView(target)
 
 
 def test_a_missing_package_is_named(monkeypatch):
-    monkeypatch.setattr(live, "find_spec", lambda _: None)
+    monkeypatch.setattr(live_view, "find_spec", lambda _: None)
     with pytest.raises(mjtactile.InputError, match=r"pip install 'mjtactile\[live\]'"):
-        live.LiveView("rerun")
+        live_view.LiveView("rerun")
 
 
 @needs_rerun

@@ -1,4 +1,4 @@
-"""`mjtactile make`: patterns against the stretch, the camera against optics, limits that hold."""
+"""`mjtactile fabricate`: patterns against the stretch, the camera against optics, limits that hold."""
 
 import math
 import re
@@ -9,14 +9,20 @@ import numpy as np
 import pytest
 
 from mjtactile.calibrate.camera import BoardFinder
-from mjtactile.core import fields, optics, theory
+from mjtactile.core import analytical_solutions, config_fields, optics
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
-from mjtactile.make import camera, hardware, limits, patterns, sheets
-from mjtactile.make.build import write
-from mjtactile.make.hardware import Hardware
-from mjtactile.make.layout import Layout
-from mjtactile.make.states import SheetState, growth, simulate
+from mjtactile.fabrication import (
+    camera_check,
+    drawing_pages,
+    manufacturability,
+    print_templates,
+    purchased_parts,
+)
+from mjtactile.fabrication.build import write
+from mjtactile.fabrication.housing_layout import Layout
+from mjtactile.fabrication.marker_positions import SheetState, growth, simulate
+from mjtactile.fabrication.purchased_parts import Hardware
 
 SVG = {"svg": "http://www.w3.org/2000/svg"}
 DENSE = load_sensor("dense")
@@ -41,8 +47,10 @@ STATES = [bulged(DENSE, h) for h in (0.0, 0.003, -0.004)]
 def with_field(design, field, value):
     """`design` with the field of its file, in the file's unit."""
     section, key = field.split(".")
-    kind = fields.entries(SensorDesign)[section].kind
-    attribute, entry = next(pair for pair in fields.entries(kind).items() if pair[1].key == key)
+    kind = config_fields.entries(SensorDesign)[section].kind
+    attribute, entry = next(
+        pair for pair in config_fields.entries(kind).items() if pair[1].key == key
+    )
     changed = int(value) if entry.whole else value * entry.unit
     return replace(design, **{section: replace(getattr(design, section), **{attribute: changed})})
 
@@ -60,8 +68,8 @@ def circles(svg, group="markers"):
 @pytest.mark.parametrize(("markers", "radius"), [("ink", 1.0), ("discs", 1.05)])
 def test_the_printed_pattern_stretched_is_the_design(markers, radius):
     layout = Layout.of(DENSE, Hardware(markers=markers), "dense")
-    for page in patterns.marker_pages(layout)[:2]:  # transfer print and stencil
-        centres, radii = circles(sheets.write_svg(page))
+    for page in print_templates.marker_pages(layout)[:2]:  # transfer print and stencil
+        centres, radii = circles(drawing_pages.write_svg(page))
         turn = np.linspace(0, 2 * np.pi, 12, endpoint=False)
         edge = centres[:, None] + radii[:, None, None] * np.column_stack(
             [np.cos(turn), np.sin(turn)]
@@ -78,9 +86,13 @@ def test_the_printed_pattern_stretched_is_the_design(markers, radius):
 
 
 def test_an_svg_is_at_one_to_one(layout):
-    single = patterns.board_page(DENSE), patterns.led_page(layout), patterns.cut_page(layout)
-    for sheet in (*patterns.marker_pages(layout), *single):
-        root = ET.fromstring(sheets.write_svg(sheet))
+    single = (
+        print_templates.board_page(DENSE),
+        print_templates.led_page(layout),
+        print_templates.cut_page(layout),
+    )
+    for sheet in (*print_templates.marker_pages(layout), *single):
+        root = ET.fromstring(drawing_pages.write_svg(sheet))
         _, _, width, height = map(float, root.get("viewBox").split())
         assert root.get("width") == f"{width:g}mm" and root.get("height") == f"{height:g}mm"
         bars = [
@@ -95,7 +107,7 @@ def test_an_svg_is_at_one_to_one(layout):
 def test_a_pdf_is_at_one_to_one(layout):
     """Its page is A4, and what is drawn of each filled marker has the printed diameter at the
     printed place."""
-    pdf = sheets.write_pdf(patterns.marker_pages(layout)[:1]).decode("latin-1")
+    pdf = drawing_pages.write_pdf(print_templates.marker_pages(layout)[:1]).decode("latin-1")
     box = [float(v) * 25.4 / 72 for v in re.search(r"/MediaBox \[ ([^]]*)\]", pdf).group(1).split()]
     assert box == pytest.approx([0, 0, 210, 297], abs=0.01)
     found = []
@@ -105,15 +117,15 @@ def test_a_pdf_is_at_one_to_one(layout):
         found.append([*(xy.max(axis=0) + xy.min(axis=0)) / 2, *np.ptp(xy, axis=0)])
     found = np.array(found)
     assert len(found) == 81
-    expected = np.array([[c.x + 105, 148.5 - c.y] for c in patterns.markers(layout)])
+    expected = np.array([[c.x + 105, 148.5 - c.y] for c in print_templates.markers(layout)])
     for centre in expected:
         assert np.linalg.norm(found[:, :2] - centre, axis=1).min() < 2e-3
     np.testing.assert_allclose(found[:, 2:], 2 / 1.05, atol=2e-3)  # mm; the file has 1e-6 inch
 
 
 def test_opencv_finds_the_printed_board():
-    sheet = patterns.board_page(DENSE)
-    board = patterns.board_of(DENSE)
+    sheet = print_templates.board_page(DENSE)
+    board = print_templates.board_of(DENSE)
     scale = 24.0  # pixels a mm
     image = np.full((round(60 * scale), round(70 * scale)), 255, np.uint8)
     for shape in sheet.shapes:
@@ -150,21 +162,23 @@ def test_blur_is_that_of_similar_triangles_behind_a_thin_lens():
         disc = f / stop * abs(image_of(z) - image_of(focus)) / image_of(z)
         others = 1 / 12 + (0.42 * 0.55e-3 * stop / tools.pixel) ** 2
         expected = math.sqrt(others + (disc / 4 / tools.pixel) ** 2)
-        assert camera.blur(DENSE, tools, stop, near, far) == pytest.approx(expected, rel=1e-9)
+        assert camera_check.blur(DENSE, tools, stop, near, far) == pytest.approx(expected, rel=1e-9)
 
 
 def test_a_marker_smears_as_much_as_is_said():
-    plan = camera.plan_camera(DENSE, Hardware(speed=25.0), STATES, "dense")
+    plan = camera_check.plan_camera(DENSE, Hardware(speed=25.0), STATES, "dense")
     eye = optics.Camera.from_design(DENSE.camera, DENSE.glass)
     nearest = np.array([0.0, 0.0, DENSE.camera.distance - 0.004])
     way = optics.project(eye, nearest + [25e-3 * plan.exposure, 0, 0]) - optics.project(
         eye, nearest
     )
-    assert way[0] == pytest.approx(hardware.SMEAR, rel=1e-3)  # on the axis, through pane and lens
-    assert camera.plan_camera(DENSE, Hardware(speed=50.0), STATES, "dense").flux == pytest.approx(
-        2 * plan.flux
-    )
-    fast = camera.plan_camera(DENSE, Hardware(f_number=4.0), STATES, "dense")
+    assert way[0] == pytest.approx(
+        purchased_parts.SMEAR, rel=1e-3
+    )  # on the axis, through pane and lens
+    assert camera_check.plan_camera(
+        DENSE, Hardware(speed=50.0), STATES, "dense"
+    ).flux == pytest.approx(2 * plan.flux)
+    fast = camera_check.plan_camera(DENSE, Hardware(f_number=4.0), STATES, "dense")
     assert fast.flux == pytest.approx(4 * plan.flux) and (plan.stop, fast.stop) == (2.0, 4.0)
 
 
@@ -173,18 +187,18 @@ def test_mirror_images_obey_the_law_of_reflection():
     hit = led / 2  # equal angles: halfway, as lens and LED are in one plane
     eye = optics.Camera.from_design(DENSE.camera)
     seen = optics.pixel_from_normalized(eye, optics.distort(eye, hit / DENSE.glass.distance))
-    np.testing.assert_allclose(camera.led_mirrors(DENSE)[0], seen, atol=1e-6)
+    np.testing.assert_allclose(camera_check.led_mirrors(DENSE)[0], seen, atol=1e-6)
 
 
 def test_the_longest_focal_length_that_is_named_still_shows_all_markers():
     far_out = replace(DENSE, camera=replace(DENSE.camera, fx=900.0))
     with pytest.raises(InputError, match=r"camera.fx_px: 900 .*-4 mm.*at most") as error:
-        camera.plan_camera(far_out, Hardware(), STATES, "mine.toml")
+        camera_check.plan_camera(far_out, Hardware(), STATES, "mine.toml")
     limit = float(str(error.value).split()[-1])
     longest = replace(DENSE, camera=replace(DENSE.camera, fx=limit))
     # four digits of 700 px
-    assert 0 <= camera.plan_camera(longest, Hardware(), STATES, "mine.toml").margin < 0.2
-    u = np.concatenate([camera.marker_edges(longest, state)[..., 0] for state in STATES])
+    assert 0 <= camera_check.plan_camera(longest, Hardware(), STATES, "mine.toml").margin < 0.2
+    u = np.concatenate([camera_check.marker_edges(longest, state)[..., 0] for state in STATES])
     # to the edge of the outermost pixels
     room = min(u.min() + 0.5, longest.camera.width - 0.5 - u.max())
     # the band that an edge is fitted in
@@ -227,7 +241,7 @@ def test_what_cannot_be_built_is_refused_with_a_limit_that_can(field, value):
     assert text.startswith(f"mine.toml: {field}: {value:g} ") and "\n" not in text
     limit = float(re.search(r"at (?:least|most) ([\d.e+-]+)$", text).group(1))
     good = with_field(bad, field, limit)
-    for check in limits.limits_of(good, Hardware()):
+    for check in manufacturability.limits_of(good, Hardware()):
         if check.field == field:
             check.check("mine.toml")
 
@@ -236,7 +250,7 @@ def test_at_the_limit_the_stencils_webs_are_what_a_film_can_be_cut_to():
     with pytest.raises(InputError) as error:
         Layout.of(with_field(DENSE, "markers.pitch_y_mm", 2.2), Hardware(), "mine.toml")
     pitch = float(str(error.value).split()[-1])
-    discs = patterns.markers(
+    discs = print_templates.markers(
         Layout.of(with_field(DENSE, "markers.pitch_y_mm", pitch), Hardware(), "mine.toml")
     )
     # as printed, unstretched
@@ -245,7 +259,9 @@ def test_at_the_limit_the_stencils_webs_are_what_a_film_can_be_cut_to():
 
 def test_a_limit_is_rounded_to_what_is_allowed():
     for value, field in ((1.23456, "low"), (98.7654, "high"), (1.23441, "low"), (98.7651, "high")):
-        limit = limits.Limit("f", {"low": 1.0, "high": 99.0}[field], "is bad", **{field: value})
+        limit = manufacturability.Limit(
+            "f", {"low": 1.0, "high": 99.0}[field], "is bad", **{field: value}
+        )
         with pytest.raises(InputError) as error:
             limit.check("x")
         named = float(str(error.value).split()[-1])
@@ -265,13 +281,13 @@ def test_options_that_cannot_be_built_are_named(option, tools):
 def test_what_the_optics_cannot_do_is_refused():
     sharp = replace(DENSE, camera=replace(DENSE.camera, blur_px=0.2))
     with pytest.raises(InputError, match=r"camera.blur_px: 0.2 is sharper .* at least 0.4"):
-        camera.plan_camera(sharp, Hardware(), STATES, "mine.toml")
+        camera_check.plan_camera(sharp, Hardware(), STATES, "mine.toml")
     with pytest.raises(InputError, match=r"^--speed-mm-s: 1000 needs .*at most 33"):
-        camera.plan_camera(DENSE, Hardware(speed=1000.0), STATES, "mine.toml")
+        camera_check.plan_camera(DENSE, Hardware(speed=1000.0), STATES, "mine.toml")
     with pytest.raises(InputError, match=r"leds.count: 4 LEDs would have to give .* at least 6"):
-        camera.plan_camera(DENSE, Hardware(speed=300.0), STATES, "mine.toml")
+        camera_check.plan_camera(DENSE, Hardware(speed=300.0), STATES, "mine.toml")
     with pytest.raises(InputError, match=r"^--f-number: 22 blurs by"):
-        camera.plan_camera(DENSE, Hardware(f_number=22.0), STATES, "mine.toml")
+        camera_check.plan_camera(DENSE, Hardware(f_number=22.0), STATES, "mine.toml")
 
 
 def test_the_pane_holds_what_roark_says():
@@ -282,7 +298,9 @@ def test_the_pane_holds_what_roark_says():
         frame=replace(DENSE.frame, length=0.03, width=0.03),
         chamber=replace(DENSE.chamber, supply_gauge=1e5),
     )
-    assert limits.glass_stress(square) == pytest.approx(0.2874 * 0.1 * (30 / 2) ** 2, rel=1e-3)
+    assert manufacturability.glass_stress(square) == pytest.approx(
+        0.2874 * 0.1 * (30 / 2) ** 2, rel=1e-3
+    )
 
 
 def test_the_simulated_states_bulge_and_are_pressed():
@@ -293,7 +311,9 @@ def test_the_simulated_states_bulge_and_are_pressed():
     )
     assert flat.height == 0 and flat.stretch == DENSE.membrane.pre_stretch
     # the default mesh has 1.4 %
-    assert inflated.height == pytest.approx(theory.bulge_height(DENSE, 1000.0), rel=0.02)
+    assert inflated.height == pytest.approx(
+        analytical_solutions.bulge_height(DENSE, 1000.0), rel=0.02
+    )
     middle = pressed.p_SM[40, 2]
     assert middle == pytest.approx(-0.004, abs=1e-4) and both.p_SM[40, 2] == pytest.approx(
         inflated.height - 0.004, abs=1e-4
@@ -320,7 +340,9 @@ def test_a_supply_that_the_sheet_does_not_hold_is_refused():
             "mine.toml",
             lambda _: None,
         )
-    assert np.isfinite(theory.bulge_height(DENSE, 1e3 * float(str(error.value).split()[-1])))
+    assert np.isfinite(
+        analytical_solutions.bulge_height(DENSE, 1e3 * float(str(error.value).split()[-1]))
+    )
 
 
 def test_files_are_written_all_or_none(tmp_path):

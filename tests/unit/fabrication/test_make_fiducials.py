@@ -7,12 +7,12 @@ import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
-from mjtactile.make import manual, mesh
-from mjtactile.make.hardware import Hardware
-from mjtactile.make.layout import Layout
-from mjtactile.make.parts import make_parts
-from mjtactile.make.patterns import fiducial_page
-from mjtactile.make.sheets import write_svg
+from mjtactile.fabrication import manual, mesh
+from mjtactile.fabrication.drawing_pages import write_svg
+from mjtactile.fabrication.housing_layout import Layout
+from mjtactile.fabrication.parts import make_parts
+from mjtactile.fabrication.print_templates import fiducial_page
+from mjtactile.fabrication.purchased_parts import Hardware
 
 DESIGN = load_sensor("dense_fiducials")
 

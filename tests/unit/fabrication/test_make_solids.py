@@ -1,4 +1,4 @@
-"""Solids that `mjtactile make` writes: against closed forms, closed, and of the right genus."""
+"""Solids that `mjtactile fabricate` writes: against closed forms, closed, and of the right genus."""
 
 import math
 import re
@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from mjtactile.core.design import load_sensor
-from mjtactile.make import mesh, pictures, step
-from mjtactile.make.hardware import Hardware
-from mjtactile.make.layout import Layout
-from mjtactile.make.parts import make_parts, mouth, opening
-from mjtactile.make.solid import Bore, Contour, Part, circle, crossing, plate
+from mjtactile.fabrication import mesh, part_renderings, step_file
+from mjtactile.fabrication.housing_layout import Layout
+from mjtactile.fabrication.layered_solid import Bore, Contour, Part, circle, crossing, plate
+from mjtactile.fabrication.parts import make_parts, mouth, opening
+from mjtactile.fabrication.purchased_parts import Hardware
 
 DENSE = load_sensor("dense")
 CHORDS = mesh.PER_QUARTER
@@ -99,7 +99,7 @@ def step_shell(text):
 
 def check_shell(part, genus):
     """A STEP file's faces are one closed shell of this genus."""
-    ends, loops, faces, shells, points = step_shell(step.write_step(part))
+    ends, loops, faces, shells, points = step_shell(step_file.write_step(part))
     assert len(shells) == 1 and len(shells[0]) == len(faces)
     used = Counter(edge for face in faces for loop in face for edge in loops[loop])
     # each edge once each way: closed, consistent
@@ -144,8 +144,8 @@ def test_contours_that_cross_are_noticed():
 
 
 def test_a_picture_shows_each_part(parts, solids):
-    image, places = pictures.draw(
-        pictures.bodies_of(parts, solids, {"frame": 0.0, "glass": -30.0}), pixels=120
+    image, places = part_renderings.draw(
+        part_renderings.bodies_of(parts, solids, {"frame": 0.0, "glass": -30.0}), pixels=120
     )
     frame, glass = (image[tuple(np.rint(place[::-1]).astype(int))] for place in places)
     assert places[0][0] < places[1][0]  # the front is on the left

@@ -5,9 +5,9 @@ import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
+from mjtactile.fit.identification import _HELD_FIRST, _untold, _with_known
+from mjtactile.fit.membrane_fit import SheetFit
 from mjtactile.fit.result import covariance_of
-from mjtactile.fit.run import _HELD_FIRST, _untold, _with_known
-from mjtactile.fit.statics import SheetFit
 
 DENSE = load_sensor("dense")
 VALUES = {"young": 1e6, "pre_stretch": 1.05}

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from mjtactile.core.design import load_sensor
-from mjtactile.fit.picture import fit_picture
-from mjtactile.sim.picture.renderer import Renderer
+from mjtactile.fit.image_noise import fit_picture
+from mjtactile.sim.rendering.renderer import Renderer
 
 DENSE = load_sensor("dense")
 TRUE = replace(

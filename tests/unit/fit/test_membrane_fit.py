@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from mjtactile.core.design import load_sensor
-from mjtactile.fit.evidence import Evidence, Hold, Series
-from mjtactile.fit.least import differences, gauss_newton
-from mjtactile.fit.statics import fit_sheet, simulate
-from mjtactile.recording.stage import Move, Stage
+from mjtactile.fit.gauss_newton import differences, gauss_newton
+from mjtactile.fit.measurements import Evidence, Hold, Series
+from mjtactile.fit.membrane_fit import fit_sheet, simulate
+from mjtactile.recording.stage_protocol import Move, Stage
 
 # coarse: of the same mesh both times
 DESIGN = load_sensor("paper16")

@@ -7,10 +7,10 @@ import tomllib
 import numpy as np
 import pytest
 
-from mjtactile.core import fields, resources
+from mjtactile.core import config_fields, resources
 from mjtactile.core.design import SensorDesign, load_sensor, sensor_from_table
-from mjtactile.fit.toml import rewrite
-from mjtactile.fit.words import ABOUT, FittedNumber, correlations, digits, judge
+from mjtactile.fit.parameter_info import ABOUT, FittedNumber, correlations, digits, judge
+from mjtactile.fit.rewrite_sensor_file import rewrite
 
 TEXT = resources.find("dense", "models/sensors", ".toml").read_text()
 
@@ -79,4 +79,4 @@ def test_the_sensor_file_loads_and_keeps_its_comments():
 
 
 def test_every_number_is_a_field_of_the_sensor_file():
-    assert set(ABOUT) <= {label for label, *_ in fields.scalars(SensorDesign)}
+    assert set(ABOUT) <= {label for label, *_ in config_fields.scalars(SensorDesign)}

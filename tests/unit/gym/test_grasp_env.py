@@ -18,7 +18,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.policy import policy_names, share_let_go
 from mjtactile.core.types import Command
 from mjtactile.rig.registry import build_rig
-from mjtactile.sim import truth
+from mjtactile.sim import ground_truth
 
 CLOSE = np.array([-1.0, 0.0, 0.0], np.float32)
 GRIP = np.array([-0.05, 0.0, 0.5], np.float32)
@@ -106,8 +106,8 @@ def test_an_object_put_back_stands_where_a_new_world_has_it(env):
     moved = env.unwrapped._rig.scene
     rig = build_rig("sim", load_sensor("dense"), seed=7)
     rig.clock.wait_until(moved.time)
-    p_old, q_old = truth.object_pose(rig.scene, None)
-    p_new, q_new = truth.object_pose(moved, None)
+    p_old, q_old = ground_truth.object_pose(rig.scene, None)
+    p_new, q_new = ground_truth.object_pose(moved, None)
     rig.close()
     np.testing.assert_allclose(p_new, p_old, atol=5e-6)  # m
     assert abs(np.dot(q_new, q_old)) > 1 - 1e-6

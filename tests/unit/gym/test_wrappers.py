@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mjtactile.core.policy import policy_bounds
-from mjtactile.gym.learning import MIDDLE, SCALE, SPAN, Decisions, save_policy
+from mjtactile.gym.wrappers import MIDDLE, SCALE, SPAN, Decisions, save_policy
 
 CHECKOUT = Path(__file__).resolve().parents[3]
 

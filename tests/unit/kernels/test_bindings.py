@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mjtactile.kernels import bound, build, kernel
-from mjtactile.kernels.library import declarations
+from mjtactile.kernels.bindings import declarations
 
 
 def test_every_declared_kernel_exists_and_nothing_else_is_promised():

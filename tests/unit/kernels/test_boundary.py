@@ -6,9 +6,9 @@ import pytest
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.kernels import bound, kernel
-from mjtactile.kernels.library import declarations
-from mjtactile.sensing.force.inverse import InverseMembrane
-from mjtactile.sensing.pose import identity
+from mjtactile.kernels.bindings import declarations
+from mjtactile.sensing.force.inverse_fem import InverseMembrane
+from mjtactile.sensing.pose import marker_matching
 from mjtactile.sensing.settings import DEFAULTS
 
 _DTYPES = {
@@ -113,4 +113,6 @@ def test_as_many_neighbours_as_there_are():
     found = layout + [2e-4, -1e-4, 0.0]
     for neighbours in (1, 8, 64, 65, 80, 500):
         s = DEFAULTS.identity.__class__(neighbours=neighbours)
-        np.testing.assert_array_equal(identity.match(found, layout, layout, s), np.arange(81))
+        np.testing.assert_array_equal(
+            marker_matching.match(found, layout, layout, s), np.arange(81)
+        )

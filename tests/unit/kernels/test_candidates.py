@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from mjtactile.kernels import build
-from mjtactile.sensing.image import candidates, ellipse, judge
+from mjtactile.sensing.image import candidates, ellipse, fit_validation
 from mjtactile.sensing.image.candidates import Candidates
-from mjtactile.sensing.image.edges import EdgeFit
-from mjtactile.sensing.image.fit import as_ellipses
+from mjtactile.sensing.image.edge_fit import EdgeFit
+from mjtactile.sensing.image.ellipse_fit import as_ellipses
 from mjtactile.sensing.settings import DEFAULTS, MarkerSettings
 from tests.numpy_chain import candidates as numpy_candidates
 
@@ -87,17 +87,17 @@ def test_judgement(polarity):
         for least in (1.5, 4.0):
             args = found, least, DEFAULTS.markers
             np.testing.assert_array_equal(
-                judge.implausible(*args), numpy_candidates.implausible(*args)
+                fit_validation.implausible(*args), numpy_candidates.implausible(*args)
             )
             args = fit, found, polarity, SIZE, least, DEFAULTS.markers
             (status, keep), (wanted, wanted_keep) = (
-                judge.judge(*args),
+                fit_validation.judge(*args),
                 numpy_candidates.judge(*args),
             )
             np.testing.assert_array_equal(status, wanted)
             np.testing.assert_array_equal(keep, wanted_keep)
             seen |= set(status)
-    assert polarity == "bright" or seen == set(judge.STATUSES)
+    assert polarity == "bright" or seen == set(fit_validation.STATUSES)
 
 
 def test_semi_axes():

@@ -8,10 +8,10 @@ import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.optics import Camera
-from mjtactile.sensing.image import candidates, markers, profiles
-from mjtactile.sensing.pose import circles, identity
+from mjtactile.sensing.image import candidates, markers, profile_fit
+from mjtactile.sensing.pose import circles, marker_matching
 from mjtactile.sensing.settings import DEFAULTS
-from mjtactile.sim.picture.renderer import Renderer
+from mjtactile.sim.rendering.renderer import Renderer
 from tests.numpy_chain import circles as numpy_circles
 from tests.numpy_chain import identity as numpy_identity
 from tests.numpy_chain import profiles as numpy_profiles
@@ -35,7 +35,8 @@ def test_ellipses_from_profiles(image):
     found = candidates.find(image.pixels, 4.0)
     assert len(found) > 70
     ours, theirs = (
-        module.fit(image.pixels, found.center, found.shape) for module in (profiles, numpy_profiles)
+        module.fit(image.pixels, found.center, found.shape)
+        for module in (profile_fit, numpy_profiles)
     )
     for field in fields(ours):
         a = getattr(ours, field.name)
@@ -105,5 +106,7 @@ def test_identity():
         p = np.concatenate([p, p[:3] + 0.3 * pitch])
         p[rng.random(len(p)) < 0.05] = np.nan
         expected[rng.random(len(expected)) < rng.choice([0.0, 0.1, 1.0])] = np.nan
-        ours, theirs = (module.match(p, expected, layout) for module in (identity, numpy_identity))
+        ours, theirs = (
+            module.match(p, expected, layout) for module in (marker_matching, numpy_identity)
+        )
         np.testing.assert_array_equal(ours, theirs)

@@ -8,8 +8,8 @@ from scipy.interpolate import RegularGridInterpolator
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.optics import Camera
-from mjtactile.sim.picture import renderer, shadows
-from mjtactile.sim.picture.renderer import Effects, Renderer
+from mjtactile.sim.rendering import renderer, shadows
+from mjtactile.sim.rendering.renderer import Effects, Renderer
 from tests.numpy_chain import discs as numpy_discs
 
 DESIGN = load_sensor("dense")

@@ -8,12 +8,12 @@ import os
 import numpy as np
 import pytest
 
+from mjtactile.core.config_fields import entries
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import MjtactileError
-from mjtactile.core.fields import entries
 from mjtactile.kernels import kernel
-from mjtactile.kernels.library import declarations
-from mjtactile.sensing.chain import Chain
+from mjtactile.kernels.bindings import declarations
+from mjtactile.sensing.pipeline import Chain
 from mjtactile.sensing.settings import DEFAULTS
 from tests import sheet_images
 

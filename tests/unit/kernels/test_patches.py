@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from mjtactile.core.design import load_sensor
-from mjtactile.sensing.force.gain import Shape
-from mjtactile.sensing.force.inverse import InverseMembrane
+from mjtactile.sensing.force.inverse_fem import InverseMembrane
+from mjtactile.sensing.force.linearization import Shape
 from mjtactile.sensing.touch.patches import find_patches
 from tests.numpy_chain import patches as numpy_patches
 

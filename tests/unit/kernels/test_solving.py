@@ -8,14 +8,14 @@ from scipy.linalg import cho_solve, solve_triangular
 from scipy.special import lambertw
 
 from mjtactile.core.design import load_sensor
-from mjtactile.core.rubber import Law
+from mjtactile.core.neo_hookean import Law
 from mjtactile.core.types import Markers
 from mjtactile.kernels import kernel
-from mjtactile.sensing.force import sheet
-from mjtactile.sensing.force.inverse import InverseMembrane
-from mjtactile.sensing.force.sheet import Gas
-from mjtactile.sensing.law import SheetLaw
-from mjtactile.sensing.shape import surface
+from mjtactile.sensing.constitutive_law import SheetLaw
+from mjtactile.sensing.force import spline_fem
+from mjtactile.sensing.force.inverse_fem import InverseMembrane
+from mjtactile.sensing.force.spline_fem import Gas
+from mjtactile.sensing.surface import surface
 from tests.numpy_chain import sheet as numpy_sheet
 from tests.numpy_chain import surface as numpy_surface
 from tests.numpy_chain.inverse import DenseInverse
@@ -79,7 +79,7 @@ def test_sheet(law):
     """Sums of some hundred products: to rounding of what is summed."""
     design = load_sensor("dense")
     design = replace(design, membrane=replace(design.membrane, law=law))
-    ours = sheet.Sheet(design, (14, 10))
+    ours = spline_fem.Sheet(design, (14, 10))
     theirs = numpy_sheet.Sheet(design, (14, 10))
     rng = np.random.default_rng(4)
     n = ours.count
@@ -115,7 +115,7 @@ def test_sheet(law):
 def test_a_stiffness_that_is_not_definite_is_pushed():
     """Crumpled by millimetres, the sheet has no positive definite tangent; Newton's step is finite
     and downhill all the same."""
-    ours = sheet.Sheet(load_sensor("dense"), (14, 10))
+    ours = spline_fem.Sheet(load_sensor("dense"), (14, 10))
     state = ours.state(np.random.default_rng(0).normal(0, 2e-3, (3, ours.count)))
     assert np.linalg.eigvalsh(from_band(ours.tangent(state, 0.0), ours.width))[0] < 0
     residual, stiffness = ours.linearise(state, Gas(0.0))

@@ -6,8 +6,8 @@ from functools import partial
 import pytest
 
 from mjtactile.core.errors import InputError
-from mjtactile.film import Film
-from mjtactile.film.batch import at_once
+from mjtactile.quasistatic import Film
+from mjtactile.quasistatic.batch import at_once
 
 
 def test_what_fails_in_a_thread_is_raised_and_the_thread_goes_on():

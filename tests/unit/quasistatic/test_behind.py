@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mjtactile import Film
-from mjtactile.film import FilmStatus
+from mjtactile.quasistatic import FilmStatus
 
 KINDS = {
     "sphere": lambda r: (r,),

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mjtactile import Film
-from mjtactile.film.fineness import lowest_place
-from mjtactile.film.state import TENSION
+from mjtactile.quasistatic.discretization_error import lowest_place
+from mjtactile.quasistatic.solution import TENSION
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import benchmarks.film
+import benchmarks.quasistatic
 from mjtactile import Film, InputError
-from mjtactile.film import FilmStatus
+from mjtactile.quasistatic import FilmStatus
 
 # An independent sheet of 9-node elements on `dense` at 1 kPa, neo-Hookean, frictionless, sealed: radius mm, place mm, force N,
 # gauge pressure Pa, height of the ball's middle mm against the sheet's middle.
@@ -62,7 +62,7 @@ def test_a_ball_is_held_with_the_full_membrane_s_force(fine, press):
 
 def other_designs():
     """One press of each other sheet and pressure, of the independent sheet's."""
-    path = Path(benchmarks.film.__file__).with_name("film_reference.json")
+    path = Path(benchmarks.quasistatic.__file__).with_name("film_reference.json")
     cases = json.loads(path.read_text(encoding="utf-8"))["cases"]
     asked = {"kind": "ball", "size_mm": [16.0], "at_mm": [0.0, 0.0], "depth_mm": 2.0}
     usual = {"thickness_mm": 0.3, "pre_stretch": 1.05, "rest_Pa": 1000.0}
@@ -73,8 +73,8 @@ def other_designs():
 
 @pytest.mark.parametrize("case", other_designs())
 def test_other_sheets_and_pressures_are_the_full_membrane_s(case):
-    film = benchmarks.film._film(case, (41, 31))
-    state = film.solve(benchmarks.film._body(film, case))
+    film = benchmarks.quasistatic._film(case, (41, 31))
+    state = film.solve(benchmarks.quasistatic._body(film, case))
     # nodes are 1 mm apart, and the independent sheet's 0.5 mm
     assert state.force_normal == pytest.approx(case["force_N"], rel=0.015)
     assert state.pressure_gauge == pytest.approx(case["pressure_Pa"], rel=3e-3)

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mjtactile import Film, InputError
-from mjtactile.film.bodies import NUMBERS, pooled
-from mjtactile.film.derivatives import answered, changed_bodies
+from mjtactile.quasistatic.obstacles import NUMBERS, pooled
+from mjtactile.quasistatic.sensitivities import answered, changed_bodies
 
 # What makes bodies of numbers, and the numbers: at places where no node is about to come or go.
 TURN = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
@@ -30,7 +30,9 @@ SHAPES = {
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_they_are_what_differences_say(monkeypatch, name):
-    monkeypatch.setattr("mjtactile.film.film.TOLERANCE", 1e-10)  # m; differences are of 1e-6
+    monkeypatch.setattr(
+        "mjtactile.quasistatic.membrane.TOLERANCE", 1e-10
+    )  # m; differences are of 1e-6
     film = Film("dense", pressure_gauge=1000.0)
     shape, numbers = SHAPES[name]
 

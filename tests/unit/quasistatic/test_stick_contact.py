@@ -5,9 +5,9 @@ import pytest
 from scipy.linalg import cho_solve_banded
 
 from mjtactile import Film, InputError
-from mjtactile.film import Held, drag
-from mjtactile.film.live import Sticking
-from mjtactile.film.stiffness import compliance_of
+from mjtactile.quasistatic import Held, drag
+from mjtactile.quasistatic.incremental import Sticking
+from mjtactile.quasistatic.stiffness import compliance_of
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from mjtactile.core.errors import InputError
-from mjtactile.recording.check import wrong_note
+from mjtactile.recording.log_validation import wrong_note
 from mjtactile.recording.reader import load_recording
 from tests.fake_run import write_fake_recording
 

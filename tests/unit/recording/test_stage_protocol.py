@@ -8,7 +8,14 @@ import pytest
 from mjtactile.core import resources
 from mjtactile.core.errors import InputError
 from mjtactile.recording.files import to_json
-from mjtactile.recording.stage import PROTOCOLS, Move, Stage, describe, read_moves, stage_from_note
+from mjtactile.recording.stage_protocol import (
+    PROTOCOLS,
+    Move,
+    Stage,
+    describe,
+    read_moves,
+    stage_from_note,
+)
 
 
 @pytest.mark.parametrize("name", resources.names(PROTOCOLS, ".csv"))

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from mjtactile.core.types import Image, Sighting
+from mjtactile.recording.decimated_history import Strip
 from mjtactile.recording.reader import load_recording
-from mjtactile.recording.strip import Strip
 from mjtactile.recording.writer import Recorder
 from mjtactile.report import page
 from mjtactile.report.summary import see_again

@@ -13,8 +13,8 @@ from mjtactile.core.errors import MjtactileError
 from mjtactile.recording.reader import load_recording
 from mjtactile.recording.writer import Recorder
 from mjtactile.report import summary_figure as report
-from mjtactile.report.drawing import drawing_beside
-from mjtactile.run.progress import Progress
+from mjtactile.report.figure_process import drawing_beside
+from mjtactile.runtime.progress import Progress
 from tests.fake_run import fake_cycle, fake_touch, write_fake_recording
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mjtactile.core.types import FeltShape
-from mjtactile.report.body_lines import lines_of, words_of
+from mjtactile.report.shape_wireframe import lines_of, words_of
 
 BORDER = 3e-3 * np.column_stack([np.cos(np.arange(12) / 2), np.sin(np.arange(12) / 2)])
 

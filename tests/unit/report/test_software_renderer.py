@@ -5,9 +5,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from mjtactile.report.scene_picture import picture_axes, rasterise
+from mjtactile.report.software_renderer import picture_axes, rasterise
 from mjtactile.sim.scenes.grasp_world import GraspWorld
-from mjtactile.sim.scenes.view import SceneView, _shape
+from mjtactile.sim.scenes.scene_triangles import SceneView, _shape
 
 R = 0.02
 H = 0.03

@@ -11,8 +11,8 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from mjtactile.core.types import FeltShape
-from mjtactile.report.body_lines import lines_of, true_lines
-from mjtactile.report.body_section import draw_section
+from mjtactile.report.shape_cross_section import draw_section
+from mjtactile.report.shape_wireframe import lines_of, true_lines
 
 RADIUS = 0.008
 PLACE = np.array([2e-3, -1e-3, 4e-3])

@@ -17,9 +17,8 @@ from mjtactile.core.scenario import Scenario
 from mjtactile.core.sensor_parts import Chamber
 from mjtactile.core.toml import read_toml
 from mjtactile.core.types import Command
-from mjtactile.rig.file import load_sim_rig
-from mjtactile.rig.specimen import SpecimenConfig, marker_radii, true_design
-from mjtactile.rig.variation import (
+from mjtactile.rig.as_built_sensor import SpecimenConfig, marker_radii, true_design
+from mjtactile.rig.domain_randomization import (
     CAMERA,
     NONE,
     SECTIONS,
@@ -30,11 +29,12 @@ from mjtactile.rig.variation import (
     load_variation,
     variation_from_table,
 )
+from mjtactile.rig.file import load_sim_rig
 from mjtactile.sensing.image.markers import detect
 from mjtactile.sim.devices import SimGripper
-from mjtactile.sim.picture.renderer import Renderer
+from mjtactile.sim.rendering.renderer import Renderer
 from mjtactile.sim.rig import build_sim_rig
-from mjtactile.sim.scenes.changed import change
+from mjtactile.sim.scenes.modify_object import change
 from mjtactile.sim.scenes.objects import load_object
 from mjtactile.sim.sensor.gas import ChamberGas
 

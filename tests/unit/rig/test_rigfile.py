@@ -9,7 +9,7 @@ import pytest
 from mjtactile.core import resources
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
-from mjtactile.devices.dynamixel.jaws import JawGeometry
+from mjtactile.devices.dynamixel.jaw_kinematics import JawGeometry
 from mjtactile.rig.file import RigFile, load_rig_file, read_rig_file, rig_from_table
 from mjtactile.rig.registry import build_rig
 

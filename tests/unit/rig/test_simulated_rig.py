@@ -11,7 +11,7 @@ import pytest
 from mjtactile.core import resources
 from mjtactile.core.errors import InputError
 from mjtactile.rig.file import load_rig_file, load_sim_rig
-from mjtactile.rig.jaws import make_law
+from mjtactile.rig.jaw_transmission import make_law
 from mjtactile.rig.simulated import sim_rig_from_table
 
 SIMULATED = ("sim", "sim_arm", "sim_three_finger")

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from mjtactile.core.errors import ControllerError
-from mjtactile.run.controller import load_controller
+from mjtactile.runtime.controller import load_controller
 
 DATACLASS = """
 from __future__ import annotations

@@ -13,17 +13,17 @@ from types import SimpleNamespace
 
 import pytest
 
-from mjtactile.core import headroom
+from mjtactile.core import memory_limit
 from mjtactile.core.errors import ControllerError, DeviceError, Interrupted
 from mjtactile.core.signals import Stop
 from mjtactile.core.types import Command
 from mjtactile.core.types.control import MEMORY_MOST
 from mjtactile.recording.observer import Observer
-from mjtactile.rig.limits import Limits
-from mjtactile.run import loop
-from mjtactile.run.controller import Controller
-from mjtactile.run.cycle import ControlCycle
-from mjtactile.run.supervisor import Supervisor
+from mjtactile.rig.command_limits import Limits
+from mjtactile.runtime import control_loop
+from mjtactile.runtime.controller import Controller
+from mjtactile.runtime.cycle import ControlCycle
+from mjtactile.runtime.supervisor import Supervisor
 from tests.stub_rig import FEELS, OK, PERIOD, World
 
 
@@ -52,7 +52,7 @@ def test_a_step_that_eats_the_memory_is_refused_and_the_hand_goes_down(greedy):
     One more than the process had, that is: what others let go of meanwhile may be handed out again.
     """
     eaten = []
-    had = headroom._used()
+    had = memory_limit._used()
     most = [had]
 
     def step(observation):
@@ -60,7 +60,7 @@ def test_a_step_that_eats_the_memory_is_refused_and_the_hand_goes_down(greedy):
             if greedy == "in a list":
                 while True:
                     eaten.append(bytearray(64 << 20))  # the limit counts what is asked for
-                    most.append(headroom._used())
+                    most.append(memory_limit._used())
             many = [0.0] * (2 << 30)
             return replace(observation.command, memory={"many": many})
         return observation.command
@@ -94,7 +94,7 @@ def test_a_loop_without_memory_sets_down():
 
     world = World()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(loop, "plain", plain)
+        patch.setattr(control_loop, "plain", plain)
         _, message = world.run("", controller=step, error=DeviceError)
     assert "no memory is left" in message and world.has_set_down()
 
@@ -183,7 +183,7 @@ def test_a_notebook_that_cannot_be_written_is_said_once_and_the_grasp_goes_on():
         phase = "done" if is_over else "hold"
         return replace(observation.command, phase=phase, memory={"count": count, **strange})
 
-    last = loop.run_loop(
+    last = control_loop.run_loop(
         world.rig(),
         [SimpleNamespace(perceive=lambda image, now, reading=None: OK)],  # type: ignore[list-item]
         SimpleNamespace(path=Path("mine.py"), step=step),  # type: ignore[arg-type]
@@ -248,7 +248,7 @@ def test_a_controllers_module_state_and_its_thread_last_for_the_run():
     world = World()
     world.lift = 0.0
     controller = SimpleNamespace(path=Path("mine.py"), step=step)
-    last = loop.run_loop(
+    last = control_loop.run_loop(
         world.rig(),
         [SimpleNamespace(perceive=lambda image, now, reading=None: OK)],
         controller,  # type: ignore[list-item, arg-type]
@@ -263,7 +263,7 @@ def test_a_controller_that_ends_with_the_hand_in_the_air(phase):
     controller = SimpleNamespace(
         path=Path("mine.py"), step=lambda o: replace(o.command, phase=phase)
     )
-    last = loop.run_loop(
+    last = control_loop.run_loop(
         world.rig(),
         [SimpleNamespace(perceive=lambda image, now, reading=None: OK)],
         controller,  # type: ignore[list-item, arg-type]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mjtactile.core.task import Counts, Task
-from mjtactile.run.scoring import GraspScore
+from mjtactile.runtime.grasp_scoring import GraspScore
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from mjtactile.evaluate.report import page
 from mjtactile.export.episode import RecordedEpisode as Exported
 from mjtactile.recording.observer import Observer
 from mjtactile.recording.reader import load_recording
-from mjtactile.run.flags import FlagNotes
+from mjtactile.runtime.flag_observer import FlagNotes
 
 # closes on the block, whose faces have edges within the membrane's frame, and ends there
 CLOSES = """

@@ -9,7 +9,7 @@ import pytest
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Command, Touch
 from mjtactile.recording.observer import Observer
-from mjtactile.run.grasp import _Log, _result
+from mjtactile.runtime.grasp import _Log, _result
 
 HELD = Touch(0.0, 0.0, 0.6, 0.01, True)
 EMPTY = Touch(0.0, 0.0, 0.0, 0.01, False)

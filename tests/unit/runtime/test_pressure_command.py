@@ -9,9 +9,9 @@ import pytest
 
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.core.types import Command, ValveState
-from mjtactile.rig.limits import Limits
-from mjtactile.run import loop
-from mjtactile.run.supervisor import Supervisor
+from mjtactile.rig.command_limits import Limits
+from mjtactile.runtime import control_loop
+from mjtactile.runtime.supervisor import Supervisor
 from tests.stub_rig import BLIND, LAST, OK, PERIOD, World
 
 
@@ -59,7 +59,7 @@ def run_air(world, valve, step, limits=AIR):
     rig = replace(rig, fingers=(replace(rig.fingers[0], valve=valve),), limits=limits)
     controller = SimpleNamespace(path=Path("mine.py"), step=step)
     feels = SimpleNamespace(perceive=lambda image, now, reading=None: OK)
-    return loop.run_loop(rig, [feels], controller, time_limit=3.0)  # type: ignore[list-item, arg-type]
+    return control_loop.run_loop(rig, [feels], controller, time_limit=3.0)  # type: ignore[list-item, arg-type]
 
 
 def test_air_begins_at_what_the_gauge_shows_and_is_sealed_when_it_is_left_alone():

@@ -10,9 +10,9 @@ import pytest
 
 from mjtactile.core.errors import ControllerError
 from mjtactile.core.types import Command, Slip, Told, Touch, ValveState
-from mjtactile.rig.limits import Limits
-from mjtactile.run import loop
-from mjtactile.run.supervisor import BLIND_TIME_MAX, RETREAT_OPENING, RETREAT_SPEED, Supervisor
+from mjtactile.rig.command_limits import Limits
+from mjtactile.runtime import control_loop
+from mjtactile.runtime.supervisor import BLIND_TIME_MAX, RETREAT_OPENING, RETREAT_SPEED, Supervisor
 from tests.stub_rig import BLIND, LAST, OK, PERIOD, SEALED, World, loaded
 
 
@@ -155,7 +155,7 @@ def test_an_empty_hand_over_the_place_it_was_told_is_not_driven_into_it(
     rig = SimpleNamespace(told=Told(place_height=place))
     last = Command(0.06, 4.0, 0.025, "done")
     cycle = SimpleNamespace(rig=rig, last=last, touch=(touch,), supervisor=supervisor, now=1.0)
-    assert loop._has_landed(cycle) == lands and (supervisor.state == "safe") != lands  # type: ignore[arg-type]
+    assert control_loop._has_landed(cycle) == lands and (supervisor.state == "safe") != lands  # type: ignore[arg-type]
 
 
 # -- the loop

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from mjtactile.run.push import KIND, PushWatch
+from mjtactile.runtime.unsensed_force_monitor import KIND, PushWatch
 
 PERIOD = 1 / 30
 

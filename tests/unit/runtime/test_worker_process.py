@@ -6,7 +6,7 @@ import socket
 import numpy as np
 import pytest
 
-from mjtactile.run.worker import Channel
+from mjtactile.runtime.worker_process import Channel
 
 ROOM = 1 << 12
 RNG = np.random.default_rng(0)

@@ -11,18 +11,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import benchmarks.film
+import benchmarks.quasistatic
 from mjtactile import Chain, Film, load_sensor
 from mjtactile.core.types import BodyMotion, FeltShape, Markers, Slip, Touch
-from mjtactile.film import obstacle
-from mjtactile.sensing.body import press as following
-from mjtactile.sensing.body.families import FAMILIES
-from mjtactile.sensing.body.finder import Found
-from mjtactile.sensing.body.forward import Forward
-from mjtactile.sensing.body.fuse import _model, below_frame, borne
-from mjtactile.sensing.body.motion import RubberMotion, rubber_step
+from mjtactile.quasistatic import obstacle
+from mjtactile.sensing.apply_contact_shape import with_shape
+from mjtactile.sensing.contact_shape import press_tracker as following
+from mjtactile.sensing.contact_shape.estimator import Found
+from mjtactile.sensing.contact_shape.force_fusion import _model, below_frame, borne
+from mjtactile.sensing.contact_shape.forward_model import Forward
+from mjtactile.sensing.contact_shape.relative_motion import RubberMotion, rubber_step
+from mjtactile.sensing.contact_shape.shape_models import FAMILIES
 from mjtactile.sensing.settings import DEFAULTS
-from mjtactile.sensing.shaped import with_shape
 from mjtactile.sensing.touch.slip import SlipHistory, SlipSample
 
 NOISE = np.array([3.4e-6, 3.4e-6, 19e-6])  # m: `dense`, one image
@@ -35,7 +35,7 @@ def sensor():
     design = load_sensor("dense")
     chain = Chain(design)
     film = Film(design, (41, 31))
-    rest = seen(in_order(benchmarks.film._markers(film, film.rest)))
+    rest = seen(in_order(benchmarks.quasistatic._markers(film, film.rest)))
     state = chain.set_rest(chain.begin(), rest, film.pressure_gauge)
     return chain, state, chain.shape_finder(state)
 
@@ -47,7 +47,7 @@ def shape_of(sensor, *touches):
 
 @pytest.fixture(scope="module")
 def cases():
-    path = Path(benchmarks.film.__file__).with_name("film_reference.json")
+    path = Path(benchmarks.quasistatic.__file__).with_name("film_reference.json")
     return [case for case in json.loads(path.read_text())["cases"] if "markers_um" in case]
 
 
@@ -66,7 +66,7 @@ def touch_of(sensor, places, seed=0) -> Touch:
 
 def in_order(places):
     """A reference's markers (81, 3) m in the order of the sensor's."""
-    grid = benchmarks.film._MARKERS
+    grid = benchmarks.quasistatic._MARKERS
     nominal = load_sensor("dense").markers.p_SM
     return places[[int(np.abs(grid - at[:2]).sum(axis=1).argmin()) for at in nominal]]
 
@@ -109,7 +109,7 @@ def test_a_flat_face_with_a_rim_has_its_own_area(sensor, radius_mm, depth_mm):
     radius = 1e-3 * radius_mm
     height = film.rest.heights.max() - 1e-3 * depth_mm
     cylinder = film.obstacle("cylinder", (radius, 0.02), (1e-3, -0.5e-3, 0.02 + height))
-    places = in_order(benchmarks.film._markers(film, film.solve(cylinder)))
+    places = in_order(benchmarks.quasistatic._markers(film, film.solve(cylinder)))
     shape = shape_of(sensor, touch_of(sensor, places))
     assert shape.kind == "face" and shape.family == "disc"
     # markers are 3 and 4 mm apart: half a millimetre of a rim's place
@@ -154,7 +154,7 @@ def follow(sensor, touches, rubber=None):
 
 def pressed(sensor, film, bodies, seed, time=0.0):
     """What is felt of a film on `bodies`."""
-    places = in_order(benchmarks.film._markers(film, film.solve(bodies)))
+    places = in_order(benchmarks.quasistatic._markers(film, film.solve(bodies)))
     return replace(touch_of(sensor, places, seed), time=time)
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mjtactile import Chain, Film, load_sensor
-from mjtactile.film.places import carried
+from mjtactile.quasistatic.interpolation import carried
 from mjtactile.types import Markers
 
 NOISE = np.array([3.4e-6, 3.4e-6, 19e-6])  # m: `dense`, one image

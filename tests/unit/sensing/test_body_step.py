@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from mjtactile.film import FilmState
-from mjtactile.sensing.body.families import FAMILIES
-from mjtactile.sensing.body.standing import At, Prior
-from mjtactile.sensing.body.stepping import damped_step
+from mjtactile.quasistatic import FilmState
+from mjtactile.sensing.contact_shape.fit_state import At, Prior
+from mjtactile.sensing.contact_shape.levenberg_step import damped_step
+from mjtactile.sensing.contact_shape.shape_models import FAMILIES
 
 BALL = FAMILIES["ball"]
 THETA = np.array([0.3, -0.2, 0.1, 100.0])

@@ -5,14 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 
+from mjtactile.core.config_fields import from_table
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError
-from mjtactile.core.fields import from_table
-from mjtactile.rig.troubles import CameraTroubles
-from mjtactile.sensing.force.drift import MODES, CameraBelief, camera_modes
-from mjtactile.sensing.perception import Perception
+from mjtactile.rig.camera_faults import CameraTroubles
+from mjtactile.sensing.force.camera_drift_model import MODES, CameraBelief, camera_modes
 from mjtactile.sensing.settings import DEFAULTS
-from mjtactile.sim.picture.troubles import TroubledPicture
+from mjtactile.sensing.stateful_pipeline import Perception
+from mjtactile.sim.rendering.image_faults import TroubledPicture
 from tests import sheet_images
 
 AFTER = (

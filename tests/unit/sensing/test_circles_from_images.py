@@ -11,8 +11,8 @@ from mjtactile.core import optics
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import CirclePoses
 from mjtactile.sensing.image.markers import detect
-from mjtactile.sensing.pose.locate import find_circles
-from mjtactile.sensing.shape.smoothness import agree_on_depth
+from mjtactile.sensing.pose.circles_from_images import find_circles
+from mjtactile.sensing.surface.depth_smoothing import agree_on_depth
 
 CAMERA = optics.Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
 R = 0.0015

@@ -9,7 +9,7 @@ import pytest
 
 from mjtactile import Camera, InputError, load_sensor, track_circles
 from mjtactile.cli import main
-from mjtactile.sim.picture.renderer import Renderer
+from mjtactile.sim.rendering.renderer import Renderer
 
 RADIUS, PITCH, ZOOM = 9.0, 44.0, 8
 GRID = np.stack(np.meshgrid(np.arange(6), np.arange(4)), axis=-1).reshape(-1, 2)

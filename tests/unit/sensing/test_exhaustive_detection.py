@@ -8,10 +8,10 @@ import pytest
 from benchmarks.paper import marker_scenes
 from benchmarks.paper.marker_accuracy import match
 from mjtactile.core import optics
+from mjtactile.sensing.image.exhaustive_detection import detect_thoroughly
 from mjtactile.sensing.image.markers import detect
-from mjtactile.sensing.image.thorough import detect_thoroughly
 from mjtactile.sensing.pose.circles import estimate_poses
-from mjtactile.sensing.pose.locate import find_circles
+from mjtactile.sensing.pose.circles_from_images import find_circles
 
 CAMERA = optics.Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
 

@@ -10,9 +10,9 @@ from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.optics import Camera, project
 from mjtactile.core.types import Image
-from mjtactile.sensing.perception import Perception
-from mjtactile.sensing.pose.reference import fit_camera_pose
-from mjtactile.sim.picture.renderer import Renderer
+from mjtactile.sensing.pose.flat_reference import fit_camera_pose
+from mjtactile.sensing.stateful_pipeline import Perception
+from mjtactile.sim.rendering.renderer import Renderer
 
 DESIGN = load_sensor("dense")
 OUTWARD = np.tile([0.0, 0.0, 1.0], (DESIGN.markers.count, 1))

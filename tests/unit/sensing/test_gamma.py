@@ -9,7 +9,7 @@ import pytest
 from benchmarks.paper import marker_scenes
 from mjtactile.core import optics
 from mjtactile.core.errors import InputError
-from mjtactile.sensing.pose.locate import find_circles
+from mjtactile.sensing.pose.circles_from_images import find_circles
 
 CAMERA = optics.Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
 R = 0.0015

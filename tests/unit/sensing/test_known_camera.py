@@ -7,20 +7,25 @@ import numpy as np
 import pytest
 
 from mjtactile.core.calibration_parts import RestMarkers
+from mjtactile.core.config_fields import from_table
 from mjtactile.core.design import load_sensor
-from mjtactile.core.fields import from_table
 from mjtactile.core.toml import Section
 from mjtactile.core.types import FiducialsSeen, Image
 from mjtactile.doctor import fiducial_findings
-from mjtactile.rig.troubles import CameraTroubles
-from mjtactile.sensing.force.camera import KNOWN_MODES, CameraFinder, CameraSeen, _solve
-from mjtactile.sensing.force.inverse import InverseMembrane
-from mjtactile.sensing.force.sheet import Gas
-from mjtactile.sensing.force.tone import tone_of
-from mjtactile.sensing.perception import Perception
+from mjtactile.rig.camera_faults import CameraTroubles
+from mjtactile.sensing.force.camera_drift_estimator import (
+    KNOWN_MODES,
+    CameraFinder,
+    CameraSeen,
+    _solve,
+)
+from mjtactile.sensing.force.inverse_fem import InverseMembrane
+from mjtactile.sensing.force.spline_fem import Gas
+from mjtactile.sensing.force.tone_curve import tone_of
 from mjtactile.sensing.settings import DEFAULTS
-from mjtactile.sim.picture.renderer import Renderer
-from mjtactile.sim.picture.troubles import TroubledPicture
+from mjtactile.sensing.stateful_pipeline import Perception
+from mjtactile.sim.rendering.image_faults import TroubledPicture
+from mjtactile.sim.rendering.renderer import Renderer
 from tests import sheet_images
 
 SENSOR = "dense_fiducials"

@@ -7,7 +7,7 @@ import pytest
 from benchmarks.paper import marker_accuracy, marker_scenes
 from mjtactile.core.errors import InputError
 from mjtactile.sensing.image import markers
-from mjtactile.sensing.pose.locate import load_image, locate
+from mjtactile.sensing.pose.circles_from_images import load_image, locate
 
 
 @pytest.mark.parametrize(

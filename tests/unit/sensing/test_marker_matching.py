@@ -8,7 +8,7 @@ from mjtactile.core import geometry, optics
 from mjtactile.core.design import load_sensor
 from mjtactile.core.optics import Camera
 from mjtactile.core.types import CirclePoses
-from mjtactile.sensing.pose import identity
+from mjtactile.sensing.pose import marker_matching
 
 SENSORS = ["paper16", "dense"]
 
@@ -54,7 +54,7 @@ def test_flat_membrane_seen_by_a_displaced_camera(sensor, share):
         offset = rng.choice([-1, 1], 2) * share * np.array([markers.pitch_x, markers.pitch_y])
         turn = geometry.rotation_from_vector([0, 0, np.deg2rad(rng.uniform(-1, 1))])
         np.testing.assert_array_equal(
-            identity.match(p @ turn.T + [*offset, 0], layout, layout), ids
+            marker_matching.match(p @ turn.T + [*offset, 0], layout, layout), ids
         )
 
 
@@ -67,7 +67,7 @@ def test_sixty_percent_missing_and_others_spurious(sensor):
         rng = np.random.default_rng(seed)
         p, ids = seen(layout, rng, missing=0.6, spurious=design.markers.count // 8)
         p += [design.markers.pitch_x / 4, -design.markers.pitch_y / 5, 0]
-        found = identity.match(p, layout, layout)
+        found = marker_matching.match(p, layout, layout)
         right += np.sum((found == ids) & (ids >= 0))
         wrong += np.sum((found != ids) & (found >= 0) & (ids >= 0))
         total += np.sum(ids >= 0)
@@ -88,7 +88,7 @@ def test_identity_is_kept_through_a_press(sensor):
     for step in np.linspace(0, 1, 8)[1:]:  # 0.25 s at 30 fps
         truth, _ = pressed(design, depth=5e-3 * step, shear=1.5e-3 * step)
         p, ids = seen(truth, rng, missing=0.6, spurious=2)
-        found = identity.match(p, last, layout)
+        found = marker_matching.match(p, last, layout)
         assert not np.any((found != ids) & (found >= 0) & (ids >= 0))
         kept = kept + np.sum(found[ids >= 0] >= 0)
         total = total + np.sum(ids >= 0)
@@ -105,7 +105,7 @@ def test_a_wrong_match_is_found_by_its_neighbours():
     # circles
     p = np.delete(layout, 40, axis=0)
     p = np.concatenate([p, layout[40:41] + np.array([0.55 * design.markers.pitch_y, 0, 0])])
-    found = identity.match(p, layout, layout)
+    found = marker_matching.match(p, layout, layout)
     assert found[-1] == -1
     np.testing.assert_array_equal(found[:-1], np.delete(np.arange(81), 40))
 
@@ -116,16 +116,16 @@ def test_unknown_expectations_come_from_the_neighbours():
     moved = layout + np.array([1.4e-3, 0.5e-3, 0])
     expected = moved.copy()
     expected[::3] = np.nan
-    np.testing.assert_array_equal(identity.match(moved, expected, layout), np.arange(81))
+    np.testing.assert_array_equal(marker_matching.match(moved, expected, layout), np.arange(81))
 
 
 def test_nothing_seen_is_no_error():
     layout = load_sensor("dense").markers.p_SM
-    assert len(identity.match(np.zeros((0, 3)), layout, layout)) == 0
+    assert len(marker_matching.match(np.zeros((0, 3)), layout, layout)) == 0
     np.testing.assert_array_equal(
-        identity.match(np.full((3, 3), np.nan), layout, layout), [-1, -1, -1]
+        marker_matching.match(np.full((3, 3), np.nan), layout, layout), [-1, -1, -1]
     )
-    np.testing.assert_array_equal(identity.match(layout[5:6], layout, layout), [5])
+    np.testing.assert_array_equal(marker_matching.match(layout[5:6], layout, layout), [5])
 
 
 def poses_of(design, p_SM, n_S, ids_bad=()):
@@ -154,7 +154,7 @@ def test_two_fold_ambiguity_is_resolved_by_the_surface(sensor, share):
     design = load_sensor(sensor)
     p, n = pressed(design)
     poses = poses_of(design, p, n)
-    markers = identity.identify(poses, design, p)
+    markers = marker_matching.identify(poses, design, p)
     apart = np.degrees(np.arccos(np.clip((poses.n_C * poses.n_C_alt).sum(axis=1), -1, 1)))
     # nearer than that, either will do: a normal seen face-on is only known to 2 degrees
     clear = apart > 4
@@ -172,13 +172,13 @@ def test_identify_sorts_drops_and_scales():
     rng = np.random.default_rng(1)
     order = rng.permutation(81)
     poses = poses_of(design, p[order], n[order], ids_bad=[4, 7])
-    markers = identity.identify(poses, design, p)
+    markers = marker_matching.identify(poses, design, p)
     expected = np.setdiff1d(np.arange(81), order[[4, 7]])
     np.testing.assert_array_equal(markers.ids, expected)
     np.testing.assert_allclose(markers.p_SM, p[expected], atol=1e-12)
     # a marker 1 % larger than assumed is 1 % farther from where its rays meet: the camera less the
     # pane's shift
-    larger = identity.identify(poses, design, p, np.full(81, 1.01))
+    larger = marker_matching.identify(poses, design, p, np.full(81, 1.01))
     camera = Camera.from_design(design.camera, design.glass)
     shift = optics.glass_shift(
         camera, optics.unproject(camera, optics.project(camera, p - design.camera.p_SC))

@@ -7,9 +7,9 @@ import pytest
 
 from benchmarks.paper import marker_accuracy, marker_scenes
 from mjtactile.core import optics
-from mjtactile.sensing.image import edges, ellipse, judge, markers
+from mjtactile.sensing.image import edge_fit, ellipse, fit_validation, markers
 from mjtactile.sensing.pose.circles import estimate_poses
-from mjtactile.sensing.pose.consensus import share_elongation
+from mjtactile.sensing.pose.neighbor_smoothing import share_elongation
 
 CAMERA = marker_accuracy.CAMERA
 R = marker_accuracy.RADIUS
@@ -255,7 +255,7 @@ def test_touching_and_cut_markers_are_flagged():
     _, poses = errors(marker_scenes.image(CAMERA, cut), cut)
     inside = (poses.status == "ok") & (np.abs(poses.uv_px - [320, 240]).max(axis=1) > 100)
     assert not inside.any()
-    assert (poses.status == judge.CUT).sum() >= 3
+    assert (poses.status == fit_validation.CUT).sum() >= 3
 
 
 def test_nothing_there():
@@ -320,7 +320,7 @@ def test_image_fit_and_profiles_agree(circles):
     noise."""
     image = marker_scenes.image(CAMERA, circles)
     found = markers.detect(image)
-    fit = edges.fit(
+    fit = edge_fit.fit(
         image, found.center_px, ellipse.shape_from_axes(found.semi_axes_px, found.angle)
     )
     assert np.abs(fit.center - found.center_px).max() < 0.02

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mjtactile.core.design import load_sensor
-from mjtactile.sensing.force.doubt import Doubt, ShapeEvidence
+from mjtactile.sensing.force.model_error import Doubt, ShapeEvidence
 from mjtactile.sensing.settings import DEFAULTS
 
 DENSE = load_sensor("dense")

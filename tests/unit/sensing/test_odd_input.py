@@ -10,8 +10,8 @@ from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError, InputError, MjtactileError
 from mjtactile.core.optics import project
 from mjtactile.core.types import Image, Markers
-from mjtactile.sensing.chain import Chain
 from mjtactile.sensing.image.markers import detect
+from mjtactile.sensing.pipeline import Chain
 from mjtactile.sensing.pose.circles import estimate_poses
 from tests import sheet_images
 

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 from mjtactile.core import resources
+from mjtactile.core.config_fields import from_table
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
-from mjtactile.core.fields import from_table
-from mjtactile.rig.troubles import CameraTroubles
-from mjtactile.sensing.perception import Perception
-from mjtactile.sim.picture.troubles import TroubledPicture
+from mjtactile.rig.camera_faults import CameraTroubles
+from mjtactile.sensing.stateful_pipeline import Perception
+from mjtactile.sim.rendering.image_faults import TroubledPicture
 from tests import sheet_images
 
 ANGLES = np.radians([0, 25, 50, 130, 155, 180, 205, 230, 310, 335])  # in the picture, with room

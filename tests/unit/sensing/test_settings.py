@@ -14,11 +14,11 @@ import pytest
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Traction
-from mjtactile.sensing.chain import Chain
-from mjtactile.sensing.force import zero
+from mjtactile.sensing.force import contact_detection
 from mjtactile.sensing.image.markers import detect
+from mjtactile.sensing.pipeline import Chain
 from mjtactile.sensing.settings import DEFAULTS
-from mjtactile.sensing.settings.number import GAUGED, PRESSED, SEEN, TRIED
+from mjtactile.sensing.settings.tunable_parameter import GAUGED, PRESSED, SEEN, TRIED
 from mjtactile.sensing.touch.material import judge
 from mjtactile.sensing.touch.squeeze import Squeeze
 
@@ -83,8 +83,8 @@ def test_a_chain_works_with_what_it_is_given():
     )
     deaf = chain.settings.override({"zero.touch_least": 0.5}).zero
     assert (
-        zero.detect_touch(1.0, press, None).touching
-        and not zero.detect_touch(1.0, press, None, deaf).touching
+        contact_detection.detect_touch(1.0, press, None).touching
+        and not contact_detection.detect_touch(1.0, press, None, deaf).touching
     )
 
 

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mjtactile.sensing.body.common import Common
-from mjtactile.sensing.body.families import FAMILIES
-from mjtactile.sensing.body.fit import Prior
+from mjtactile.sensing.contact_shape.gauss_newton import Prior
+from mjtactile.sensing.contact_shape.shape_filter import Common
+from mjtactile.sensing.contact_shape.shape_models import FAMILIES
 
 BALL = FAMILIES["ball"]
 TOUCHING = 40  # nodes

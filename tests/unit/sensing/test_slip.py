@@ -10,9 +10,9 @@ import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.types import SLIP_STATES, Markers
-from mjtactile.sensing.force.inverse import InverseMembrane
-from mjtactile.sensing.force.rest import InverseRest
-from mjtactile.sensing.force.sheet import Gas
+from mjtactile.sensing.force.inverse_fem import InverseMembrane
+from mjtactile.sensing.force.rest_equilibrium import InverseRest
+from mjtactile.sensing.force.spline_fem import Gas
 from mjtactile.sensing.settings import DEFAULTS
 from mjtactile.sensing.touch import slip
 from mjtactile.sensing.touch.patches import find_patches

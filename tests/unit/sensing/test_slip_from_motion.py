@@ -7,8 +7,8 @@ import pytest
 
 from mjtactile.core.types import BodyMotion, Slip
 from mjtactile.sensing.settings import DEFAULTS
-from mjtactile.sensing.touch.moving import slides, spins, with_motion
 from mjtactile.sensing.touch.slip import SlipHistory, SlipSample
+from mjtactile.sensing.touch.slip_from_motion import slides, spins, with_motion
 
 S = DEFAULTS.slip
 STICKS = Slip("sticking", np.zeros(2), 0.0, 0.5)

@@ -11,9 +11,9 @@ from mjtactile.core import geometry
 from mjtactile.core.bspline import Cubic
 from mjtactile.core.design import load_sensor
 from mjtactile.core.types import Markers
-from mjtactile.sensing.shape.delaunay import reconstruct_delaunay
-from mjtactile.sensing.shape.slope import slope_sd_of
-from mjtactile.sensing.shape.surface import SurfaceFitter
+from mjtactile.sensing.surface.delaunay import reconstruct_delaunay
+from mjtactile.sensing.surface.slope_noise import slope_sd_of
+from mjtactile.sensing.surface.surface import SurfaceFitter
 
 L = 40e-3
 W = 30e-3

@@ -6,8 +6,8 @@ import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.types import Markers
-from mjtactile.sensing.force.doubt import Doubt, ShapeEvidence
-from mjtactile.sensing.force.lag import BlendFinder
+from mjtactile.sensing.force.model_error import Doubt, ShapeEvidence
+from mjtactile.sensing.force.temporal_blending import BlendFinder
 
 SD = 2e-6  # m
 

@@ -9,10 +9,10 @@ import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.types import Markers, Traction
-from mjtactile.sensing.chain import Chain
-from mjtactile.sensing.force import zero
-from mjtactile.sensing.force.inverse import InverseMembrane
-from mjtactile.sensing.force.sheet import Gas
+from mjtactile.sensing.force import contact_detection
+from mjtactile.sensing.force.inverse_fem import InverseMembrane
+from mjtactile.sensing.force.spline_fem import Gas
+from mjtactile.sensing.pipeline import Chain
 from mjtactile.sensing.settings import DEFAULTS
 
 SUPPLY = 1000.0
@@ -63,15 +63,19 @@ def test_noise_is_learnt_and_a_light_touch_is_felt_and_released():
     rng = np.random.default_rng(0)
     last = None
     for k in range(200):
-        last = zero.detect_touch(k * FRAME, traction(4e-3 * rng.standard_normal()), last)
+        last = contact_detection.detect_touch(
+            k * FRAME, traction(4e-3 * rng.standard_normal()), last
+        )
         assert not last.touching
     assert last is not None
     # 30 frames: sd of a sd is 13 %; three of them
     assert last.noise == pytest.approx(4e-3, rel=0.4)
-    assert zero.threshold(last.noise) < 0.03  # N, asked for
-    on = zero.detect_touch(7.0, traction(0.03), last)
-    assert on.touching and zero.detect_touch(7.1, traction(0.02), on).touching  # hysteresis
-    off = zero.detect_touch(7.2, traction(0.005), on)
+    assert contact_detection.threshold(last.noise) < 0.03  # N, asked for
+    on = contact_detection.detect_touch(7.0, traction(0.03), last)
+    assert (
+        on.touching and contact_detection.detect_touch(7.1, traction(0.02), on).touching
+    )  # hysteresis
+    off = contact_detection.detect_touch(7.2, traction(0.005), on)
     assert not off.touching and off.quiet_since == 7.2
 
 
@@ -83,7 +87,7 @@ def test_no_false_alarm_in_ten_minutes():
     for k, force in enumerate(5e-3 * rng.standard_normal(18000)):
         wrench = shown.wrench.copy()
         wrench[2] = -force
-        last = zero.detect_touch(k * FRAME, replace(shown, wrench=wrench), last)
+        last = contact_detection.detect_touch(k * FRAME, replace(shown, wrench=wrench), last)
         alarms += last.touching
     # at 5 mN of noise, 0.025 N is five sd: 3e-7 a frame, and the threshold follows the noise's
     # estimate
@@ -98,7 +102,7 @@ def test_zero_follows_a_warming_chamber_and_leaves_a_right_force(sensor):
     c = estimator.sheet.equilibrium(warm, rest.stiffness_scale, start=rest.c)
     rng = np.random.default_rng(2)
     shape = None
-    now = zero.Zero.of(rest)
+    now = contact_detection.Zero.of(rest)
     before = estimator.traction(estimator.estimate(seen(estimator, c), rest))
     off = before.wrench[2]
     # as far as it is not taken for a camera that sees all larger: within its bar
@@ -106,7 +110,7 @@ def test_zero_follows_a_warming_chamber_and_leaves_a_right_force(sensor):
     for _ in range(300):
         markers = seen(estimator, c, rng)
         shape = estimator.estimate(markers, now.rest, shape)
-        now = zero.follow(estimator, now, shape, markers, 0.2)
+        now = contact_detection.follow(estimator, now, shape, markers, 0.2)
     now = now.rest
     after = estimator.traction(estimator.estimate(seen(estimator, c), now)).wrench[2]
     assert abs(after) < 5e-3

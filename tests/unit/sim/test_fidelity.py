@@ -9,8 +9,8 @@ from mjtactile.core.scenario import Scenario
 from mjtactile.sim.effects import fidelity
 from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR, Fidelity
 from mjtactile.sim.rig import build_sim_rig
-from mjtactile.sim.sensor.films import FILM_GRID
-from mjtactile.sim.sensor.switches import Effect
+from mjtactile.sim.sensor.effect_switches import Effect
+from mjtactile.sim.sensor.quasistatic_cache import FILM_GRID
 
 
 def _row(mesh, error, cost):

@@ -8,8 +8,8 @@ import pytest
 from mjtactile.core import optics, resources
 from mjtactile.core.design import load_sensor, sensor_from_table
 from mjtactile.sensing.image.markers import detect
-from mjtactile.sim.picture.renderer import Effects, Renderer
-from mjtactile.sim.picture.sighting import Sighter
+from mjtactile.sim.rendering.renderer import Effects, Renderer
+from mjtactile.sim.rendering.synthetic_ellipses import Sighter
 from tests.unit.core.test_fiducials import PANE
 
 AROUND = np.linspace(0, 2 * np.pi, 720, endpoint=False)

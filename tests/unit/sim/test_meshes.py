@@ -11,7 +11,7 @@ from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.sim.scenes import meshes
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
-from mjtactile.sim.sensor.features import filled_share
+from mjtactile.sim.sensor.feature_size import filled_share
 
 CORNERS = np.array([(0, 0), (12, 0), (12, 4), (4, 4), (4, 12), (0, 12)], float)  # of an L, mm
 HEIGHT = 5.0

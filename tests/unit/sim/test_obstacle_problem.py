@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mjtactile.sim import truth
-from mjtactile.sim.film import lie_on
+from mjtactile.sim import ground_truth
+from mjtactile.sim.obstacle_problem import lie_on
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 PRESSURE = 1200.0
@@ -71,7 +71,7 @@ def pressed(indenter, mesh, depth, **placing):
 
 def test_contact_area_is_not_the_mesh_s():
     coarse, fine = (pressed("sphere:8", mesh, 3e-3) for mesh in ((13, 11), (21, 16)))
-    areas = [1e6 * truth.contact_area(world, 0) for world in (coarse, fine)]
+    areas = [1e6 * ground_truth.contact_area(world, 0) for world in (coarse, fine)]
     # 53.3, 52.0, 51.1 mm^2 on 13 x 11, 25 x 21 and 41 x 31 vertices, where touching vertices stand
     # for 87, 50, 53
     assert areas == pytest.approx([51.1, 51.1], rel=0.06)
@@ -79,7 +79,7 @@ def test_contact_area_is_not_the_mesh_s():
 
 def test_contact_area_of_a_face_and_of_nothing():
     world = pressed("cylinder:5", (13, 11), 3e-3, at=(1e-3, 2e-3))
-    assert truth.contact_area(world, 0) == pytest.approx(np.pi * 5e-3**2, rel=0.02)
+    assert ground_truth.contact_area(world, 0) == pytest.approx(np.pi * 5e-3**2, rel=0.02)
     world.lift_off()
     world.step(5)
-    assert truth.contact_area(world, 0) == 0.0
+    assert ground_truth.contact_area(world, 0) == 0.0

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from mjtactile.sim.sensor import shapes
+from mjtactile.sim.sensor import ray_intersection
 
 GEOMS = {
     "box": 'type="box" size="0.01 0.02 0.03"',
@@ -39,7 +39,7 @@ def test_lines_enter_where_rays_do(kind):
     starts *= 0.2 / np.linalg.norm(starts, axis=1, keepdims=True)
     aims = rng.uniform(-0.03, 0.03, (400, 3)) - starts
     directions = aims / np.linalg.norm(aims, axis=1, keepdims=True)
-    entry = shapes.entry_of(model, 0)
+    entry = ray_intersection.entry_of(model, 0)
     assert entry is not None
     found = entry((starts - p) @ R, directions @ R)
     geom = np.zeros(1, np.int32)
@@ -59,14 +59,14 @@ def test_lines_enter_where_rays_do(kind):
 
 def test_a_line_that_starts_inside_looks_back():
     model, _ = _model("sphere")
-    entry = shapes.entry_of(model, 0)
+    entry = ray_intersection.entry_of(model, 0)
     assert entry is not None
     assert entry(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]))[0] == pytest.approx(-0.02)
 
 
 def test_a_cylinder_along_its_axis():
     model, _ = _model("cylinder")
-    entry = shapes.entry_of(model, 0)
+    entry = ray_intersection.entry_of(model, 0)
     assert entry is not None
     points = np.array([[0.0, 0.0, -0.05], [0.0199, 0.0, -0.05], [0.0201, 0.0, -0.05]])
     found = entry(points, np.tile([0.0, 0.0, 1.0], (3, 1)))

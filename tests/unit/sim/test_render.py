@@ -17,7 +17,7 @@ from scipy.ndimage import gaussian_filter
 from mjtactile.core import geometry
 from mjtactile.core.design import load_sensor
 from mjtactile.core.sensor_parts import Leds
-from mjtactile.sim.picture.renderer import Effects, Renderer
+from mjtactile.sim.rendering.renderer import Effects, Renderer
 
 RAYS = 16
 NO_LEDS = Leds(count=0, membrane_dn=185.0, marker_dn=40.0)  # even light: shapes only

@@ -9,10 +9,10 @@ import pytest
 from mjtactile.core import optics
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
-from mjtactile.sim.picture import shadows
-from mjtactile.sim.picture.light import Light
-from mjtactile.sim.picture.renderer import Renderer
-from mjtactile.sim.picture.shadows import (
+from mjtactile.sim.rendering import shadows
+from mjtactile.sim.rendering.led_illumination import Light
+from mjtactile.sim.rendering.renderer import Renderer
+from mjtactile.sim.rendering.shadows import (
     ShadowedLight,
     SmoothSheet,
     bilinear,

@@ -5,7 +5,7 @@ import numpy as np
 from scipy.sparse import diags, identity, kron
 from scipy.sparse.linalg import spsolve
 
-from mjtactile.sim.sensor import spread
+from mjtactile.sim.sensor import subgrid_indentation
 
 DIRECTIONS = 4
 
@@ -26,7 +26,7 @@ def test_the_meshs_radius_is_that_of_a_lattice():
     the textbook's point load in a square, ln(L/r) + ln(0.5394), by conformal radius 0.5394 L."""
     count = 101
     side = count + 1
-    expected = np.log(0.5394 * side / spread.MESH_RADIUS) / (2 * np.pi)
+    expected = np.log(0.5394 * side / subgrid_indentation.MESH_RADIUS) / (2 * np.pi)
     # the conformal radius has four digits, ends O(1/n^2)
     np.testing.assert_allclose(_lattice_depth(count), expected, rtol=2e-3)
 
@@ -36,21 +36,27 @@ def test_a_small_ball():
     # of a ball of 5 cells
     load = np.array([1e-3])
     curvature = np.full((1, DIRECTIONS), 2.0 / 5.0)
-    depth, radius = spread.depth_beyond_mesh(load, np.zeros((1, DIRECTIONS)), curvature)
+    depth, radius = subgrid_indentation.depth_beyond_mesh(
+        load, np.zeros((1, DIRECTIONS)), curvature
+    )
     a = np.sqrt(load * 5.0)  # load = F/(2 pi T): a sin(a/R) = load, small angles
     np.testing.assert_allclose(radius, a, rtol=1e-3)
-    np.testing.assert_allclose(depth, load * (np.log(spread.MESH_RADIUS / a) + 0.5), rtol=1e-2)
+    np.testing.assert_allclose(
+        depth, load * (np.log(subgrid_indentation.MESH_RADIUS / a) + 0.5), rtol=1e-2
+    )
 
 
 def test_a_shallow_cone():
     """It is left at a sin(angle) = F/(2 pi T); inside the sheet is the cone: ln(mesh/a) + 1, up to
     the slope 0.05 squared."""
     load = np.array([0.001])
-    depth, radius = spread.depth_beyond_mesh(
+    depth, radius = subgrid_indentation.depth_beyond_mesh(
         load, np.full((1, DIRECTIONS), 0.05), np.zeros((1, DIRECTIONS))
     )
     np.testing.assert_allclose(radius, load * 20, rtol=2e-3)
-    np.testing.assert_allclose(depth, load * (np.log(spread.MESH_RADIUS / radius) + 1), rtol=2e-3)
+    np.testing.assert_allclose(
+        depth, load * (np.log(subgrid_indentation.MESH_RADIUS / radius) + 1), rtol=2e-3
+    )
 
 
 def test_a_steep_cone():
@@ -61,12 +67,12 @@ def test_a_steep_cone():
     angle = np.geomspace(far, np.pi / 4, 20000)
     radius = load / ((1 + 2 * (1 / np.cos(angle) - 1)) * np.sin(angle))
     falls = -np.trapezoid(np.tan(angle), radius) + radius[-1]  # and the cone itself, inside
-    depth, _ = spread.depth_beyond_mesh(
+    depth, _ = subgrid_indentation.depth_beyond_mesh(
         np.array([load]), np.ones((1, DIRECTIONS)), np.zeros((1, DIRECTIONS))
     )
     # the trapezoids' error
     np.testing.assert_allclose(
-        depth, falls - load * np.log(radius[0] / spread.MESH_RADIUS), rtol=1e-4
+        depth, falls - load * np.log(radius[0] / subgrid_indentation.MESH_RADIUS), rtol=1e-4
     )
 
 
@@ -75,18 +81,23 @@ def test_a_straight_edge_is_what_a_row_of_vertices_shows():
     2."""
     slope = np.array([[0.0, 0.7, 1.0, 0.7]])
     load = np.array([0.02])
-    assert abs(spread.depth_beyond_mesh(load, slope, np.zeros_like(slope))[0][0]) < 0.15 * load[0]
+    assert (
+        abs(subgrid_indentation.depth_beyond_mesh(load, slope, np.zeros_like(slope))[0][0])
+        < 0.15 * load[0]
+    )
 
 
 def test_two_vertices_on_one_tip_count_each_other():
     loads = np.array([0.1, 0.1])
     radii = np.array([0.2, 0.2])
     vertices = np.array([[0.0, 0.0], [1.0, 0.0]])
-    at_one_place = spread.depth_of_neighbours(
+    at_one_place = subgrid_indentation.depth_of_neighbours(
         loads, radii, vertices, np.array([[0.5, 0.0], [0.5, 0.0]])
     )
     np.testing.assert_allclose(at_one_place, 0.1 * np.log(1 / (0.39 * 0.4)))
-    np.testing.assert_array_equal(spread.depth_of_neighbours(loads, radii, vertices, vertices), 0.0)
+    np.testing.assert_array_equal(
+        subgrid_indentation.depth_of_neighbours(loads, radii, vertices, vertices), 0.0
+    )
 
 
 def test_profiles():
@@ -94,5 +105,5 @@ def test_profiles():
     for slope, curvature in ((0.7, 0.0), (0.0, 0.4), (0.3, 0.2)):
         rises = [np.array([slope * r + curvature * r**2 / 4]) for r in radii]
         np.testing.assert_allclose(
-            np.ravel(spread.profile(*rises, radii)), [slope, curvature], atol=1e-12
+            np.ravel(subgrid_indentation.profile(*rises, radii)), [slope, curvature], atol=1e-12
         )

@@ -12,12 +12,12 @@ from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Ellipses
 from mjtactile.recording.reader import load_recording
 from mjtactile.recording.writer import Recorder
-from mjtactile.run.grasp import run_grasp
+from mjtactile.runtime.grasp import run_grasp
 from mjtactile.sensing.image import markers
 from mjtactile.sensing.image.ellipse import axes_from_shape
 from mjtactile.sensing.pose.circles import estimate_poses
-from mjtactile.sim.picture.renderer import Renderer
-from mjtactile.sim.picture.sighting import Sighter
+from mjtactile.sim.rendering.renderer import Renderer
+from mjtactile.sim.rendering.synthetic_ellipses import Sighter
 
 DESIGN = load_sensor("dense")
 FLAT = DESIGN.markers.p_SM, np.tile([0.0, 0.0, 1.0], (DESIGN.markers.count, 1))
@@ -86,11 +86,11 @@ def test_errors_are_as_large_as_said():
 
 def drawn_from(sighter, pose):
     """The covariance that errors are drawn from, of the shapes without errors."""
-    from mjtactile.sim.picture import sighting
+    from mjtactile.sim.rendering import synthetic_ellipses
 
     _, shape = sighter._true(*pose)
     blur = sighter.design.camera.blur_px**2 / (shape[:, 0] * shape[:, 2])
-    loss = sighting.LOSS + sighting.LOSS_BY_BLUR * blur[:, None]
+    loss = synthetic_ellipses.LOSS + synthetic_ellipses.LOSS_BY_BLUR * blur[:, None]
     return loss[:, :, None] * loss[:, None] * sighter._bound(shape, pose[0])
 
 

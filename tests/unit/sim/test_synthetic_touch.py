@@ -9,14 +9,14 @@ import pytest
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
-from mjtactile.run.controller import Controller
-from mjtactile.run.grasp import run_grasp
-from mjtactile.run.session import open_session
+from mjtactile.runtime.controller import Controller
+from mjtactile.runtime.grasp import run_grasp
+from mjtactile.runtime.session import open_session
 from mjtactile.sim.camera import SimCamera
-from mjtactile.sim.chain_errors import errors_from, load_errors
-from mjtactile.sim.drawn import Erring
 from mjtactile.sim.effects.catalog import choose
-from mjtactile.sim.sensor.switches import Effect
+from mjtactile.sim.sensing_error_model import errors_from, load_errors
+from mjtactile.sim.sensor.effect_switches import Effect
+from mjtactile.sim.synthetic_touch import Erring
 
 DENSE = load_sensor("dense")
 PERIOD = 1 / 30

@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 
 from mjtactile.core import resources
+from mjtactile.core.config_fields import default_of, entries, from_table
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
-from mjtactile.core.fields import default_of, entries, from_table
 from mjtactile.core.types import Image
+from mjtactile.rig.as_built_sensor import SpecimenConfig
+from mjtactile.rig.camera_faults import UNTROUBLED, CameraTroubles
+from mjtactile.rig.domain_randomization import CAMERA, load_variation
 from mjtactile.rig.file import load_rig_file, rig_from_table
-from mjtactile.rig.specimen import SpecimenConfig
-from mjtactile.rig.troubles import UNTROUBLED, CameraTroubles
-from mjtactile.rig.variation import CAMERA, load_variation
 from mjtactile.sensing.image.markers import detect
 from mjtactile.sim.camera import SimCamera
-from mjtactile.sim.picture.renderer import Renderer
-from mjtactile.sim.picture.troubles import STEPS, TroubledPicture
-from mjtactile.sim.sensor.switches import CAMERA as DRAWN
-from mjtactile.sim.sensor.switches import Effect
+from mjtactile.sim.rendering.image_faults import STEPS, TroubledPicture
+from mjtactile.sim.rendering.renderer import Renderer
+from mjtactile.sim.sensor.effect_switches import CAMERA as DRAWN
+from mjtactile.sim.sensor.effect_switches import Effect
 
 DESIGN = load_sensor("dense")
 UP = np.tile([0.0, 0.0, 1.0], (DESIGN.markers.count, 1))

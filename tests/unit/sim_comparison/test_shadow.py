@@ -8,24 +8,24 @@ import numpy as np
 import pytest
 
 from mjtactile.cli import main
+from mjtactile.core.config_fields import ML_S_KPA
 from mjtactile.core.design import load_sensor
-from mjtactile.core.fields import ML_S_KPA
 from mjtactile.core.scenario import Scenario
-from mjtactile.experiments.stage import record_stage
-from mjtactile.recording.stage import Move, Stage
+from mjtactile.experiments.motion_stage import record_stage
+from mjtactile.recording.stage_protocol import Move, Stage
 from mjtactile.recording.writer import Recorder
+from mjtactile.rig.as_built_sensor import SpecimenConfig, true_design
+from mjtactile.rig.domain_randomization import Drawn
 from mjtactile.rig.file import load_sim_rig
-from mjtactile.rig.specimen import SpecimenConfig, true_design
-from mjtactile.rig.variation import Drawn
-from mjtactile.run.controller import load_controller
-from mjtactile.run.session import Session
-from mjtactile.shadow.again import _specimen
-from mjtactile.shadow.causes import causes_of
-from mjtactile.shadow.explain import explain
-from mjtactile.shadow.page import page, verdict
-from mjtactile.shadow.run import shadow_of
-from mjtactile.shadow.signals import Signals
+from mjtactile.runtime.controller import load_controller
+from mjtactile.runtime.session import Session
 from mjtactile.sim.rig import build_sim_rig
+from mjtactile.sim_comparison.attribution import explain
+from mjtactile.sim_comparison.compare import shadow_of
+from mjtactile.sim_comparison.discrepancy_parameters import causes_of
+from mjtactile.sim_comparison.html_report import page, verdict
+from mjtactile.sim_comparison.resimulate import _specimen
+from mjtactile.sim_comparison.signals import Signals
 
 SEED = 201  # of the camera: none that the tolerances were chosen with
 UNTIL = 1.5  # s of a grasp: 60 Pa are gone by then
@@ -122,7 +122,7 @@ def staged(folder, specimen):
 
 def test_a_sensor_as_its_file_says_does_as_the_simulator(tmp_path, capsys):
     folder = staged(tmp_path / "run", load_sensor("dense"))
-    assert main(["shadow", str(folder), "--out", str(tmp_path / "out"), "--json"]) == 0
+    assert main(["compare-sim", str(folder), "--out", str(tmp_path / "out"), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert not result["differs"] and result["named"] is None
     assert (tmp_path / "out/shadow.html").read_text().count("<svg") == 3
@@ -203,5 +203,5 @@ def test_a_recording_that_says_no_object_is_refused(tmp_path, capsys):
 
     with Recorder(tmp_path / "run", {"sensor": "dense"}, frames=0) as recorder:
         recorder.add(fake_cycle(0))
-    assert main(["shadow", str(tmp_path / "run")]) == 2
+    assert main(["compare-sim", str(tmp_path / "run")]) == 2
     assert "--object" in capsys.readouterr().err

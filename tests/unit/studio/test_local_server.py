@@ -7,7 +7,7 @@ import socket
 import pytest
 from mujoco.studio.web import web_server
 
-from mjtactile.studio import loopback
+from mjtactile.studio import local_server
 from tests.emulated import wait_for
 
 MODEL = b"a model that is nobody else's business"
@@ -16,7 +16,7 @@ MODEL = b"a model that is nobody else's business"
 @pytest.fixture(scope="module")
 def port(tmp_path_factory):
     """MuJoCo's server, as Studio starts it, without a viewer behind it."""
-    public = web_server.bind_public_socket(loopback.LOOPBACK, _free_port())
+    public = web_server.bind_public_socket(local_server.LOOPBACK, _free_port())
     pages = tmp_path_factory.mktemp("pages")
     (pages / "index.html").write_text("the page")
     server = web_server.WebServer(
@@ -85,9 +85,9 @@ def test_the_page_gets_its_model_and_no_other_page_may_read_it(port, headers):
 
 
 def test_a_page_that_looks_is_known_and_a_stranger_is_none(port):
-    loopback.looked_at.clear()
+    local_server.looked_at.clear()
     get(port, "/")
     get(port, "/state", Origin="https://evil.example")
-    assert not loopback.looked_at.is_set()
+    assert not local_server.looked_at.is_set()
     get(port, "/state?sid=1")
-    assert loopback.looked_at.is_set()
+    assert local_server.looked_at.is_set()

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from mjtactile.core.types import Command, GripperState, Observation, Touch
-from mjtactile.studio.hand import ByHand, HandGoal
+from mjtactile.studio.manual_control import ByHand, HandGoal
 
 PERIOD = 1 / 30
 

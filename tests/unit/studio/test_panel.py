@@ -14,11 +14,11 @@ from mujoco.studio.implot import implot
 from mjtactile.core.design import load_sensor
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Ellipses
-from mjtactile.studio import desk, layout, marks, panel, plots, surface
-from mjtactile.studio.desk import Desk, toggled
-from mjtactile.studio.moment import Felt, Pose
+from mjtactile.studio import control_window, layout, panel, plots, scene_overlays, surface_colormap
+from mjtactile.studio.control_window import Desk, toggled
 from mjtactile.studio.panel import Panel, flagged_text
-from mjtactile.studio.show import Show
+from mjtactile.studio.session_bridge import Show
+from mjtactile.studio.snapshot import Felt, Pose
 from tests.fake_run import fake_cycle, fake_image, fake_touch
 from tests.unit.studio.fake_gui import FakeGui, FakePlot, FakeViewer
 
@@ -26,7 +26,7 @@ from tests.unit.studio.fake_gui import FakeGui, FakePlot, FakeViewer
 @pytest.fixture
 def gui(monkeypatch):
     gui = FakeGui(dear_imgui)
-    for module in (panel, desk, plots, layout):
+    for module in (panel, control_window, plots, layout):
         monkeypatch.setattr(module, "imgui", gui)
     gui.plot = FakePlot(implot)
     monkeypatch.setattr(plots, "implot", gui.plot)
@@ -124,9 +124,9 @@ def test_a_camera_and_a_membrane_of_each_finger_are_pictured(gui, show):
 def test_the_indentation_is_the_rest_shape_less_what_is_felt_and_is_brightest_where_it_is_deepest():
     touch = fake_touch(0.6, 0.0)
     rest = fake_touch(0.0, 0.0).surface
-    field = surface.field_of(Felt("left", fake_image(0), touch, rest=rest), "indentation")
+    field = surface_colormap.field_of(Felt("left", fake_image(0), touch, rest=rest), "indentation")
     assert field.values.max() == pytest.approx(0.6 * 0.002)  # as fake_touch presses, in the middle
-    picture = surface.picture(
+    picture = surface_colormap.picture(
         Felt("left", fake_image(0), replace(touch, traction=None), rest=rest),
         field,
         0.0012,
@@ -138,31 +138,39 @@ def test_the_indentation_is_the_rest_shape_less_what_is_felt_and_is_brightest_wh
 
 def test_the_tractions_over_the_membrane_are_the_force_and_their_middle_is_the_centre_of_pressure():
     touch = fake_touch(0.6, 0.0)
-    field = surface.field_of(Felt("left", fake_image(0), touch), "traction")
+    field = surface_colormap.field_of(Felt("left", fake_image(0), touch), "traction")
     dx = np.diff(field.x)[0]
     dy = np.diff(field.y)[0]
     wx = np.r_[0.5, np.ones(len(field.x) - 2), 0.5] * dx
     wy = np.r_[0.5, np.ones(len(field.y) - 2), 0.5] * dy
     assert wy @ field.values @ wx == pytest.approx(0.6)
-    np.testing.assert_allclose(surface.centre_of_pressure(touch), 0, atol=1e-12)  # symmetric
+    np.testing.assert_allclose(
+        surface_colormap.centre_of_pressure(touch), 0, atol=1e-12
+    )  # symmetric
 
 
 def test_the_sheet_in_the_scene_is_the_felt_surface():
     touch = fake_touch(0.6, 0.0)
     felt = Felt("left", fake_image(0), touch, rest=fake_touch(0.0, 0.0).surface)
-    corners, rgb = surface.sheet(felt, surface.field_of(felt, "indentation"), 0.0012)
+    corners, rgb = surface_colormap.sheet(
+        felt, surface_colormap.field_of(felt, "indentation"), 0.0012
+    )
     s = touch.surface
     a, b, c = corners.swapaxes(0, 1)
     area = np.cross(b - a, c - a)[:, 2] / 2  # seen along z
     assert area.sum() == pytest.approx((s.x[-1] - s.x[0]) * (s.y[-1] - s.y[0])) and (area > 0).all()
     middle = np.linalg.norm(corners.mean(axis=1)[:, :2], axis=1).argmin()
     assert rgb[middle, 1] == rgb[:, 1].max()  # green grows along viridis
-    pressed, _ = surface.sheet(felt, surface.field_of(felt, "indentation"), 0.0012, least=0.04)
+    pressed, _ = surface_colormap.sheet(
+        felt, surface_colormap.field_of(felt, "indentation"), 0.0012, least=0.04
+    )
     assert 0 < len(pressed) < len(corners)
     quiet = replace(felt, touch=fake_touch(0.0, 0.0))  # nowhere is anything pushed in
     assert [
         len(part)
-        for part in surface.sheet(quiet, surface.field_of(quiet, "indentation"), 1e-3, least=0.04)
+        for part in surface_colormap.sheet(
+            quiet, surface_colormap.field_of(quiet, "indentation"), 1e-3, least=0.04
+        )
     ] == [0, 0]
 
 
@@ -191,7 +199,7 @@ def test_geoms_are_those_of_the_touch_and_of_nobody_elses(gui, show):
 
 
 def test_a_triangle_and_an_arrow_are_where_they_belong():
-    brush = marks.Brush()
+    brush = scene_overlays.Brush()
     corners = np.array([[1.0, 2, 3], [2, 2, 3], [1, 4, 5]])
     for _ in range(2):  # the second time with the same geoms
         brush.begin()
@@ -200,7 +208,7 @@ def test_a_triangle_and_an_arrow_are_where_they_belong():
     unit = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])  # what MuJoCo draws
     np.testing.assert_allclose(geom.pos + unit @ np.asarray(geom.mat).T, corners, atol=1e-6)
     felt = Felt("left", fake_image(0), fake_touch(0.6, 0.0), pose=Pose(np.zeros(3), np.eye(3)))
-    marks.draw(brush, [felt], marks.Look(surface="none", contacts=False))
+    scene_overlays.draw(brush, [felt], scene_overlays.Look(surface="none", contacts=False))
     [arrow] = brush.drawn
     along = np.asarray(arrow.mat)[:, 2]
     # the finger pushes the object away, along its own z
@@ -221,7 +229,7 @@ def test_why_an_ellipse_is_not_trusted_is_said():
 
 def test_a_handler_that_raises_is_shown_and_the_next_one_is_called(gui, show, monkeypatch):
     plugin = Panel(show)
-    monkeypatch.setattr(marks, "draw", lambda *_, **__: 1 / 0)
+    monkeypatch.setattr(scene_overlays, "draw", lambda *_, **__: 1 / 0)
     build(plugin)
     assert any(
         said.startswith("ZeroDivisionError: division by zero (test_panel.py, line")

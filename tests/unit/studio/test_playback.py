@@ -5,7 +5,7 @@ import pytest
 
 from mjtactile.core.scenario import Scenario
 from mjtactile.recording.reader import load_recording
-from mjtactile.studio.tape import TapePlayer
+from mjtactile.studio.playback import TapePlayer
 from tests.fake_run import write_fake_recording
 
 COUNT = 12
@@ -42,7 +42,7 @@ def test_image_touch_truth_and_curves_follow_the_time(tape):
 
 def test_it_plays_by_the_clock_to_its_end_and_from_the_start_again(tape, monkeypatch):
     clock = [100.0]
-    monkeypatch.setattr("mjtactile.studio.tape.wall.monotonic", lambda: clock[0])
+    monkeypatch.setattr("mjtactile.studio.playback.wall.monotonic", lambda: clock[0])
     tape.at = 0.0
     tape.playing = True
     clock[0] += 0.2

@@ -6,7 +6,7 @@ import pytest
 
 from mjtactile.core.errors import DeviceError, Interrupted, MjtactileError
 from mjtactile.studio import serve
-from mjtactile.studio.show import Show
+from mjtactile.studio.session_bridge import Show
 from tests.fake_run import fake_cycle
 
 

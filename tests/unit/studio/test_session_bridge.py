@@ -12,11 +12,11 @@ from mjtactile.core.errors import DeviceError, Interrupted
 from mjtactile.core.scenario import Scenario
 from mjtactile.recording.observer import Observer
 from mjtactile.report.overlay import find_ellipses, followed
-from mjtactile.run.controller import load_controller
-from mjtactile.run.grasp import run_grasp
-from mjtactile.studio.hand import HandGoal
-from mjtactile.studio.moment import finger_lines
-from mjtactile.studio.show import RED_BUTTON, RestartAsked, Show
+from mjtactile.runtime.controller import load_controller
+from mjtactile.runtime.grasp import run_grasp
+from mjtactile.studio.manual_control import HandGoal
+from mjtactile.studio.session_bridge import RED_BUTTON, RestartAsked, Show
+from mjtactile.studio.snapshot import finger_lines
 from tests.fake_run import fake_cycle
 
 
@@ -101,7 +101,7 @@ def test_a_signal_ends_a_pause(monkeypatch):
     def check():
         raise Interrupted
 
-    monkeypatch.setattr("mjtactile.studio.show.signals.check", check)
+    monkeypatch.setattr("mjtactile.studio.session_bridge.signals.check", check)
     show.on_images()
     assert not show.paused
 

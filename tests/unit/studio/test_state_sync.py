@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from mjtactile.studio.mirror import shown_model
+from mjtactile.studio.state_sync import shown_model
 
 SCENE = """
 <mujoco><worldbody>

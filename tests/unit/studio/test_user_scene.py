@@ -15,7 +15,7 @@ from mujoco.studio import messages, plugin
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from mjtactile.studio.own import OwnFingers
+from mjtactile.studio.user_scene import OwnFingers
 from tests.emulated import wait_for
 from tests.fake_run import fake_image, fake_touch
 

@@ -3,8 +3,8 @@
     shown = TroubledPicture(CameraTroubles(gamma=1.3, jpeg=80), seed=1)
     image = shown(image)          # images of one camera, in their order
 
-What each is and its range stand on the fields of `mjtactile.rig.troubles.CameraTroubles`; what is
-random (where dust lies, which picture tears) follows from the seed and the picture's number.
+What each is and its range stand on the fields of `mjtactile.rig.camera_faults.CameraTroubles`; what
+is random (where dust lies, which picture tears) follows from the seed and the picture's number.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from dataclasses import fields
 import numpy as np
 
 from mjtactile.core.types import Image
-from mjtactile.rig.troubles import CameraTroubles
-from mjtactile.sim.picture.troubles import lens, processing, sensor
-from mjtactile.sim.picture.troubles.shot import Floats, Shot, Step
+from mjtactile.rig.camera_faults import CameraTroubles
+from mjtactile.sim.rendering.image_faults import image_processing, image_sensor, optics
+from mjtactile.sim.rendering.image_faults.fault_context import Floats, Shot, Step
 
-STEPS: tuple[Step, ...] = (*lens.STEPS, *sensor.STEPS, *processing.STEPS)
+STEPS: tuple[Step, ...] = (*optics.STEPS, *image_sensor.STEPS, *image_processing.STEPS)
 """In the order of light, chip, processor and wire."""
 _FORGOTTEN = 0.15
 """s: a camera that is not read goes on taking pictures, of which the last is like the next."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mjtactile.rig.troubles import CameraTroubles
+from mjtactile.rig.camera_faults import CameraTroubles
 
 Floats = NDArray[np.float32]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from mjtactile.rig.troubles import CameraTroubles
-from mjtactile.sim.picture.troubles.shot import Floats, Shot, Step
+from mjtactile.rig.camera_faults import CameraTroubles
+from mjtactile.sim.rendering.image_faults.fault_context import Floats, Shot, Step
 
 _MASK = 1.0  # px, sd of the unsharp mask
 _STUDIO = (16.0, 219.0)  # black, and levels from there to white, of YUYV

@@ -8,8 +8,8 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from mjtactile.rig.troubles import CameraTroubles
-from mjtactile.sim.picture.troubles.shot import Floats, Shot, Step
+from mjtactile.rig.camera_faults import CameraTroubles
+from mjtactile.sim.rendering.image_faults.fault_context import Floats, Shot, Step
 
 _FOG_DN = 160.0
 _SPECK_EDGE = 1.5  # px, sd: the pane is out of focus
