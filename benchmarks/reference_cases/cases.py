@@ -32,7 +32,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.neo_hookean import Law
 from mjtactile.core.toml import Section, read_toml
 
-FOLDER = "models/truth"
+FOLDER = "models/reference_cases"
 _LARGE = 1e9
 
 

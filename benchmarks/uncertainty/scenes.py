@@ -129,7 +129,8 @@ def _indenter(rng: np.random.Generator) -> Indenter:
     if rng.uniform() < 1 / 8:
         return Indenter(
             "model",
-            path=resources.folder("models/truth") / f"{MODELS[rng.integers(len(MODELS))]}.xml",
+            path=resources.folder("models/reference_cases")
+            / f"{MODELS[rng.integers(len(MODELS))]}.xml",
         )
     kind = list(SIZES)[rng.integers(len(SIZES))]
     return Indenter(kind, float(rng.uniform(*SIZES[kind])))

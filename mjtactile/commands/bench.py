@@ -59,7 +59,7 @@ examples:
   mjtactile bench perception --out results
   mjtactile bench grasp --readme docs/validation/benchmarks.md
       put the table between that file's bench markers
-  mjtactile bench truth --cases my_cases   a TOML file each; those that come along: models/truth
+  mjtactile bench truth --cases my_cases   a TOML file each; shipped: models/reference_cases
   mjtactile bench numbers --readme docs/validation/results.md     then take all numbers from there
   mjtactile bench headline --readme README.md          and the README's
 """

@@ -31,7 +31,8 @@ examples:
   mjtactile fabricate dense --out build --speed-mm-s 100     a shorter exposure, and more light
 
 Begin with README.md in the folder. Lengths in it are mm; parts are in the sensor's frame (z
-outward, membrane at 0). Needs `pip install 'mjtactile[fabrication]'`. More: `mjtactile docs fabricate`.
+outward, membrane at 0). Needs `pip install 'mjtactile[fabrication]'`. More:
+`mjtactile docs fabricate`.
 JSON: {"sensor": …, "out": …, "files": [...], "checks": {what: result}, "optics": {…},
 "parts": {name: {"size_mm", "volume_mm3"}}} exit codes: 0 written, 2 cannot be built, or bad
 input

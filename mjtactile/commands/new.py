@@ -70,7 +70,7 @@ KINDS = {
     ),
     "task": Kind("models/tasks", ".toml", "lift", "task_files", "mjtactile grasp --task {file}"),
     "variation": Kind(
-        "models/variations",
+        "models/randomization",
         ".toml",
         "default",
         "how-to/evaluate",

@@ -61,7 +61,7 @@ _VALUES = {
     "vary": (
         "NAME|FILE.toml",
         "ranges of object, sensor, gas and rig, from which the seed draws the simulated "
-        f"world: {_shipped('models/variations', '.toml')}, none, or your own file",
+        f"world: {_shipped('models/randomization', '.toml')}, none, or your own file",
     ),
     "task": (
         "NAME|FILE.toml",

@@ -128,7 +128,7 @@ class Scenario:
     )
     effects: str = text("effects", default="auto")
     accuracy: str = entry(_MaybeEmpty(key="accuracy"), "")
-    vary: str = _file("vary", "models/variations", ".toml", "none", default="none")
+    vary: str = _file("vary", "models/randomization", ".toml", "none", default="none")
     seed: int = whole("seed", 0, 2**63 - 1, default=0)
     time_limit: float = entry(_Limit(key="time_limit_s", low=0.1, high=86400), TIME_LIMIT)
     shapes: bool = flag("shapes", default=False)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -336,7 +337,11 @@ def _results(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _hashes(tasks: Sequence[str], vary: str) -> dict[str, str]:
-    """Of each file that results rest on."""
+    """Return a checksum of each file's values; comments and layout do not count."""
     paths = [resources.find(task, "models/tasks", ".toml") for task in tasks]
-    paths.append(resources.find(vary, "models/variations", ".toml"))
-    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
+    paths.append(resources.find(vary, "models/randomization", ".toml"))
+    values = {path.name: tomllib.loads(path.read_text(encoding="utf-8")) for path in paths}
+    return {
+        name: hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
+        for name, value in values.items()
+    }

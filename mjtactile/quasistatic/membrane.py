@@ -12,7 +12,8 @@ from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.kernels import bound, kernel
-from mjtactile.quasistatic import argument_checks, obstacles, stiffness
+from mjtactile.quasistatic import argument_checks, stiffness
+from mjtactile.quasistatic import obstacles as obstacle_rows
 from mjtactile.quasistatic.batch import at_once, new_batch
 from mjtactile.quasistatic.constitutive_law import law_numbers, tension_slope
 from mjtactile.quasistatic.cut_cells import cut_by
@@ -136,7 +137,7 @@ class Film:
         Returns:
             The body.
         """
-        return obstacles.obstacle(kind, sizes, p_SO, R_SO, data=data)
+        return obstacle_rows.obstacle(kind, sizes, p_SO, R_SO, data=data)
 
     def solve(
         self, obstacles: Obstacle | Sequence[Obstacle] = (), state: FilmState | None = None
@@ -154,8 +155,8 @@ class Film:
             InputError: An obstacle touches the rim, lies on the glass, pulls the sheet inside out
                 or too far, or goes through between nodes.
         """
-        listed = obstacles.listed(obstacles, "obstacles")
-        rows, pool = obstacles.pooled(listed, self.grid)
+        listed = obstacle_rows.listed(obstacles, "obstacles")
+        rows, pool = obstacle_rows.pooled(listed, self.grid)
         if state is not None:
             argument_checks.require_state(state, self.rest.x.shape)
         start = self.rest if state is None or not state.converged else state
@@ -197,8 +198,8 @@ class Film:
         """
         listed = argument_checks.environments(obstacles)
         count = len(listed)
-        every = obstacles.listed([body for one in listed for body in one], "obstacles")
-        rows, pool = obstacles.pooled(every, self.grid)
+        every = obstacle_rows.listed([body for one in listed for body in one], "obstacles")
+        rows, pool = obstacle_rows.pooled(every, self.grid)
         for field, given in (("batch", batch), ("into", into)):
             if given is not None:
                 argument_checks.require_batch(field, given, (count, 3, *self.grid))
@@ -230,7 +231,7 @@ class Film:
             spacings wide, up to 0.25, at a cone's tip 0.4, on nodes 2 mm apart. Shallow contacts of
             few nodes are in `FilmState.doubt` as well.
         """
-        return doubt(obstacles.listed(obstacles, "obstacles"), self.spacing)
+        return doubt(obstacle_rows.listed(obstacles, "obstacles"), self.spacing)
 
     def fine_enough(self, obstacles: Obstacle | Sequence[Obstacle], within: float = 0.03) -> Film:
         """Find a film of this sensor on a grid that is as fine as what presses it wants.
@@ -247,7 +248,7 @@ class Film:
             nodes along each side that is, and where none is, the finest: ask its `doubt`. The
             same object each time. States are of their own film's grid.
         """
-        listed = obstacles.listed(obstacles, "obstacles")
+        listed = obstacle_rows.listed(obstacles, "obstacles")
         enough = (by for by in REFINED if doubt(listed, self.spacing / by) <= within)
         by = next(enough, REFINED[-1])
         if by == 1:
@@ -278,8 +279,8 @@ class Film:
         """
         self._require_rest(state)
         listed, by = changed_bodies(shape, numbers, steps)
-        rows, pool = obstacles.pooled([body for one in listed for body in one], self.grid)
-        given = rows.reshape(len(listed), -1, obstacles.NUMBERS), pool
+        rows, pool = obstacle_rows.pooled([body for one in listed for body in one], self.grid)
+        given = rows.reshape(len(listed), -1, obstacle_rows.NUMBERS), pool
         return derived(self, state, *given, by)
 
     def derivatives_by_pose(self, state: FilmState) -> FilmDerivatives:
@@ -303,7 +304,7 @@ class Film:
             raise InputError("is of a batch, and does not know its bodies", field="state")
         if any(body.kind == "heights" for body in pressing):
             raise InputError("rests on heights, which have no pose", field="state")
-        rows, pool = obstacles.pooled(pressing, self.grid)
+        rows, pool = obstacle_rows.pooled(pressing, self.grid)
         return derived(self, state, moved_rows(rows), pool, np.full(6, POSE_STEP))
 
     def _require_rest(self, state: FilmState) -> None:
@@ -348,8 +349,8 @@ class Film:
         Returns:
             (n,) m; infinite where there is no body.
         """
-        listed = obstacles.listed(obstacles, "obstacles")
-        rows, pool = obstacles.pooled(listed, self.grid)
+        listed = obstacle_rows.listed(obstacles, "obstacles")
+        rows, pool = obstacle_rows.pooled(listed, self.grid)
         where = np.asarray(places, dtype=float).reshape(-1, 2)
         heights = np.empty(len(where))
         pooled = 0 if pool is None else len(pool)

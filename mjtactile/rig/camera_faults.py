@@ -1,6 +1,6 @@
 """What a camera's picture suffers on its way: `[emulator.specimen.FINGER.camera]` of a rig file and
 `[camera]` of a variation. All is off unless asked; what each does is in
-mjtactile/sim/rendering/troubles.
+mjtactile/sim/rendering/image_faults.
 """
 
 from __future__ import annotations

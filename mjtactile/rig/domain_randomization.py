@@ -205,12 +205,12 @@ def load_variation(name_or_path: str | Path) -> Variation:
     if name_or_path == NONE:
         return Variation(NONE, {})
     text = str(name_or_path)
-    shipped = resources.names("models/variations", ".toml")
+    shipped = resources.names("models/randomization", ".toml")
     if not text.endswith(".toml") and "/" not in text and text not in shipped:
         raise InputError(
             f"unknown variation {text!r}", field="--vary", choices=[*shipped, NONE, "FILE.toml"]
         )
-    path = resources.find(name_or_path, "models/variations", ".toml")
+    path = resources.find(name_or_path, "models/randomization", ".toml")
     return variation_from_table(read_toml(path), path)
 
 

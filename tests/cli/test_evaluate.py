@@ -101,7 +101,7 @@ def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile, monkeypatch, cap
         (["--shard", "3/2"], "is not K/N"),
         (["--episodes", "0"], "at least 1"),
         (["--resume"], "which folder?"),
-        (["--vary", "no.toml"], "no.toml: variation: no such file"),
+        (["--vary", "no.toml"], "no.toml: randomization: no such file"),
         (["--vary", "defalt"], "unknown variation"),
         (["--task", "poor"], "poor: unknown task (valid: bump, "),
         (["--effects", "+bendig"], "is not +NAME"),

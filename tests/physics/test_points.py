@@ -9,7 +9,7 @@ from mjtactile.core.design import load_sensor
 from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
-MODELS = Path(__file__).parents[2] / "models" / "truth"
+MODELS = Path(__file__).parents[2] / "models" / "reference_cases"
 DEPTH = 2e-3
 
 
@@ -25,7 +25,7 @@ def pressed(indenter: Indenter, at: tuple[float, float], mesh: tuple[int, int]) 
     ("name", "reference"), [("wedge.xml", 0.390), ("cone.stl", 0.1198), ("corner.xml", 0.1211)]
 )
 def test_what_is_sharp_presses_between_vertices_too(name, reference, mesh):
-    """Independent solver's forces (models/truth), 0.6 mm off the vertices: 8 % is what `bench
+    """Independent solver's forces (models/reference_cases), 0.6 mm off the vertices: 8 % is what `bench
     truth` finds at worst on and off them; with spheres that stay on their vertices it is -29 to -51
     %, with cells by the vertices' areas +10 to +20 %. Each press comes to rest: with spheres that are
     put back onto the tip of what stands still, five of six swing for ever, shear by 20 mN."""

@@ -137,7 +137,7 @@ def test_a_face_smaller_than_the_frame_is_flagged_with_its_numbers():
 
     pressed = press(FACES["square of 6 mm"], (0.7e-3, 0.0), 0.03)
     assert "0.3 to 1.4 times" in pressed.flags["edge"]
-    # the independent solver's 0.20 N (models/truth), 1 mm deep
+    # the independent solver's 0.20 N (models/reference_cases), 1 mm deep
     assert 0.3 < pressed.force / 0.20 < 1.4
 
 

@@ -40,7 +40,7 @@ def test_a_fifth_of_the_speed(five, wait):
 
 
 def test_processes_that_are_started_inherit_it(five):
-    code = "from mjtactile.core import pace; print(pace.slow())"
+    code = "from mjtactile.core import scaled_clock as pace; print(pace.slow())"
     assert (
         subprocess.run(
             [sys.executable, "-c", code], check=True, capture_output=True, text=True

@@ -40,7 +40,7 @@ from mjtactile.sim.sensor.gas import ChamberGas
 
 DESIGN = load_sensor("dense")
 FILE = load_sim_rig("sim")
-DEFAULT = resources.find("default", "models/variations", ".toml")
+DEFAULT = resources.find("default", "models/randomization", ".toml")
 
 
 def read(table):
