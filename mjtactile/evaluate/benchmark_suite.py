@@ -8,10 +8,8 @@ one of them is another now, nothing is compared.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -340,8 +338,4 @@ def _hashes(tasks: Sequence[str], vary: str) -> dict[str, str]:
     """Return a checksum of each file's values; comments and layout do not count."""
     paths = [resources.find(task, "models/tasks", ".toml") for task in tasks]
     paths.append(resources.find(vary, "models/randomization", ".toml"))
-    values = {path.name: tomllib.loads(path.read_text(encoding="utf-8")) for path in paths}
-    return {
-        name: hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
-        for name, value in values.items()
-    }
+    return {path.name: store.checksum(path) for path in paths}

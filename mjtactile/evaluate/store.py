@@ -13,6 +13,7 @@ import importlib.metadata
 import json
 import platform
 import shlex
+import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -38,12 +39,18 @@ def manifest(options: Mapping[str, Any], files: Iterable[Path]) -> dict[str, Any
         "python": platform.python_version(),
         "versions": {name: importlib.metadata.version(name) for name in _PACKAGES},
         "files": {
-            path.name if names.count(path.name) == 1 else str(path): hashlib.sha256(
-                path.read_bytes()
-            ).hexdigest()
+            path.name if names.count(path.name) == 1 else str(path): checksum(path)
             for path in paths
         },
     }
+
+
+def checksum(path: Path) -> str:
+    """Return the SHA-256 of a file; of a TOML file its values, so that comments do not count."""
+    content = path.read_bytes()
+    if path.suffix == ".toml":
+        content = json.dumps(tomllib.loads(content.decode()), sort_keys=True).encode()
+    return hashlib.sha256(content).hexdigest()
 
 
 def command(options: Mapping[str, Any]) -> str:

@@ -21,7 +21,7 @@ from mjtactile.sim import ground_truth
 from tests.fake_run import write_fake_recording
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples"
-LONGEST = 85  # lines of at most 100 columns: one screen, with what it says of itself
+LONGEST = 95  # lines of at most 100 columns: one screen, with what it says of itself
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.py")), ids=lambda path: path.stem)

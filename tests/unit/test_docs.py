@@ -237,7 +237,7 @@ def test_the_page_of_effects_has_every_effect():
 
 def test_the_page_of_commands_has_each_with_an_example():
     page = (CHECKOUT / "docs/reference/commands.md").read_text()
-    assert set(re.findall(r"(?m)^    mjtactile (\w+)", page)) == set(COMMANDS)
+    assert set(re.findall(r"(?m)^    mjtactile ([\w-]+)", page)) == set(COMMANDS)
 
 
 def test_the_site_has_the_readme_the_decisions_and_the_whole_front_door():
