@@ -32,7 +32,7 @@ PAGES = [
 ]
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 INDENTED = re.compile(r"(?:^    [^\n]*\n)+", re.MULTILINE)
-INLINE = re.compile(r"`(mjtactile [a-z-]+[^`\n]*)`")
+INLINE = re.compile(r"`(mjtactile [a-z][a-z-]*[^`\n]*)`")
 
 TESTED = {
     ("README.md", 0): "test_docs.py::test_attach_example_of_the_readme",
