@@ -5,7 +5,7 @@ It is written as a tensor-product cubic B-spline u(X) = x - X over the mounted f
 coordinates X, frame S), with u = 0 on the frame. The operators depend on the layout alone and are
 computed once for each sensor, so a camera frame costs one small solve and one matrix product.
 Elasticity is that of the sheet's law in plane stress with the pre-stretch, as in the sensor file
-(docs/theory/equations.md, Eq. F3-F6).
+(docs/theory/membrane_inverse.md, Eq. F3-F6).
 """
 
 from __future__ import annotations

@@ -69,7 +69,8 @@ class RestState:
 
 
 class MembraneForce:
-    """Net contact wrench by the weak form of equilibrium (docs/theory/equations.md, Eq. F5, F6).
+    """Net contact wrench by the weak form of equilibrium (docs/theory/membrane_inverse.md, Eq. F5,
+    F6).
 
     For a test function phi that is 1 over the contact and 0 on the frame, the virtual work of the
     membrane's stress, of the gas and of the contact cancel:

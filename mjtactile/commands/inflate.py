@@ -16,7 +16,7 @@ from mjtactile.runtime.progress import Progress
 DESCRIPTION = """\
 Connect the chamber to a supply at each pressure, let the simulated membrane settle, and
 report its height, volume, area and stretch, and the height that theory gives the same sheet of any
-outline (Ritz's method, docs/theory/equations.md, Eq. M8)."""
+outline (Ritz's method, docs/theory/closed_forms.md, Eq. M8)."""
 EPILOG = """\
 examples:
   mjtactile inflate --sensor dense --pressure-kPa 1

@@ -122,8 +122,8 @@ def bulge_height(design: SensorDesign, pressure_gauge: float) -> float:
 def _hookean_height(design: SensorDesign, young: float, pressure_gauge: float) -> float:
     """Eq. M1 for a modulus of `young` Pa.
 
-    Seen from the mounted sheet, stretched by l, the stiffness is l^2 E h (docs/theory/equations.md,
-    Eq. F4).
+    Seen from the mounted sheet, stretched by l, the stiffness is l^2 E h
+    (docs/theory/membrane_inverse.md, Eq. F4).
     """
     short, long = sorted((design.frame.width, design.frame.length))
     a = short / 2

@@ -1,5 +1,5 @@
-"""The law of the rubber sheet: neo-Hookean in plane stress (docs/theory/equations.md, Eq. F4). Pure
-functions, SI units.
+"""The law of the rubber sheet: neo-Hookean in plane stress (docs/theory/membrane_inverse.md, Eq.
+F4). Pure functions, SI units.
 
     W = mu/2 (I1 - 3 - 2 ln J) + lambda/2 (ln J)^2,    S = mu (I - c C^-1)
 

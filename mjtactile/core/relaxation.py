@@ -2,8 +2,8 @@
 first cycles. Pure functions, SI units.
 
 The file's Young's modulus is the lasting one. Beside it act Maxwell elements, each with a share
-a_i of the lasting stress S(C) and a time constant tau_i (a Prony series; docs/theory/equations.md,
-F23):
+a_i of the lasting stress S(C) and a time constant tau_i (a Prony series;
+docs/theory/membrane_inverse.md, F23):
 
     S_total(t) = S + sum q_i,    dq_i/dt = a_i dS/dt - q_i / tau_i
 

@@ -5,7 +5,7 @@ in it.
 The displacement of the mounted sheet is a polynomial of the coordinates of a disc (of a square, for
 rectangles) times a bubble, 1 - r^2 or (1 - x^2)(1 - y^2), which vanishes on the rim; the outline's
 map (`mjtactile.core.outline`) carries the disc to the opening. Its coefficients are where the
-virtual work of the stress, of the gas and of the weight vanishes (docs/theory/equations.md, Eq.
+virtual work of the stress, of the gas and of the weight vanishes (docs/theory/closed_forms.md, Eq.
 M8):
 
     int P : grad v dA = p int (x_1 x x_2) . v dA - g rho h / l^2 int v_z dA,    P = h F S(l^2 F^T F)

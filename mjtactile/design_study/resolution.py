@@ -135,7 +135,7 @@ class Reacher:
     ) -> Array | None:
         """Covariance (k, k) of the numbers of a body that presses with a force, as the chain says
         it of an image in which all fits: by how its markers' heights go with them
-        (docs/theory/equations.md, Eq. F18-F20)."""
+        (docs/theory/contact_shape.md, Eq. F18-F20)."""
         over = self._hint(place, force)
         pressed = self.stand.press(
             lambda height: family.build(theta, replace(over, height=height))[0], force

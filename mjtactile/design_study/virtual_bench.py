@@ -218,9 +218,9 @@ class Stand:
         """Covariance (3, 3) N^2 of the felt force by the pixels' noise alone, from image to image.
 
         The chain's tractions are linear in the whitened markers, traction = P^(1/2) half^T
-        innovation^-1 y (docs/theory/equations.md, Eq. F12); y has the covariance that the camera's
-        bound gives the markers, whitened as the chain does. Of one image: what the chain remembers
-        of the camera from the images before takes up to half of it.
+        innovation^-1 y (docs/theory/membrane_inverse.md, Eq. F12); y has the covariance that the
+        camera's bound gives the markers, whitened as the chain does. Of one image: what the chain
+        remembers of the camera from the images before takes up to half of it.
 
         Args:
             felt: An image that was felt.

@@ -3,8 +3,8 @@ each, or anything.
 
 All are the superquadric of `mjtactile.explore.superquadric`; a family says beforehand which of its
 fourteen numbers are free, and how much of a field on top it needs. The evidence decides
-(docs/theory/equations.md, Eq. E5): what few numbers explain as well is believed, since it told more
-beforehand.
+(docs/theory/exploration.md, Eq. E5): what few numbers explain as well is believed, since it told
+more beforehand.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The body that an explored surface is near to: a superquadric that tapers, fourteen numbers.
 
 An ellipsoid, a box with round edges, a cylinder, a cone's stump are exact or nearly so; what a
-touch shows beside it is for the field on top (docs/theory/equations.md, Eq. E1 and E2).
+touch shows beside it is for the field on top (docs/theory/exploration.md, Eq. E1 and E2).
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 """One surface out of patches: each family of bodies fitted, with a field of what it leaves over,
-and weighed by its evidence (docs/theory/equations.md, Eq. E3 to E5)."""
+and weighed by its evidence (docs/theory/exploration.md, Eq. E3 to E5)."""
 
 from __future__ import annotations
 

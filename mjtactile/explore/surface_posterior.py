@@ -1,5 +1,5 @@
 """A surface that is believed: a body of few numbers and, on top, a field of what it leaves over
-(docs/theory/equations.md, Eq. E1 to E3)."""
+(docs/theory/exploration.md, Eq. E1 to E3)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 """How much wider than it says a surface's doubt has to be: by what each touch was off from what all
-others foretold (docs/theory/equations.md, Eq. E6)."""
+others foretold (docs/theory/exploration.md, Eq. E6)."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 volume over time.
 
 The amount and temperature of the closed chamber's gas are the simulator's own
-(`mjtactile.sim.sensor.gas.ChamberGas`, docs/theory/equations.md, G1 and G4-G6), driven with the
+(`mjtactile.sim.sensor.gas.ChamberGas`, docs/theory/gas.md, G1 and G4-G6), driven with the
 volume that the markers show. Its pressures are fitted to those of the pressure sensor.
 """
 

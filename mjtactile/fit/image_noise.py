@@ -1,7 +1,7 @@
 """Light, noise and blur of a camera, straight from its images of the flat membrane.
 
 Light: grey = membrane_DN (1 - falloff s), s the shape of the LEDs' loss towards the corners
-(docs/theory/equations.md, L1), which is linear in membrane_DN and membrane_DN falloff; inside of
+(docs/theory/rendering.md, L1), which is linear in membrane_DN and membrane_DN falloff; inside of
 the markers the same with marker_DN. Noise: the sd of each pixel over images of the same scene, less
 that of rounding. Blur: the width of the markers' edges.
 """

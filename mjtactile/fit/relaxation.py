@@ -1,11 +1,12 @@
 """How the stress of the rubber fades, from a recording in which the membrane stands free after it
 was inflated, or after something that was pressed into it is gone.
 
-What has not faded yet, q = sum a_i (S - s_i), s_i the stress S as element i remembers it (docs/
-equations.md, F23), pulls a free membrane away from where its lasting rubber would have it at the
-pressure p of the gauge, by -K^-1 F(q) to first order. So markers less what the gauge's pressure
-alone makes of them are linear in the shares a_i, and a constant at each marker takes what the
-sensor file is wrong by. S comes from the chain's own shapes, also while something touches.
+What has not faded yet, q = sum a_i (S - s_i), s_i the stress S as element i remembers it
+(docs/theory/membrane_inverse.md, F23), pulls a free membrane away from where its lasting rubber
+would have it at the pressure p of the gauge, by -K^-1 F(q) to first order. So markers less what the
+gauge's pressure alone makes of them are linear in the shares a_i, and a constant at each marker
+takes what the sensor file is wrong by. S comes from the chain's own shapes, also while something
+touches.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ or beyond what its rubber's law is known for, or goes through between nodes. Wha
 says so in `state.converged`, and its numbers are NaN.
 
 Frame S, SI units; p V^gamma with the design's gamma, or a pressure that is held. Equations:
-docs/theory/equations.md, X1-X8. Why so: docs/decisions/0025-film.md.
+docs/theory/quasistatic_membrane.md, X1-X8. Why so: docs/decisions/0025-film.md.
 """
 
 from mjtactile.quasistatic.membrane import Film

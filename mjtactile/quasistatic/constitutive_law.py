@@ -1,5 +1,5 @@
-"""The law of a sensor file's sheet as the film's kernel wants it (docs/theory/equations.md, Eq. F4
-and X2). SI units.
+"""The law of a sensor file's sheet as the film's kernel wants it (docs/theory/membrane_inverse.md,
+Eq. F4 and X2). SI units.
 
 A neo-Hookean sheet's stress is mu h (I - q A) with A = tr(C) I - C; q is a function of det C alone,
 and over the stretches that a sheet sees a polynomial of 1 / sqrt(det C) is as good as the function:

@@ -2,7 +2,8 @@
 
 `Film` makes a state for every solution; this one keeps one, with its own room, so that films of
 many environments can be followed in threads. What sticks to it is held by the sheet in the plane
-(docs/theory/equations.md, X7) with the stiffness of the sheet at rest, whose inverse is made once.
+(docs/theory/quasistatic_membrane.md, X7) with the stiffness of the sheet at rest, whose inverse is
+made once.
 """
 
 from __future__ import annotations

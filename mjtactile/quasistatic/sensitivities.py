@@ -1,4 +1,5 @@
-"""How a film at rest answers small changes of what presses it (docs/theory/equations.md, X6)."""
+"""How a film at rest answers small changes of what presses it (docs/theory/quasistatic_membrane.md,
+X6)."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 The film itself is frictionless. Of nodes that touch and go with their body, the sheet's stiffness
 says what a drag of that body meets, while all other nodes come to rest in height and in the plane;
-no number is fitted (docs/theory/equations.md, X7).
+no number is fitted (docs/theory/quasistatic_membrane.md, X7).
 """
 
 from __future__ import annotations

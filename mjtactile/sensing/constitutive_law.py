@@ -1,5 +1,5 @@
 """Stress of the sheet and its derivative, by the law of the sensor's file
-(docs/theory/equations.md, Eq. F4). For sensing; the simulator has code of its own.
+(docs/theory/membrane_inverse.md, Eq. F4). For sensing; the simulator has code of its own.
 
 Both are functions of the right Cauchy-Green tensor C of the sheet against its free state. For a
 neo-Hookean sheet S = mu (I - q A) with A = tr(C) I - C and q = c / det C, and dq/dC = q' A, since A

@@ -7,7 +7,7 @@ l3)), cos psi = sqrt((l2 - l3)/(l1 - l3)):
 
     C = r ( s sqrt(-l3/l1) sin psi v1 + sqrt(-l1/l3) cos psi v3 ),   n = s sin psi v1 - cos psi v3,   s = +1 or -1
 
-Departures from the paper (docs/theory/equations.md): Q = K^T M K instead of the pixel conic M; the sign
+Departures from the paper (docs/theory/circle_pose.md): Q = K^T M K instead of the pixel conic M; the sign
 belongs to the sine term alone; C is the centre in space, not only its image, so that no sine rule
 is needed; n faces the camera.
 

@@ -1,2 +1,2 @@
 """What touches: a body of few numbers that the film meets as the markers show it
-(docs/theory/equations.md, Eq. F18-F20)."""
+(docs/theory/contact_shape.md, Eq. F18-F20)."""

@@ -1,4 +1,4 @@
-"""How much of the sheet lies on a body that was found (docs/theory/equations.md, Eq. F20)."""
+"""How much of the sheet lies on a body that was found (docs/theory/contact_shape.md, Eq. F20)."""
 
 from __future__ import annotations
 

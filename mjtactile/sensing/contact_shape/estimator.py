@@ -1,5 +1,5 @@
 """What body touches: each family fitted to the images of a touch, weighed by its evidence, and said
-with what is not known (docs/theory/equations.md, Eq. F18-F20)."""
+with what is not known (docs/theory/contact_shape.md, Eq. F18-F20)."""
 
 from __future__ import annotations
 

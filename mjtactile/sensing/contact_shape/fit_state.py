@@ -1,5 +1,5 @@
 """One image's data, what is believed of a body's numbers, and the film on a body
-(docs/theory/equations.md, Eq. F18)."""
+(docs/theory/contact_shape.md, Eq. F18)."""
 
 from __future__ import annotations
 

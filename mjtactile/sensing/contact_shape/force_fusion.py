@@ -1,5 +1,5 @@
 """Force where the shape is known: what the film bears on the body that was found, with the nodal
-estimate (docs/theory/equations.md, Eq. F21)."""
+estimate (docs/theory/contact_shape.md, Eq. F21)."""
 
 from __future__ import annotations
 

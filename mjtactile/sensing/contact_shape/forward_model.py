@@ -1,4 +1,5 @@
-"""From a body to how high the markers stand, by the film (docs/theory/equations.md, Eq. X1-X5)."""
+"""From a body to how high the markers stand, by the film (docs/theory/quasistatic_membrane.md, Eq.
+X1-X5)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 """A family's numbers from markers: Gauss-Newton with Levenberg's damping, the film as forward
-model, and the family's evidence (docs/theory/equations.md, Eq. F18-F20)."""
+model, and the family's evidence (docs/theory/contact_shape.md, Eq. F18-F20)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 """What the images of a press have told: families that may be it, weighed by their evidence
-(docs/theory/equations.md, Eq. F19)."""
+(docs/theory/contact_shape.md, Eq. F19)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 """How markers' heights go with a body's numbers: exactly, nearly, or as a step has shown
-(docs/theory/equations.md, Eq. F18)."""
+(docs/theory/contact_shape.md, Eq. F18)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A step of a fit (docs/theory/equations.md, Eq. F18)."""
+"""A step of a fit (docs/theory/contact_shape.md, Eq. F18)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 """A press, followed from image to image: the likeliest family alone from where its body was; all
-that may still be it when there is more to be told (docs/theory/equations.md, Eq. F19)."""
+that may still be it when there is more to be told (docs/theory/contact_shape.md, Eq. F19)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 """A family's body in the next image of a press: from where it was, or begun anew
-(docs/theory/equations.md, Eq. F19)."""
+(docs/theory/contact_shape.md, Eq. F19)."""
 
 from __future__ import annotations
 

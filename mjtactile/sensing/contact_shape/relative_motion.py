@@ -1,5 +1,5 @@
 """How a body that was found moves against the rubber: rolling, sliding and spinning, as rates over
-the last images (docs/theory/equations.md, Eq. F22)."""
+the last images (docs/theory/slip.md, Eq. F22)."""
 
 from __future__ import annotations
 

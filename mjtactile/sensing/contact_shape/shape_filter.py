@@ -1,5 +1,5 @@
 """What the looks at a press have in common: a body's own numbers, which it keeps while it goes and
-turns (docs/theory/equations.md, Eq. F19).
+turns (docs/theory/contact_shape.md, Eq. F19).
 
 A ball's curvature is the same in each of them, and so is a face's radius; a family that needs
 another one at each depth is the wrong one. Each look tells mean and precision of these numbers with

@@ -1,5 +1,5 @@
 """By what a sheet that sticks to a body bears more than the film, which slides over it
-(docs/theory/equations.md, Eq. F21)."""
+(docs/theory/contact_shape.md, Eq. F21)."""
 
 from __future__ import annotations
 

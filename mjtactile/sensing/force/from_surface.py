@@ -1,5 +1,5 @@
 """Force on an inflated membrane from its measured surface and its pressure alone: for bubbles whose
-inside is seen by a depth camera, without markers (docs/theory/equations.md, Eq. F24).
+inside is seen by a depth camera, without markers (docs/theory/membrane_inverse.md, Eq. F24).
 
 With a surface z(x, y) over the gas, outward along z, gauge pressure p and tension T,
 

@@ -1,4 +1,4 @@
-"""How much gas is in the chamber, from its pressure gauge (docs/theory/equations.md, Eq. F17).
+"""How much gas is in the chamber, from its pressure gauge (docs/theory/gas.md, Eq. F17).
 
 Sealed, the gas law says how pressure follows volume, and what the gauge shows beyond that is a
 change of the amount: a leak, warmth, a hole. Open, the valve keeps a pressure of its own, and the

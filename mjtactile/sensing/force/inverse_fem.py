@@ -1,5 +1,5 @@
 """Traction on the membrane from its markers by inverse finite elements (level 3;
-docs/theory/equations.md, Eq. F9-F12).
+docs/theory/membrane_inverse.md, Eq. F9-F12).
 
 Unknown are the tractions at the nodes of a grid. They deform the sheet of
 `mjtactile.sensing.force.spline_fem` from its forward-solved rest shape, so the bulge is not

@@ -1,5 +1,5 @@
 """What the posterior covariance of the wrench cannot know of, since the sheet's model leaves it out
-(docs/theory/equations.md, Eq. F12).
+(docs/theory/membrane_inverse.md, Eq. F12).
 
 Standard deviations of shear, normal force, tilting and spinning torque, the torques over a lever:
 shares of what was felt, and the drag of a sheet that moves. What they are was measured on simulated

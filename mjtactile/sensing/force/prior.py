@@ -1,5 +1,5 @@
 """What is believed of the tractions on a grid of nodes before a frame is looked at
-(docs/theory/equations.md, Eq. F11).
+(docs/theory/membrane_inverse.md, Eq. F11).
 
 Contacts are compact: a node's variance follows the pressure found there before, softened over part
 of the grid's step and limited to what a sheet can carry; what presses on a node presses on its

@@ -1,4 +1,5 @@
-"""A sensor's sheet with its markers and with nothing touching (docs/theory/equations.md, Eq. F25).
+"""A sensor's sheet with its markers and with nothing touching (docs/theory/membrane_inverse.md, Eq.
+F25).
 
 The bulge is not interpolated but computed: the sheet of `mjtactile.sensing.force.spline_fem`,
 forward solved, as stiff as the markers at rest show it to be.

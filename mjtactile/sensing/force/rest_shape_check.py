@@ -1,5 +1,5 @@
 """Is the membrane at rest the bulge that the sensor file predicts, or does something touch it?
-(docs/theory/equations.md, Eq. F16)
+(docs/theory/membrane_inverse.md, Eq. F16)
 
 Whatever touches makes the membrane look stiffer, which a fit of the stiffness would swallow; but it
 also changes the bulge's shape. What the markers' heights leave of the best-fitting bulge is weighed

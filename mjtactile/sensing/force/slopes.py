@@ -1,5 +1,5 @@
-"""How the sheet is tilted at its markers, as data for the inverse (docs/theory/equations.md, Eq.
-F11).
+"""How the sheet is tilted at its markers, as data for the inverse (docs/theory/membrane_inverse.md,
+Eq. F11).
 
 A marker is a circle that lies in the sheet, so that its ellipse tells the sheet's slopes there.
 Between markers that stand far apart that is what tells a flat face, which they see from its rim,

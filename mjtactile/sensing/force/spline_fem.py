@@ -3,7 +3,7 @@ file's rubber and gas.
 
 The displacement u(X) of the mounted flat sheet is a tensor-product cubic B-spline, zero on the
 frame. Its generalised forces are those of membrane stress, of gas at gauge pressure p, and of loads
-on the surface (docs/theory/equations.md, Eq. F3-F5, F9). Coefficients are stored as (3, n):
+on the surface (docs/theory/membrane_inverse.md, Eq. F3-F5, F9). Coefficients are stored as (3, n):
 component by component, n = kx * ky splines with y fastest. Splines overlap only their neighbours,
 so that the stiffness is a band, but for the gas's term of rank one, which Sherman and Morrison's
 formula keeps apart. The arithmetic is in mjtactile/kernels/spline_fem.c.

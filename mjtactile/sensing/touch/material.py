@@ -4,7 +4,7 @@ of a `Squeeze`.
 Solid: the width stays, all that gives way are the membranes. Soft: it shrinks with the force and
 comes back; the curve is parabolic where the material stiffens (the paper's sponge). Amorphous: it
 flows, and keeps most of its deformation. The membranes are in series with the object, but its width
-is measured apart from theirs (docs/theory/equations.md, Eq. P1-P5).
+is measured apart from theirs (docs/theory/exploration.md, Eq. P1-P5).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 A body's place is known better than the centre of what presses, which wanders where a face leans;
 and a body that turns on the spot, about its own normal, leaves that centre where it was: nothing
-else shows it (docs/theory/equations.md, Eq. F22).
+else shows it (docs/theory/slip.md, Eq. F22).
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@ from sensing alone.
 
 The membranes give way too, but the cameras see by how much: the object's width is the opening
 between the two sensors' frames less the height at which each membrane stands over its frame where
-it touches (docs/theory/equations.md, Eq. P1). No model of membrane or gas enters.
+it touches (docs/theory/exploration.md, Eq. P1). No model of membrane or gas enters.
 """
 
 from __future__ import annotations

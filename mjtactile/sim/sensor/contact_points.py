@@ -10,7 +10,7 @@ sharp, therefore,
   vertex's;
 - it stands back by as much as a real sheet would be pushed in further than the mesh's tent: a force
   F on a disc of radius a under the tension T deepens a sheet by F/(2 pi T) (ln(1/a) + 1/2), the
-  mesh has its own a = 0.198 h (docs/theory/equations.md, C6).
+  mesh has its own a = 0.198 h (docs/theory/simulation_contact.md, C6).
 
 Round objects that are larger than the mesh are left to `facets.StandOff`, faces to the vertices.
 """

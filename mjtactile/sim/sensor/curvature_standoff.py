@@ -5,7 +5,7 @@ indented too little: the force of a sphere of 8 mm is 5-8 % low at 13 x 11 verti
 whose facets touch the object on the average stands off by their mean sagitta, (hx^2 + hy^2)/24
 times the sum of the curvatures; a quarter of it, measured, gives the force of a fine mesh
 (tests/physics/test_contact.py). The stand-off falls with the square of the spacing, so that it
-leaves what a mesh converges to; flat faces get none (docs/theory/equations.md, C2).
+leaves what a mesh converges to; flat faces get none (docs/theory/simulation_contact.md, C2).
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ in sight.
 The chamber is one well-stirred volume of ideal gas. Its state is the amount n R (J/K) and the
 temperature T (K); the pressure follows from p V = n R T. Between two calls of `advance` the volume
 is taken to change at a constant relative rate, for which the equations below are solved exactly, so
-that any time step is stable (docs/theory/equations.md, G4-G6).
+that any time step is stable (docs/theory/gas.md, G4-G6).
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ touches it how.
 Every interior vertex is a small body on three slide joints *in the sensor's own frame S*, child of
 the sensor's body; the rim vertices belong to the sensor's body itself. Joint positions are
 therefore displacements in S, whatever carries the sensor, and forces between membrane and frame
-need no bookkeeping (docs/theory/equations.md).
+need no bookkeeping (docs/theory/simulation_contact.md).
 """
 
 from __future__ import annotations

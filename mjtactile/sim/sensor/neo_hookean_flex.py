@@ -1,9 +1,9 @@
 """Neo-Hookean rubber in MuJoCo's flex, which knows no law but St. Venant-Kirchhoff's.
 
 In a plane, a neo-Hookean sheet's stress is S = 2 mu' E + lambda' tr(E) I, St. Venant-Kirchhoff's
-form, with moduli mu', lambda' that depend on the strain E (docs/theory/equations.md, Eq. F4). Every
-triangle gets its own before every step: its force is then the law's, without error, and the
-stiffness that the step is implicit in is the secant, which rubber's tangent stays below.
+form, with moduli mu', lambda' that depend on the strain E (docs/theory/membrane_inverse.md, Eq.
+F4). Every triangle gets its own before every step: its force is then the law's, without error, and
+the stiffness that the step is implicit in is the secant, which rubber's tangent stays below.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ order: -h K v. Turning as a whole, the sheet's tension turns along, so that K v 
 nothing deforms; and since the lever arms are those of the step's beginning, a torque -h Q w is
 left, which brakes a sensor spinning in vacuum within 0.4 s at a step of 4 ms. Q is the sum over the
 edges d of all triangles of c (|d|^2 I - d d^T), where c is the edge's force over its length, N/m,
-of which MuJoCo's stiffness keeps what is positive (docs/theory/equations.md, C4).
+of which MuJoCo's stiffness keeps what is positive (docs/theory/simulation_contact.md, C4).
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ contact's rows carry only what *changes* in a step; what they carried before is 
 reference: along the normal by the vertex's margin, along the sheet by the surface velocity of its
 sphere (MuJoCo's conveyor belt), the one that drives the friction which was there. Friction stays
 inside its cone, which the solver sees to, and acts on both bodies, whatever they are. This is the
-method of multipliers (docs/theory/equations.md, C3; decision 10).
+method of multipliers (docs/theory/simulation_contact.md, C3; decision 10).
 
 The arithmetic is in mjtactile/kernels/membrane_flex.c.
 """

@@ -1,5 +1,5 @@
 """How much deeper a small contact pushes a sheet than the sheet's mesh can show
-(docs/theory/equations.md, C6). Pure functions.
+(docs/theory/simulation_contact.md, C6). Pure functions.
 
 All lengths are in cells of the mesh (the root of the area that a vertex stands for), loads are
 forces over 2 pi times the tension and a cell.

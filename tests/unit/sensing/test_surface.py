@@ -17,7 +17,7 @@ from mjtactile.sensing.surface.surface import SurfaceFitter
 
 L = 40e-3
 W = 30e-3
-NOISE = 10e-6  # of a marker's height: twice the Cramer-Rao limit of docs/theory/equations.md
+NOISE = 10e-6  # of a marker's height: twice the Cramer-Rao limit of docs/theory/circle_pose.md
 SENSORS = ["paper16", "dense"]
 
 
@@ -242,8 +242,8 @@ def test_slope_sd_is_that_of_the_axis_ratio():
     view = np.array([[0.0, 0.0, 1.0]])
     for tilt in np.deg2rad([10.0, 20.0, 30.0]):
         n = np.array([[np.sin(tilt), 0.0, -np.cos(tilt)]])
-        # cos(t) known to s: d t = s / sin(t), over cos^2 for the slope; docs/theory/equations.md: 0.1 deg
-        # at 20 deg
+        # cos(t) known to s: d t = s / sin(t), over cos^2 for the slope; docs/theory/circle_pose.md:
+        # 0.1 deg at 20 deg
         assert slope_sd_of(n, view, [6e-4])[0] == pytest.approx(
             6e-4 / np.sin(tilt) / np.cos(tilt) ** 2, rel=1e-12
         )
