@@ -11,11 +11,11 @@ import pytest
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Command, GripperState, Image, Touch, Traction, ValveState
-from mjtactile.recording.observer import CycleCallback
+from mjtactile.recording.observer import CycleCallback, Observers
 from mjtactile.rig.command_limits import Limits
 from mjtactile.rig.finger import Finger, Rig
 from mjtactile.runtime import control_loop
-from mjtactile.runtime.supervisor import RETREAT_OPENING
+from mjtactile.runtime.retreat import RETREAT_OPENING
 
 PERIOD = 0.05
 OK = Touch(0.0, 0.0, 0.5, 0.01, True)
@@ -34,7 +34,7 @@ def loaded(shear):
 
 
 class World:
-    """A rig of stubs whose parts can be told to fail."""
+    """A rig of stubs whose parts can be told to fail; its jaws can be `stuck`."""
 
     def __init__(self):
         self.time = 0.0
@@ -42,6 +42,8 @@ class World:
         self.sent = []
         self.opening = 0.05
         self.lift = 0.02
+        self.force = 1.0
+        self.stuck = False
 
     def now(self):
         return self.time
@@ -68,10 +70,13 @@ class World:
     def command(self, command):
         if self.broken == "all":
             raise DeviceError("servo port is lost")
-        self.opening = command.opening
+        if command.force_limit is not None:
+            self.force = command.force_limit
+        if self.force > 0 and not self.stuck:
+            self.opening = command.opening
         self.lift = command.lift_height
-        self.sent.append(command)
-        return command
+        self.sent.append(replace(command, force_limit=self.force))
+        return self.sent[-1]
 
     def rig(self, host_timeout=math.inf):
         return Rig(
@@ -95,6 +100,7 @@ class World:
         perceive=lambda image, now, reading=None: OK,
         host_timeout=math.inf,
         stop=None,
+        observer=None,
     ):
         """Run until `error`; after cycle number `after`, something is `broken`, and `act` is called
         in each cycle."""
@@ -115,7 +121,7 @@ class World:
                     step=controller,
                 ),  # type: ignore[arg-type]
                 time_limit=time_limit,
-                observer=CycleCallback(on_cycle),
+                observer=Observers([CycleCallback(on_cycle), *([observer] if observer else [])]),
                 stop=stop,
             )
         return cycles, str(caught.value)

@@ -16,6 +16,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, Command, Observation, Touch
 
 # m/s, N, m/s at the ends of an action's range
@@ -88,7 +89,7 @@ def policy_vector(observation: Observation) -> Array:
 
     Returns:
         (8 fingers + 14,) float32, named by `policy_names`. A force that is unknown is 0 with
-            `known` 0.
+            `known` 0; the force limit is 0 in the first cycle, before any was commanded.
     """
     command = observation.command
     gripper = observation.gripper
@@ -99,7 +100,7 @@ def policy_vector(observation: Observation) -> Array:
         gripper.effort,
         gripper.lift_height,
         command.opening - gripper.opening,
-        command.force_limit,
+        0.0 if command.force_limit is None else command.force_limit,
         min(command.memory.get("phase_time", 0.0), _TIME_MAX),
         *(float(phase == one) for one in PHASES),
     ]
@@ -159,11 +160,17 @@ def policy_action(before: Command, after: Command, period: float) -> Array:
 
     Returns:
         (3,) in [-1, 1], as `policy_command` takes it.
+
+    Raises:
+        InputError: Neither command has a force limit.
     """
+    limit = before.force_limit if after.force_limit is None else after.force_limit
+    if limit is None:
+        raise InputError("none was commanded", source="Command", field="force_limit")
     return np.clip(
         [
             (after.opening - before.opening) / (OPENING_SPEED * period),
-            2 * after.force_limit / FORCE_LIMIT - 1,
+            2 * limit / FORCE_LIMIT - 1,
             (after.lift_height - before.lift_height) / (LIFT_SPEED * period),
         ],
         -1.0,

@@ -24,7 +24,9 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import FINGERS
 
 FORMAT = "mjtactile-recording"
-VERSION = 1
+VERSION = 2
+"""Of what is written; from 2 on a force limit of 0 is 0 N, and one that is not known null."""
+READABLE = (1, 2)
 LOG = "log.jsonl"
 FRAMES = "frames"
 RECORDINGS = "recordings"

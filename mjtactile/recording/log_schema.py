@@ -242,7 +242,11 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
     "valve_time": ("s", "when that was so", _valves("time")),
     "valve_age": ("s", "and how long ago", _valves("age")),
     "command_opening": ("m", "as sent, after limits", lambda c: c.sent.opening),
-    "command_force_limit": ("N", "the same", lambda c: c.sent.force_limit),
+    "command_force_limit": (
+        "N",
+        "the same; null where none was commanded yet",
+        lambda c: c.sent.force_limit,
+    ),
     "command_lift_height": ("m", "the same", lambda c: c.sent.lift_height),
     "command_pressure": (
         "Pa",

@@ -15,7 +15,7 @@ import numpy as np
 from mjtactile.core.errors import InputError
 from mjtactile.core.image_decoding import decode
 from mjtactile.core.types import Array, Image, ValveState
-from mjtactile.recording.files import FORMAT, LOG, VERSION, finger_names
+from mjtactile.recording.files import FORMAT, LOG, READABLE, VERSION, finger_names
 from mjtactile.recording.log_schema import KEYS
 from mjtactile.recording.log_validation import wrong_column, wrong_note
 
@@ -241,7 +241,7 @@ def load_recording(path: str | Path) -> Recording:
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}", source=log) from error
     header = rows[0] if rows else {}
-    if header.get("format") != FORMAT or header.get("version") != VERSION:
+    if header.get("format") != FORMAT or header.get("version") not in READABLE:
         found = f"{header.get('format')} version {header.get('version')}"
         raise InputError(
             f"{found}, expected {FORMAT} version {VERSION}", source=log, field="line 1"
@@ -254,6 +254,9 @@ def load_recording(path: str | Path) -> Recording:
     complete = rows[-1].get("kind") == "end"
     if not complete:
         problems.append(f"cut off after {len(cycles)} cycles")
+    columns = _columns(cycles)
+    if header["version"] == 1:
+        _keep_force_limit(columns)
     references = tuple(
         RecordedReference(
             folder, row["stage"], row["images"], row["image_time"], row["pressure_gauge"]
@@ -261,7 +264,18 @@ def load_recording(path: str | Path) -> Recording:
         for row in rows
         if row.get("kind") == "reference"
     )
-    return Recording(folder, header, notes, _columns(cycles), complete, tuple(problems), references)
+    return Recording(folder, header, notes, columns, complete, tuple(problems), references)
+
+
+def _keep_force_limit(columns: dict[str, np.ndarray]) -> None:
+    """Put the limit in force where version 1 has 0, which meant "as before"; NaN before any."""
+    limits = columns.get("command_force_limit")
+    if limits is None:
+        return
+    limit = math.nan
+    for k, value in enumerate(limits):
+        limit = value if value > 0 else limit
+        limits[k] = limit
 
 
 def _parse(log: Path) -> tuple[list[dict[str, Any]], list[str]]:

@@ -127,10 +127,11 @@ class ReplayGripper:
 
     def command(self, command: Command) -> Command:
         value = self._tape.value
+        limit = value("command_force_limit")
         return replace(
             command,
             opening=value("command_opening"),
-            force_limit=value("command_force_limit"),
+            force_limit=None if math.isnan(limit) else limit,
             lift_height=value("command_lift_height"),
             pressure_gauge=self._tape.recording.command_pressure(self._tape.cycle),
         )

@@ -30,7 +30,7 @@ class Limits:
         s ago."""
         return Command(
             _near(wanted.opening, last.opening, self.speed * period, self.opening),
-            min(max(wanted.force_limit, 0.0), self.force),
+            None if wanted.force_limit is None else min(max(wanted.force_limit, 0.0), self.force),
             _near(wanted.lift_height, last.lift_height, self.lift_speed * period, self.lift),
             wanted.phase,
             wanted.memory,

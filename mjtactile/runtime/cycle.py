@@ -93,7 +93,7 @@ class ControlCycle:
     ) -> ControlCycle:
         """The first cycle: jaws and lift hold where they stand."""
         state = rig.gripper.state()
-        last = Command(opening=state.opening, force_limit=0.0, lift_height=state.lift_height)
+        last = Command(opening=state.opening, force_limit=None, lift_height=state.lift_height)
         now = rig.clock.now()
         supervisor.arm(now)
         return cls(rig, perceptions, supervisor, observer, last, now)

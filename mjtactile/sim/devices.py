@@ -6,6 +6,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 
@@ -182,6 +183,7 @@ class SimGripper:
         self.reseed(seed)
         # m: where the gears' output and the motor are to be
         self._jaw = self._motor = world.opening
+        self._force_limit = world.rig.gripper.force_max
         self._late: deque[tuple[float, Command]] = deque()
         if change.delay or change.jitter:
             world.after_each_stretch(self._apply_late, self._due)
@@ -211,9 +213,19 @@ class SimGripper:
         return state
 
     def command(self, command: Command) -> Command:
-        """Set the goals of jaw and lift; a force limit of 0 leaves the servo's limit as it was."""
-        self._clock.defer(lambda: self._arrive(command))
-        return command
+        """Set the goals of jaw and lift, and the force limit unless it is None; return them as the
+        rig's file cuts them."""
+        file = self._world.rig
+        if command.force_limit is not None:
+            self._force_limit = _within(command.force_limit, (0.0, file.gripper.force_max))
+        sent = replace(
+            command,
+            opening=_within(command.opening, file.gripper.opening),
+            force_limit=self._force_limit,
+            lift_height=_within(command.lift_height, (0.0, file.lift.travel)),
+        )
+        self._clock.defer(lambda: self._arrive(sent))
+        return sent
 
     def _arrive(self, command: Command) -> None:
         change = self._change
@@ -234,9 +246,11 @@ class SimGripper:
     def _apply(self, command: Command) -> None:
         """The jaw follows the motor when the gears' play is used up."""
         half = self._change.backlash / 2
-        self._motor = min(command.opening, self._world.max_opening)
+        self._motor = command.opening
         self._jaw = min(max(self._jaw, self._motor - half, 0.0), self._motor + half)
-        self._world.set_finger_target(
-            self._jaw, command.force_limit if command.force_limit > 0 else None
-        )
+        self._world.set_finger_target(self._jaw, command.force_limit)
         self._world.set_lift_target(command.lift_height)
+
+
+def _within(value: float, bounds: tuple[float, float]) -> float:
+    return min(max(value, bounds[0]), bounds[1])

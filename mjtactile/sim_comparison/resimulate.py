@@ -191,9 +191,10 @@ def _command(recording: Recording, times: Array, now: float, offset: float) -> C
     k = int(np.abs(times - now).argmin())
     columns = recording.columns
     phase = str(columns["phase"][k])
+    limit = float(columns["command_force_limit"][k])
     return Command(
         opening=max(float(columns["command_opening"][k]) + offset, 0.0),
-        force_limit=float(columns["command_force_limit"][k]),
+        force_limit=None if math.isnan(limit) else limit,
         lift_height=float(columns["command_lift_height"][k]),
         phase=phase if phase not in ("done", "abort") else "release",
         pressure_gauge=recording.command_pressure(k),

@@ -75,6 +75,8 @@ class MjtactileTeleoperator(Teleoperator):
                 kept = replace(seen.command, phase=last.phase, memory=last.memory)
                 seen = replace(seen, command=kept)
             self._last = last = self._controller.step(seen)
+        if last.force_limit is None:
+            raise ValueError("the controller's command has no force_limit, which an action needs")
         return {
             "opening_m": last.opening,
             "force_limit_N": last.force_limit,

@@ -34,20 +34,32 @@ def _finite(value: Any, name: str) -> float:
 class Command:
     """What a controller asks for. The rig limits it and returns what was really sent.
 
+    This is the contract of every gripper: simulated, emulated, real, replayed, or a test's
+    (`tests/contract/test_command.py`). No number stands for anything but itself; "unchanged" is
+    None. `Command` refuses what is not finite. `Limits` of the rig then cut each goal to its range
+    and to the rig's speed, starting from the command before, and the gripper cuts it once more to
+    what its own devices can do.
+
     Attributes:
-        opening: m, the gripper's goal.
-        force_limit: N, the most that the servo may push.
-        lift_height: m, the hand's goal.
+        opening: m, the gripper's goal; cut to `Limits.opening` and `Limits.speed`. 0: closed.
+        force_limit: N, the most that the servo may push each finger with, opening or closing; cut
+            to 0 and `Limits.force`. 0: it pushes with nothing at all, and so moves nothing. None:
+            the limit that is in force stays. What a gripper returns has the limit in force, never
+            None; only a replay of a recording that does not say it returns None.
+        lift_height: m of the hand above where it started, its goal; cut to `Limits.lift` and
+            `Limits.lift_speed`. 0: where it started.
         phase: One of PHASES; "done" and "abort" end the run.
         memory: The controller's own notebook: the loop hands it back in the next
             `Observation.command`, so that `step` can be a pure function.
-        reason: Why the controller gives up, or sets down early; for the result and the log.
+        reason: Why the controller gives up, or sets down early; for the result and the log. Empty:
+            it does neither.
         pressure_gauge: Pa above ambient in each finger's chamber, in their order, which the valves
-            then keep. None: leave the air alone, sealed in.
+            then keep; cut to `Limits.pressure` and `Limits.pressure_rate`. 0: the ambient air's.
+            None: leave the air alone, sealed in.
     """
 
     opening: float
-    force_limit: float
+    force_limit: float | None
     lift_height: float = 0.0
     phase: str = "approach"
     memory: Mapping[str, float] = field(default_factory=dict)
@@ -57,6 +69,8 @@ class Command:
     def __post_init__(self) -> None:
         for name in ("opening", "force_limit", "lift_height"):
             value = getattr(self, name)
+            if value is None and name == "force_limit":
+                continue
             if type(value) is not float or not math.isfinite(value):
                 object.__setattr__(self, name, _finite(value, name))
         if not isinstance(self.phase, str) or self.phase not in PHASES:

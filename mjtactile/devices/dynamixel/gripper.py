@@ -36,6 +36,7 @@ _GOAL_START = 102
 _LEAD_TIME = 0.1  # s at the largest speed: how far a closing jaw's goal is ahead of it at most
 # questions in a row without a servo's reply before it counts as lost: one cycle of two, and another
 _FAILURES_MAX = 3
+_FIRST_FORCE_SHARE = 0.25  # of the largest force, until a command says another
 _SILENCE_IDLE = 30.0  # s without any call, before the first command (references are being taken)
 
 
@@ -57,6 +58,7 @@ class DynamixelGripper:
         lift_model = find_model(lift.model, source, "lift.model") if lift.kind == "servo" else None
         self._lift_zero_ticks = 0
         self._lift_goal = 0.0
+        self._force_limit = _FIRST_FORCE_SHARE * gripper.force_max
         self._closed = scaled_clock.Event()
         self._lock = threading.RLock()
         self._last_call = scaled_clock.monotonic()
@@ -126,15 +128,16 @@ class DynamixelGripper:
         A servo rounds to its own position unit (0.02 mm here). That is not in what is returned: a
         controller that steps from the last command by less than half a unit would never get
         anywhere. Closing, no servo's goal is further ahead of it than its jaw moves in 0.1 s: one
-        that goes on to its goal when the host is dead stops there. A force limit of 0 leaves the
-        servos' limits as they were. Raises DeviceError when the port is lost.
+        that goes on to its goal when the host is dead stops there. Raises
+        DeviceError when the port is lost.
         """
         with self._lock:
             self._arm()
             self._last_call = scaled_clock.monotonic()
             low, high = self.config.opening
             opening = min(max(command.opening, low), high)
-            force = min(max(command.force_limit, 0.0), self.config.force_max)
+            if command.force_limit is not None:
+                self._force_limit = min(max(command.force_limit, 0.0), self.config.force_max)
             goals = self.geometry.goals(
                 opening,
                 {i: s.ticks for i, s in self._jaws.items()},
@@ -143,16 +146,17 @@ class DynamixelGripper:
             for jaw in self.geometry.servos:
                 servo = self._jaws[jaw.config.id]
                 servo.goal_ticks = goals[servo.id]
-                if force > 0:
-                    servo.goal_current_units = min(
-                        jaw.current_units(force, servo.ticks), servo.current_limit_units
-                    )
+                servo.goal_current_units = min(
+                    jaw.current_units(self._force_limit, servo.ticks), servo.current_limit_units
+                )
             height = self._command_lift(command.lift_height)
             self._send_goals()
             self._commanded = True
             self._sent_time = scaled_clock.monotonic()
             self._poll_one()  # here, where the cycle's picture waits for nothing any more
-            return replace(command, opening=opening, force_limit=force, lift_height=height)
+            return replace(
+                command, opening=opening, force_limit=self._force_limit, lift_height=height
+            )
 
     @property
     def sent_time(self) -> float:
@@ -240,7 +244,7 @@ class DynamixelGripper:
         gentle."""
         if servo.id in self._jaws:
             jaw = next(j for j in self.geometry.servos if j.config.id == servo.id)
-            return jaw.current_units(0.25 * self.config.force_max, servo.ticks)
+            return jaw.current_units(self._force_limit, servo.ticks)
         return servo.current_limit_units
 
     # -- every cycle

@@ -50,8 +50,10 @@ class JawServo:
         return -current * self.torque_per_A / self.slope(ticks)
 
     def current_units(self, force: float, ticks: float) -> int:
-        """Goal current, in the model's units, that gives `force` N at the jaw; at least 1, at most
-        the model's limit."""
+        """Goal current, in the model's units, that gives `force` N at the jaw: 0 for none, else at
+        least 1, at most the model's limit."""
+        if force == 0:
+            return 0
         ampere = abs(force * self.slope(ticks)) / self.torque_per_A
         return int(
             min(

@@ -100,10 +100,9 @@ class HandWorld(World):
 
     def set_finger_target(self, opening: float, force_limit: float | None = None) -> None:
         """Set the goal for the gap between the sensors' frames, m, and the most that each finger
-        may push, N.
+        may push, N (None: as before).
 
-        Raises InputError for a value that is not finite, a negative opening or a force limit that
-        is not positive.
+        Raises InputError for a value that is not finite or negative.
         """
         if not np.isfinite(opening) or opening < 0:
             raise InputError(
@@ -111,9 +110,9 @@ class HandWorld(World):
             )
         self._opening_target = min(float(opening), self.max_opening)
         if force_limit is not None:
-            if not np.isfinite(force_limit) or force_limit <= 0:
+            if not np.isfinite(force_limit) or force_limit < 0:
                 raise InputError(
-                    f"{force_limit!r} N is not a finite force > 0",
+                    f"{force_limit!r} N is not a finite force >= 0",
                     source="gripper",
                     field="force_limit",
                 )

@@ -240,6 +240,8 @@ class FakeWorld:
         self.opening = 0.05
         self.time = 0.0
         self.calls = []
+        jaws = SimpleNamespace(opening=(0.0, 0.1), force_max=8.0)
+        self.rig = SimpleNamespace(gripper=jaws, lift=SimpleNamespace(travel=0.1))
 
     def after_each_stretch(self, call, due):
         """Steps are stretches here, so short that nothing is due within one."""

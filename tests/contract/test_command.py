@@ -1,0 +1,215 @@
+"""The contract of `Command`, as its docstring has it, for every gripper: simulated, emulated,
+replayed, in the Gymnasium environment, and the stub of the tests."""
+
+import json
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+import mjtactile.gym  # noqa: F401  # registers the environment
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Command
+from mjtactile.emulator.rig import build_emulated_rig
+from mjtactile.recording.files import LOG
+from mjtactile.recording.reader import load_recording
+from mjtactile.replay.rig import ReplayGripper, build_replay_rig
+from mjtactile.rig.limits import Limits
+from mjtactile.rig.registry import build_rig
+from tests.contract.test_rigs import ONE_EMULATOR, record
+from tests.patient import DESIGN, SIMULATED, patient_rig_file
+from tests.stub_rig import World
+
+EMULATED = pytest.param("emulated", marks=[pytest.mark.clock, pytest.mark.slow(20), ONE_EMULATOR])
+PERIOD = 1 / 30
+
+
+def make(name, request):
+    """The rig of a name; the caller closes it."""
+    if name in SIMULATED:
+        return build_rig(name, DESIGN, object_name="egg", seed=0)
+    if name == "emulated":
+        emulator = request.getfixturevalue("emulator")
+        return build_emulated_rig(
+            patient_rig_file(), DESIGN, object_name="egg", seed=0, emulator=emulator
+        )
+    if name == "gym":
+        env = gymnasium.make("mjtactile/Grasp-v0", object="egg", effects="-sheet,-chain")
+        env.reset(seed=0)
+        return env.unwrapped._rig
+    return World().rig()
+
+
+@pytest.fixture(params=[*SIMULATED, EMULATED, "gym", "stub"])
+def rig(request):
+    rig = make(request.param, request)
+    try:
+        yield rig
+    finally:
+        rig.close()
+
+
+def go(rig, command, time):
+    """Send it through the limits, again and again for `time` s; what was sent last."""
+    last = replace(command, opening=rig.gripper.state().opening, lift_height=0.0)
+    for _ in range(round(time / PERIOD)):
+        last = rig.gripper.command(rig.limits.apply(command, last, PERIOD))
+        rig.clock.wait_until(rig.clock.now() + PERIOD)
+        rig.gripper.state()  # as the loop does: the driver's goals start from where the jaws are
+    return last
+
+
+# -- every gripper
+# --------------------------------------------------------------------------------
+
+
+def test_none_keeps_the_limit_and_what_is_returned_has_it(rig):
+    opening = rig.gripper.state().opening
+    first = rig.gripper.command(Command(opening, None)).force_limit
+    assert first is not None and first > 0
+    for limit in (2.0, 0.0, 0.5):
+        assert rig.gripper.command(Command(opening, limit)).force_limit == limit
+        assert rig.gripper.command(Command(opening, None)).force_limit == limit
+
+
+def test_what_is_returned_keeps_the_limits_of_the_rig(rig):
+    far = Command(9.0, 1e6, 9.0)
+    near = Command(-9.0, -1.0, -9.0)
+    start = Command(rig.gripper.state().opening, 1.0)
+    for wanted, force in ((far, rig.limits.force), (near, 0.0)):
+        sent = rig.gripper.command(rig.limits.apply(wanted, start, PERIOD))
+        assert sent.force_limit == force
+        assert rig.limits.opening[0] <= sent.opening <= rig.limits.opening[1]
+        assert abs(sent.opening - start.opening) <= rig.limits.speed * PERIOD + 1e-9
+        assert rig.limits.lift[0] <= sent.lift_height <= rig.limits.lift[1]
+
+
+def test_phase_memory_and_reason_come_back(rig):
+    wanted = Command(rig.gripper.state().opening, 1.0, 0.0, "close", {"a": 1.0}, "because")
+    sent = rig.gripper.command(wanted)
+    assert (sent.phase, dict(sent.memory), sent.reason) == ("close", {"a": 1.0}, "because")
+
+
+def test_with_no_force_the_jaws_close_on_nothing(rig):
+    """Until now 0 left the largest limit in force: the softest request gave the hardest grip."""
+    before = rig.gripper.state().opening
+    go(rig, Command(rig.limits.opening[0], 0.0), 1.0)
+    after = rig.gripper.state()
+    assert after.opening == pytest.approx(before, abs=5e-4)  # a hand may sag that nothing drives
+    if rig.name != "stub":
+        assert abs(after.effort) < 0.02  # N; a servo's current is rounded to 1 mA
+
+
+@pytest.mark.parametrize("name", ["sim", EMULATED])
+def test_more_force_is_never_a_softer_grip(name, request):
+    rig = make(name, request)
+    try:
+        efforts = []
+        for limit in (1.0, 0.5, 0.0, 2.0):
+            go(rig, Command(0.0, limit), 2.0)
+            efforts.append(rig.gripper.state().effort)
+    finally:
+        rig.close()
+    assert efforts == pytest.approx([1.0, 0.5, 0.0, 2.0], abs=0.1)
+
+
+# -- the environment
+# --------------------------------------------------------------------------------
+
+
+def test_the_range_of_the_force_action_is_monotonic():
+    """From the softest to the hardest: peak forces on an egg rise, and -1 touches nothing."""
+    peaks = []
+    for action in (-1.0, -0.95, -0.85, -0.7):
+        env = gymnasium.make("mjtactile/Grasp-v0", object="egg", effects="-sheet,-chain")
+        _, info = env.reset(seed=1)
+        for _ in range(75):
+            _, _, over, _, info = env.step(np.array([-1.0, action, 0.0], np.float32))
+            assert not over
+        peaks.append(info["peak_force_true_N"])
+        env.close()
+    assert peaks[0] == 0.0
+    assert (np.diff(peaks) > 0.1).all()
+
+
+# -- recordings
+# --------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("recording")
+    rig = build_rig("sim", DESIGN, object_name="egg", seed=0)
+    try:
+        record(rig, folder)
+    finally:
+        rig.close()
+    return folder
+
+
+def test_a_replay_answers_with_what_was_sent(folder):
+    rig = build_replay_rig(str(folder), DESIGN)
+    limits = load_recording(folder).columns["command_force_limit"]
+    for _ in range(200):
+        if rig.gripper._tape.cycle == 3:
+            break
+        for camera in rig.cameras:
+            camera.read()
+    assert rig.gripper.command(Command(0.05, None)).force_limit == limits[3] == 2.0
+
+
+def test_an_old_recordings_0_is_the_limit_before_it(folder, tmp_path):
+    """Version 1 wrote 0 where the limit stayed as it was, and before the first one."""
+    lines = [json.loads(line) for line in (folder / LOG).read_text().splitlines()]
+    cycles = [line for line in lines if line["kind"] == "cycle"]
+    for line, limit in zip(cycles, (0.0, 2.0, 0.0, 3.0), strict=False):
+        line["command_force_limit"] = limit
+    for version, wanted in ((1, [math.nan, 2.0, 2.0, 3.0]), (2, [0.0, 2.0, 0.0, 3.0])):
+        lines[0]["version"] = version
+        log = tmp_path / str(version) / LOG
+        log.parent.mkdir()
+        log.write_text("".join(json.dumps(line) + "\n" for line in lines))
+        found = load_recording(log.parent).columns["command_force_limit"][:4]
+        assert np.array_equal(found, wanted, equal_nan=True)
+
+
+def test_a_replay_does_not_invent_a_limit():
+    columns = {
+        "command_opening": [0.05],
+        "command_force_limit": [math.nan],
+        "command_lift_height": [0.0],
+    }
+    tape: Any = SimpleNamespace(
+        value=lambda key: columns[key][0],
+        cycle=0,
+        recording=SimpleNamespace(command_pressure=lambda cycle: None),
+    )
+    assert ReplayGripper(tape).command(Command(0.05, 1.0)).force_limit is None
+
+
+# -- what is refused, and what the limits do of themselves
+# --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, "4", True])
+@pytest.mark.parametrize("field", ["opening", "force_limit", "lift_height"])
+def test_what_is_no_finite_number_is_refused(field, value):
+    with pytest.raises(InputError, match=field):
+        replace(Command(0.05, 1.0), **{field: value})
+
+
+def test_only_what_says_so_can_be_none():
+    kept = Command(0.05, None)
+    assert kept.force_limit is None and kept.pressure_gauge is None
+    for field in ("opening", "lift_height", "reason"):
+        with pytest.raises(InputError, match=field):
+            replace(kept, **{field: None})
+
+
+def test_limits_leave_none_alone():
+    sent = Limits().apply(Command(0.05, None), Command(0.05, 3.0), PERIOD)
+    assert sent.force_limit is None
