@@ -15,17 +15,19 @@ from mjtactile.core import memory_limit
 from mjtactile.core.controller_state import plain
 from mjtactile.core.errors import ControllerError, Interrupted, SafeStop
 from mjtactile.core.signals import Stop
-from mjtactile.core.types import Command, Observation, Touch
+from mjtactile.core.types import Command, Observation
 from mjtactile.recording.observer import Observer
 from mjtactile.rig.finger import Rig
 from mjtactile.runtime.controller import ControllerThread, LoadedController
 from mjtactile.runtime.cycle import ENDS, WAIT_TIME, ControlCycle, Cycle
 from mjtactile.runtime.perception_processes import PerceptionPool
 from mjtactile.runtime.perception_threads import Perceiver, Perceivers
-from mjtactile.runtime.supervisor import HEIGHT_TOLERANCE, Supervisor
+from mjtactile.runtime.retreat import HEIGHT_TOLERANCE, may_hold
+from mjtactile.runtime.supervisor import Supervisor
 
 # 0.2 s of 0.25 s, so that the devices never take the loop for dead
 _STEP_SHARE = 0.8
+_IN_THE_AIR = 5e-3  # m that the hand may be measured above where it is thought to be down
 
 
 def run_loop(
@@ -83,11 +85,23 @@ def run_loop(
         supervisor = supervisor or Supervisor(rig.period)
         cycle = ControlCycle.begin(rig, perceiving, supervisor, observer or Observer())
         _turn_until_over(cycle, guarded, stop, limit_memory, time_limit)
+    _say_doubt(cycle)
     if cycle.failure is not None:
         raise cycle.failure
+    reason = cycle.supervisor.reason
+    if cycle.supervisor.doubt:
+        raise SafeStop(f"stopped, not verified safe: {reason}; {cycle.supervisor.doubt}")
     if cycle.last.phase not in ENDS:
-        raise SafeStop(f"stopped safely: {cycle.supervisor.reason}")
+        raise SafeStop(f"stopped safely: {reason}")
     return cycle.last
+
+
+def _say_doubt(cycle: ControlCycle) -> None:
+    """Say and record that the safe state is not verified, whatever is raised then."""
+    doubt = cycle.supervisor.doubt
+    if doubt:
+        cycle.attempt(lambda: cycle.observer.message(f"not verified safe: {doubt}"))
+        cycle.attempt(lambda: cycle.observer.note(not_verified_safe=doubt))
 
 
 def _turn_until_over(
@@ -128,17 +142,14 @@ def _has_landed(cycle: ControlCycle) -> bool:
     command = cycle.last
     if command.phase not in ENDS or cycle.supervisor.state == "safe":
         return False
-    if command.lift_height < HEIGHT_TOLERANCE:
+    is_up = cycle.gripper.lift_height > command.lift_height + _IN_THE_AIR
+    if command.lift_height < HEIGHT_TOLERANCE and not is_up:
         return True
-    if cycle.rig.told.place_height > 0 and not any(_may_hold(touch) for touch in cycle.touch):
+    if cycle.rig.told.place_height > 0 and not any(map(may_hold, cycle.touch)):
         return True
     why = f"the controller ended ({command.phase}) with the hand in the air"
-    cycle.supervisor.make_safe(why, cycle.now, command)
+    cycle.supervisor.make_safe(why, cycle.now)
     return False
-
-
-def _may_hold(touch: Touch) -> bool:
-    return touch.touching or not math.isfinite(touch.force_normal)
 
 
 def _too_late(controller: LoadedController, command: Command, time_limit: float) -> SafeStop:
@@ -187,7 +198,7 @@ def _make_room(cycle: ControlCycle) -> None:
     cycle.last = replace(cycle.last, memory={})
     cycle.give_up(SafeStop("stopped safely: no memory is left"))
     if retreats:
-        cycle.supervisor.latch("no memory is left", cycle.now)
+        cycle.supervisor.latch("no memory is left", cycle.now, "the retreat was cut short")
 
 
 def _say_left_out(cycle: ControlCycle) -> None:

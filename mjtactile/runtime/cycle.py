@@ -144,13 +144,13 @@ class ControlCycle:
         except SimulationError:  # there is no world any more to set it down in
             raise
         except DeviceError as error:
-            self.supervisor.latch(str(error), self.now)
+            self.supervisor.latch(str(error), self.now, "the last command was not carried out")
         except Exception as error:  # noqa: BLE001  # values that a controller made past their checks
             retreats = self.supervisor.state in ("safe", "latched")
             self.give_up(error)
             if not retreats:
                 return self.send(self.last)
-            self.supervisor.latch(str(error), self.now)
+            self.supervisor.latch(str(error), self.now, "the last command was not carried out")
         return self.last
 
     def give_up(self, error: Exception) -> None:
@@ -158,7 +158,7 @@ class ControlCycle:
         done."""
         if self.supervisor.state != "safe":
             self.failure = error
-            self.supervisor.make_safe(str(error), self.now, self.last)
+            self.supervisor.make_safe(str(error), self.now)
 
     def attempt(self, act: Callable[[], None]) -> bool:
         """Do what may fail; whatever does is no reason to drop what the hand holds, but one to set
@@ -168,7 +168,7 @@ class ControlCycle:
         except SimulationError:  # there is no world any more to set it down in
             raise
         except DeviceError as error:
-            self.supervisor.make_safe(str(error), self.now, self.last)
+            self.supervisor.make_safe(str(error), self.now)
         except Exception as error:  # noqa: BLE001
             # also a mistake in this package, or in what an observer does
             self.give_up(error)
@@ -208,8 +208,15 @@ class ControlCycle:
         rig = self.rig
         wanted = wanted.checked()
         pressure_command.check(rig, wanted)
+        gripper = self.gripper
         allowed = self.supervisor.decide(
-            self.now, wanted, self.last, self.touch, self.valves, self.gripper.lift_height
+            self.now,
+            wanted,
+            self.last,
+            self.touch,
+            self.valves,
+            gripper.lift_height,
+            gripper.opening,
         )
         last = pressure_command.started(rig, allowed, self.last, self.valves)
         limited = rig.limits.apply(allowed, last, rig.period)

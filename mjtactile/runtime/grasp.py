@@ -20,8 +20,8 @@ from mjtactile.recording.observer import Observer, Observers
 from mjtactile.rig.finger import Rig
 from mjtactile.runtime.controller import LoadedController, load_controller
 from mjtactile.runtime.cycle import Cycle
+from mjtactile.runtime.retreat import HEIGHT_TOLERANCE
 from mjtactile.runtime.session import open_session
-from mjtactile.runtime.supervisor import HEIGHT_TOLERANCE
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,9 @@ controller and the rig.
 
 States: `idle` (nothing sent), `armed` (references taken, ready), `running`, `holding` (something is
 unknown: the jaws do not close and the hand does not rise), `safe` (the hand goes down and opens by
-itself), `latched` (over; why is in `reason`). Whatever the controller wants, a command is passed on
-only in `running`, and held back as said otherwise. The faults and their detectors:
+itself: `mjtactile.runtime.retreat`), `latched` (over; why is in `reason`, and in `doubt` what of
+the safe state was not verified; empty: nothing). Whatever the controller wants, a command is passed
+on only in `running`, and held back as said otherwise. The faults and their detectors:
 docs/how-to/hardware.md.
 """
 
@@ -15,17 +16,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from mjtactile.core.types import Command, Touch, ValveState
-from mjtactile.runtime.placement_detection import HangingLoad
+from mjtactile.runtime.retreat import Retreat
 
 BLIND_TIME_MAX = 0.5  # s without a known force before the gripper opens by itself
-RETREAT_SPEED = 0.030  # m/s of opening, and of lowering
-RETREAT_OPENING = 0.015  # m to open in `safe`: an object is let go of, and not thrown
-# s, of periods: lowering 0.1 m takes 3.3 s, and longer where the loop is late or was stopped
-RETREAT_TIME_MAX = 5.0
-# m and s: a hand above its goal has the rest of its way first, but something may keep it up
-_DOWN = 1e-3
-_DOWN_TIME_MAX = 1.0
-_OPENING_TOLERANCE = HEIGHT_TOLERANCE = 2e-4  # m: a servo's goal is rounded to 0.02 to 0.1 mm
 # of the sealed pressure; an object only ever raises it, temperature changes it by 1 % for 3 K
 _LEAK_SHARE = 0.8
 # in a row, by shape; one is enough by pressure, since a valve's driver asks again for what
@@ -55,16 +48,13 @@ class Supervisor:
         self.history: list[Transition] = []
         self._blind_since: float | None = None
         self._blind_why = ""
-        self._retreat_goal = self._opening_before = math.nan
         self._sealed: list[float] | None = None
         self._bulge: list[float] | None = None
         self._sink_cycles = 0
         self._wanted_safe = ""
-        self._load = HangingLoad()
-        self._stands = False
-        self._height = math.nan
-        self._retreat_time = self._down_time = 0.0
-        self._went_down = False
+        self._retreat = Retreat(period)
+        self._opening = self._height = math.nan
+        self.doubt = ""
 
     @property
     def is_over(self) -> bool:
@@ -81,19 +71,21 @@ class Supervisor:
         touch: Sequence[Touch],
         valves: Sequence[ValveState],
         height: float = math.nan,
+        opening: float = math.nan,
     ) -> Command:
-        """The command to pass on. `last` is the one before, `height` m where the hand is as far as
-        the gripper says."""
+        """The command to pass on. `last` is the one before; `height` and `opening` m are what the
+        gripper measures (NaN: unknown)."""
+        self._opening = opening
         self._height = height
         if self._wanted_safe:
-            self.make_safe(self._wanted_safe, now, last)
+            self.make_safe(self._wanted_safe, now)
         if self.state in ("safe", "latched"):
-            return self._retreat(now, last, touch)
-        self._load.note(touch, last.lift_height)
+            return self._go_back(now, last, touch)
+        self._retreat.watch(touch, last.lift_height)
         leak = self._leak(touch, valves)
         if leak:
-            self.make_safe(leak, now, last)
-            return self._retreat(now, last, touch)
+            self.make_safe(leak, now)
+            return self._go_back(now, last, touch)
         unknown = [t.status for t in touch if not math.isfinite(t.force_normal)]
         if unknown:
             return self._hold(now, wanted, last, touch, unknown[0])
@@ -102,18 +94,18 @@ class Supervisor:
             self._enter("running", "forces are known", now)
         return wanted
 
-    def make_safe(self, reason: str, now: float, last: Command) -> None:
+    def make_safe(self, reason: str, now: float) -> None:
         """From here on the hand goes down and opens, whatever the controller says."""
         if self.state not in ("safe", "latched"):
-            self._retreat_goal = last.opening + RETREAT_OPENING
             self._enter("safe", reason, now)
 
     def want_safe(self, reason: str) -> None:
         """The same from the next `decide` on; for other threads, such as a person's red button."""
         self._wanted_safe = reason
 
-    def latch(self, reason: str, now: float) -> None:
-        """The end: nothing is sent any more."""
+    def latch(self, reason: str, now: float, doubt: str = "") -> None:
+        """The end: nothing is sent any more. `doubt` is what of the safe state is not verified."""
+        self.doubt = doubt
         self._enter("latched", self.reason if self.state == "safe" else reason, now)
 
     def _hold(
@@ -125,43 +117,27 @@ class Supervisor:
             self._blind_since = now
             self._blind_why = why
         if now - self._blind_since > BLIND_TIME_MAX:
-            self.make_safe(f"no force for {BLIND_TIME_MAX:g} s: {self._blind_why}", now, last)
-            return self._retreat(now, last, touch)
+            self.make_safe(f"no force for {BLIND_TIME_MAX:g} s: {self._blind_why}", now)
+            return self._go_back(now, last, touch)
         if self.state != "holding":
             self._enter("holding", why, now)
         return replace(
             wanted,
             opening=max(wanted.opening, last.opening),
-            force_limit=last.force_limit or wanted.force_limit,
+            force_limit=wanted.force_limit if last.force_limit is None else last.force_limit,
             lift_height=min(wanted.lift_height, last.lift_height),
             pressure_gauge=last.pressure_gauge,
         )
 
-    def _retreat(self, now: float, last: Command, touch: Sequence[Touch]) -> Command:
-        """Down, as far as what is held does not stand, then open, both slowly; then latch."""
-        step = RETREAT_SPEED * self._period
-        self._stands |= self._load.stands(touch, last.lift_height)
-        is_up = last.lift_height > HEIGHT_TOLERANCE and not self._stands
-        in_time = self._retreat_time < RETREAT_TIME_MAX
-        self._retreat_time += self._period
-        if is_up and in_time:
-            self._went_down = True
-            return replace(last, lift_height=max(0.0, last.lift_height - step))
-        self._down_time += self._period
-        is_down = self._height <= last.lift_height + _DOWN  # not so where it is unknown
-        if self._went_down and not is_down and self._down_time < _DOWN_TIME_MAX:
-            return last  # a lift that was stopped, or is slow, is still on its way
-        at_limit = last.opening == self._opening_before
-        self._opening_before = last.opening
-        if (
-            last.opening < self._retreat_goal - _OPENING_TOLERANCE
-            and in_time
-            and not at_limit
-            and self.state == "safe"
-        ):
-            return replace(last, opening=min(self._retreat_goal, last.opening + step))
-        self.latch(self.reason, now)
-        return last
+    def _go_back(self, now: float, last: Command, touch: Sequence[Touch]) -> Command:
+        """The next command of the retreat; latch when it is over."""
+        if self.state == "latched":
+            return last
+        command = self._retreat.next(last, touch, self._opening, self._height)
+        if command is None:
+            self.latch(self.reason, now, self._retreat.doubt)
+            return last
+        return command
 
     def _leak(self, touch: Sequence[Touch], valves: Sequence[ValveState]) -> str:
         """Which sealed chamber loses gas, in words; "" for none."""

@@ -18,7 +18,7 @@ from mjtactile.emulator.rig import build_emulated_rig
 from mjtactile.recording.files import LOG
 from mjtactile.recording.reader import load_recording
 from mjtactile.replay.rig import ReplayGripper, build_replay_rig
-from mjtactile.rig.limits import Limits
+from mjtactile.rig.command_limits import Limits
 from mjtactile.rig.registry import build_rig
 from tests.contract.test_rigs import ONE_EMULATOR, record
 from tests.patient import DESIGN, SIMULATED, patient_rig_file

@@ -105,7 +105,7 @@ def test_a_blind_rig_keeps_its_air_and_a_retreat_too(supervisor):
     last = replace(LAST, pressure_gauge=(900.0,))
     wanted = replace(LAST, pressure_gauge=(2000.0,))
     assert supervisor.decide(0.1, wanted, last, (BLIND,), ()).pressure_gauge == (900.0,)
-    supervisor.make_safe("a fault", 0.2, last)
+    supervisor.make_safe("a fault", 0.2)
     assert supervisor.decide(0.3, wanted, last, (OK,), ()).pressure_gauge == (900.0,)
 
 

@@ -3,16 +3,19 @@
 import math
 import pickle
 from dataclasses import replace
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from mjtactile.core.errors import ControllerError
-from mjtactile.core.types import Command, Slip, Told, Touch, ValveState
+from mjtactile.core.types import Command, GripperState, Slip, Told, Touch, ValveState
+from mjtactile.recording.observer import Observer
 from mjtactile.rig.command_limits import Limits
 from mjtactile.runtime import control_loop
-from mjtactile.runtime.supervisor import BLIND_TIME_MAX, RETREAT_OPENING, RETREAT_SPEED, Supervisor
+from mjtactile.runtime.retreat import RETREAT_OPENING, RETREAT_SPEED
+from mjtactile.runtime.supervisor import BLIND_TIME_MAX, Supervisor
 from tests.stub_rig import BLIND, LAST, OK, PERIOD, SEALED, World, loaded
 
 
@@ -39,7 +42,7 @@ def test_the_retreat_ends_where_what_is_held_stands(supervisor, how, height):
         hanging = replace(loaded(-0.5), slip=slid)
         last = supervisor.decide(now, last, last, (hanging, hanging), ())
         now += PERIOD
-    supervisor.make_safe("a reason", now, last)
+    supervisor.make_safe("a reason", now)
     lowest = last.lift_height
     while not supervisor.is_over:
         up = 0.5 if how == "pushed" and last.lift_height < 0.01 else -0.5
@@ -78,7 +81,12 @@ def test_blind_for_long_goes_down_then_opens_then_latches(supervisor):
     heights = []
     for step in range(80):
         last = supervisor.decide(
-            step * PERIOD, Command(0.03, 4.0, 0.05, "hold"), last, (BLIND, BLIND), (SEALED, SEALED)
+            step * PERIOD,
+            Command(0.03, 4.0, 0.05, "hold"),
+            last,
+            (BLIND, BLIND),
+            (SEALED, SEALED),
+            opening=last.opening,
         )
         states.append(supervisor.state)
         heights.append((last.lift_height, last.opening))
@@ -91,7 +99,7 @@ def test_blind_for_long_goes_down_then_opens_then_latches(supervisor):
 
 
 def test_it_never_comes_back_from_safe(supervisor):
-    supervisor.make_safe("overload", 0.0, LAST)
+    supervisor.make_safe("overload", 0.0)
     supervisor.decide(0.1, Command(0.03, 4.0), LAST, (OK, OK), (SEALED, SEALED))
     assert supervisor.state == "safe"
 
@@ -120,7 +128,7 @@ def test_a_leak_is_found_by_shape_without_a_sensor(supervisor):
 
 def test_the_jaws_open_only_when_the_hand_is_down_as_far_as_the_gripper_says(supervisor):
     """A lift that was stopped is behind; one that stays up for a second is kept up by something."""
-    supervisor.make_safe("a fault", 0.0, LAST)
+    supervisor.make_safe("a fault", 0.0)
     last = LAST
     opened = None
     for step in range(60):
@@ -132,7 +140,7 @@ def test_the_jaws_open_only_when_the_hand_is_down_as_far_as_the_gripper_says(sup
 
 
 def test_the_jaws_open_at_once_when_the_hand_has_come_down_with_its_command(supervisor):
-    supervisor.make_safe("a fault", 0.0, LAST)
+    supervisor.make_safe("a fault", 0.0)
     last = LAST
     while last.opening == LAST.opening:
         last = supervisor.decide(0.1, last, last, (), (), last.lift_height)
@@ -154,7 +162,10 @@ def test_an_empty_hand_over_the_place_it_was_told_is_not_driven_into_it(
 ):
     rig = SimpleNamespace(told=Told(place_height=place))
     last = Command(0.06, 4.0, 0.025, "done")
-    cycle = SimpleNamespace(rig=rig, last=last, touch=(touch,), supervisor=supervisor, now=1.0)
+    gripper = GripperState(0.06, 0.0, 0.0, 0.025)
+    cycle = SimpleNamespace(
+        rig=rig, last=last, touch=(touch,), supervisor=supervisor, now=1.0, gripper=gripper
+    )
     assert control_loop._has_landed(cycle) == lands and (supervisor.state == "safe") != lands  # type: ignore[arg-type]
 
 
@@ -173,12 +184,16 @@ def test_a_stale_camera_holds_then_opens_and_the_run_ends():
 
 
 def test_a_faulty_servo_ends_in_the_safe_state_with_its_reason():
+    """Its touch stays and nothing is measured of its jaws: they were opened, unverified."""
     world = World()
     cycles, message = world.run("gripper")
-    assert message == "stopped safely: servo 1 reports overload"
+    assert message == (
+        "stopped, not verified safe: servo 1 reports overload; the opening is unknown, the forces "
+        "are 0.50 N"
+    )
     assert len(cycles) == len(world.sent)  # every turn is recorded, the retreat too
     assert all(
-        math.isnan(cycle.gripper.opening) and cycle.reason == message.split(": ")[1]
+        math.isnan(cycle.gripper.opening) and cycle.reason == "servo 1 reports overload"
         for cycle in cycles[5:]
     )
     assert cycles[-1].state == "latched" and cycles[-1].touch == (OK,)
@@ -189,7 +204,9 @@ def test_when_nothing_obeys_the_run_ends_at_once():
     world = World()
     cycles, message = world.run("all")
     assert len(cycles) == 6 and cycles[-1].state == "latched"
-    assert message == "stopped safely: servo 1 reports overload"
+    assert message == (
+        "stopped, not verified safe: servo 1 reports overload; the last command was not carried out"
+    )
 
 
 def test_a_controller_that_fails_is_asked_no_more_and_the_hand_retreats_first():
@@ -221,12 +238,115 @@ def test_a_controller_that_does_not_end_is_stopped_the_same_way():
     assert world.opening > 0.05 + RETREAT_OPENING - 1e-3
 
 
+def retreat(opening, touch=OK, last=LAST, time=5.0):
+    """The supervisor and the commands of a retreat on the table; `opening` m is measured after
+    each command."""
+    supervisor = Supervisor(PERIOD)
+    supervisor.make_safe("a fault", 0.0)
+    last = replace(last, lift_height=0.0)
+    sent = [last]
+    for step in range(round(time / PERIOD)):
+        last = supervisor.decide(
+            step * PERIOD, last, last, (touch, touch), (), 0.0, opening(last.opening)
+        )
+        sent.append(last)
+    return supervisor, sent
+
+
+def test_the_retreat_starts_from_the_measured_opening():
+    """A goal 20 mm ahead of the jaws, plus 15 mm, was behind them: they stayed closed."""
+    supervisor, sent = retreat(lambda goal: max(goal, LAST.opening + 0.020))
+    assert supervisor.is_over and not supervisor.doubt
+    assert sent[-1].opening == pytest.approx(LAST.opening + 0.020 + RETREAT_OPENING)
+    assert all(after.opening >= before.opening for before, after in pairwise(sent))
+
+
+def test_jaws_that_stay_closed_are_not_called_safe():
+    supervisor, _ = retreat(lambda goal: LAST.opening)
+    assert supervisor.is_over
+    assert supervisor.doubt == (
+        "the jaws are at 50.0 mm and not at 65.0 mm, the forces are 0.50 N, 0.50 N"
+    )
+
+
+def test_forces_that_are_gone_verify_what_no_gripper_measures():
+    free = replace(OK, force_normal=0.0, touching=False)
+    assert not retreat(lambda goal: math.nan, free)[0].doubt
+    assert retreat(lambda goal: math.nan, BLIND)[0].doubt == (
+        "the opening is unknown, the forces are unknown, unknown"
+    )
+
+
+@pytest.mark.parametrize(("limit", "opens_with"), [(0.0, 4.0), (None, 4.0), (6.0, 6.0)])
+def test_a_hand_that_grips_softly_has_the_force_to_open(limit, opens_with):
+    _, sent = retreat(lambda goal: goal, last=replace(LAST, force_limit=limit))
+    assert sent[-1].force_limit == opens_with
+
+
+def test_the_force_is_not_raised_while_the_goal_still_closes_the_jaws():
+    _, sent = retreat(lambda goal: LAST.opening + 0.005, last=replace(LAST, force_limit=1.0))
+    assert {one.force_limit for one in sent if one.opening < LAST.opening + 0.005} == {1.0}
+
+
+def test_a_hand_high_up_has_the_time_to_come_down():
+    """5 s are 0.15 m: from a higher place, what was held was dropped."""
+    _, sent = retreat_from(0.4)
+    opened = next(one for one in sent if one.opening > LAST.opening)
+    assert opened.lift_height < 1e-3
+
+
+def retreat_from(height):
+    supervisor = Supervisor(PERIOD)
+    supervisor.make_safe("a fault", 0.0)
+    sent = [replace(LAST, lift_height=height)]
+    while not supervisor.is_over:
+        last = sent[-1]
+        sent.append(supervisor.decide(0.1, last, last, (OK,), (), last.lift_height, last.opening))
+    return supervisor, sent
+
+
+def test_a_hand_that_is_measured_in_the_air_has_not_landed(supervisor):
+    """A lift that lags: its command is down, the hand is not."""
+    up = GripperState(0.06, 0.0, 0.0, 0.02)
+    cycle = SimpleNamespace(
+        rig=SimpleNamespace(told=Told()),
+        last=Command(0.06, 4.0, 0.0, "done"),
+        touch=(OK,),
+        supervisor=supervisor,
+        now=1.0,
+        gripper=up,
+    )
+    assert not control_loop._has_landed(cycle) and supervisor.state == "safe"  # type: ignore[arg-type]
+
+
+def test_stuck_jaws_after_a_controller_that_raises_are_said_and_recorded():
+    facts = {}
+    said = []
+
+    class Notes(Observer):
+        def note(self, **new):
+            facts.update(new)
+
+        def message(self, text):
+            said.append(text)
+
+    def fails(observation):
+        world.stuck = True
+        raise ControllerError("boom")
+
+    world = World()
+    _, message = world.run("", controller=fails, error=ControllerError, observer=Notes())
+    assert message == "boom"
+    assert said == [f"not verified safe: {facts['not_verified_safe']}"]
+    assert facts["not_verified_safe"].startswith("the jaws are at 50.0 mm and not at 65.0 mm")
+
+
 def test_a_retreat_ends_where_the_jaws_do():
     supervisor = Supervisor(PERIOD)
-    supervisor.make_safe("a fault", 0.0, replace(LAST, lift_height=0.0))
+    supervisor.make_safe("a fault", 0.0)
     last = replace(LAST, lift_height=0.0)
     widest = LAST.opening + 0.004
     for step in range(8):
-        last = supervisor.decide(step * PERIOD, last, last, (), ())
+        last = supervisor.decide(step * PERIOD, last, last, (), (), 0.0, last.opening)
         last = replace(last, opening=min(last.opening, widest))  # as the rig's limits do
     assert supervisor.is_over

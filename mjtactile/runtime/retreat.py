@@ -1,0 +1,118 @@
+"""The way to the safe state: down as far as what is held does not stand, then open, both slowly.
+
+Each step starts from what is measured, and the end is verified by it: the jaws are measured open,
+or no finger touches anything. What was commanded proves neither.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from mjtactile.core.types import Command, Touch
+from mjtactile.runtime.placement_detection import HangingLoad
+
+RETREAT_SPEED = 0.030  # m/s of opening, and of lowering
+RETREAT_OPENING = 0.015  # m to open: an object is released, and not thrown
+RETREAT_FORCE = 4.0  # N that the servo may open with, where it was allowed less to grip
+# s, of periods: lowering 0.1 m takes 3.3 s, and longer where the loop is late or was stopped
+RETREAT_TIME_MAX = 5.0
+OPEN_TIME_MAX = 3.0  # s; opening takes 0.5 s, and the goal's way to where the jaws are
+# m and s: a hand above its goal has the rest of its way first, but something may keep it up
+_DOWN = 1e-3
+_DOWN_TIME_MAX = 1.0
+_OPEN_SLACK = 2e-3  # m short of the goal: gears' play and a soft servo
+OPENING_TOLERANCE = HEIGHT_TOLERANCE = 2e-4  # m: a servo's goal is rounded to 0.02 to 0.1 mm
+
+
+def may_hold(touch: Touch) -> bool:
+    """Whether the finger touches something, or may do so unseen."""
+    return touch.touching or not math.isfinite(touch.force_normal)
+
+
+class Retreat:
+    """One run's way to the safe state. `next` is called once a cycle; `doubt` says afterwards what
+    could not be verified, empty: nothing."""
+
+    def __init__(self, period: float):
+        self._period = period
+        self._load = HangingLoad()
+        self._stands = False
+        self._lowering_time = self._down_time = self._open_time = 0.0
+        self._lowering_time_max = RETREAT_TIME_MAX
+        self._measured: float | None = None  # m, the last opening that is known
+        self._goal: float | None = None  # m, None: the hand is not down yet
+        self._way = self._before = math.nan
+        self.doubt = ""
+
+    def watch(self, touch: Sequence[Touch], height: float) -> None:
+        """Note what hangs on the fingers before the retreat, at `height` m."""
+        self._load.note(touch, height)
+
+    def next(
+        self, last: Command, touch: Sequence[Touch], opening: float, height: float
+    ) -> Command | None:
+        """The next command; None: it is over. `opening` and `height` m are measured (NaN:
+        unknown)."""
+        if math.isfinite(opening):
+            self._measured = opening
+        return self._down(last, touch, height) or self._open(last, touch, opening)
+
+    def _down(self, last: Command, touch: Sequence[Touch], height: float) -> Command | None:
+        """The next command on the way down; None: it is down, or stands on something."""
+        self._stands |= self._load.stands(touch, last.lift_height)
+        if self._lowering_time == 0:
+            time = 1.5 * last.lift_height / RETREAT_SPEED
+            self._lowering_time_max = max(RETREAT_TIME_MAX, time)
+        in_time = self._lowering_time < self._lowering_time_max
+        self._lowering_time += self._period
+        if last.lift_height > HEIGHT_TOLERANCE and not self._stands and in_time:
+            step = RETREAT_SPEED * self._period
+            return replace(last, lift_height=max(0.0, last.lift_height - step))
+        self._down_time += self._period
+        is_above = height > last.lift_height + _DOWN  # not so where it is unknown
+        if is_above and self._down_time < _DOWN_TIME_MAX:
+            return last  # a lift that was stopped, or is slow, is still on its way
+        return None
+
+    def _open(self, last: Command, touch: Sequence[Touch], opening: float) -> Command | None:
+        """The next command on the way open; None: it is verified, or took too long."""
+        if self._goal is None:
+            self._way = last.opening if self._measured is None else self._measured
+            self._goal = self._way + RETREAT_OPENING
+        elif last.opening == self._before:
+            self._goal = min(self._goal, last.opening)  # the rig opens no further
+        self._before = last.opening
+        if self._is_safe(last, touch, opening, self._goal):
+            return None
+        if self._open_time > OPEN_TIME_MAX:
+            self.doubt = _doubt(touch, opening, self._goal)
+            return None
+        self._open_time += self._period
+        self._way = min(self._goal, self._way + RETREAT_SPEED * self._period)
+        return replace(last, opening=max(self._way, last.opening), force_limit=self._force(last))
+
+    def _is_safe(self, last: Command, touch: Sequence[Touch], opening: float, goal: float) -> bool:
+        if last.opening < goal - OPENING_TOLERANCE:
+            return False
+        is_free = bool(touch) and not any(map(may_hold, touch))
+        return is_free or opening >= goal - _OPEN_SLACK
+
+    def _force(self, last: Command) -> float | None:
+        """Enough to open with, once the goal no longer closes the jaws."""
+        if self._measured is None or last.opening < self._measured:
+            return last.force_limit
+        return max(last.force_limit or 0.0, RETREAT_FORCE)
+
+
+def _doubt(touch: Sequence[Touch], opening: float, goal: float) -> str:
+    """What is measured of a hand that is not verified open, in words."""
+    jaws = "the opening is unknown"
+    if math.isfinite(opening):
+        jaws = f"the jaws are at {1e3 * opening:.1f} mm and not at {1e3 * goal:.1f} mm"
+    forces = [
+        f"{one.force_normal:.2f} N" if math.isfinite(one.force_normal) else "unknown"
+        for one in touch
+    ]
+    return f"{jaws}, the forces are {', '.join(forces)}" if forces else jaws
