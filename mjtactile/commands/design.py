@@ -11,6 +11,7 @@ from mjtactile import InputError, SensorDesign, load_sensor
 from mjtactile.commands import arguments as arg
 from mjtactile.commands import numeric_options
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
+from mjtactile.commands.plots import save as save_plot
 from mjtactile.recording.files import write_json
 from mjtactile.runtime.progress import Progress
 
@@ -194,7 +195,7 @@ def _write_file_pictures(out: Path, result: dict[str, Any]) -> None:
     from mjtactile.design_study import plots
 
     path = out / "face.png"
-    plots.save(path, lambda figure: plots.draw_face(figure, result), size=(13.0, 3.3))
+    save_plot(path, lambda figure: plots.draw_face(figure, result), size=(13.0, 3.3))
     picture = path.read_bytes() if path.exists() else None
     (out / "design.html").write_text(plots.page(result, picture), encoding="utf-8")
 
@@ -204,7 +205,7 @@ def _write_wish(out: Path, result: dict[str, Any], files: dict[str, str]) -> Non
 
     for name, text in files.items():
         (out / name).write_text(text, encoding="utf-8")
-    plots.save(out / "front.png", lambda figure: plots.draw_front(figure, result))
+    save_plot(out / "front.png", lambda figure: plots.draw_front(figure, result))
 
 
 def _print_file(result: dict[str, Any]) -> None:

@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
         stdout_to_stderr(),
     ):
         figures = of_checkout("paper.figures")
-        findings = of_checkout("paper.findings")
+        findings = of_checkout("paper.results_table")
         experiments = of_checkout("paper.run")
 
         results = experiments.run(

@@ -129,8 +129,7 @@ def test_an_index_takes_the_wheel(wheel):
     top = {name.partition("/")[0] for name in names}
     assert {name for name in top if not name.endswith(".dist-info")} == {"mjtactile"}
     # the command stays, to say where the benchmarks are
-    code = {name for name in names if "bench" in name and name.endswith(".py")}
-    assert code == {"mjtactile/commands/bench.py"}
+    assert "mjtactile/commands/bench.py" in names
 
 
 @pytest.mark.skipif(build.this_platform() != "linux-x86_64", reason="of x86-64's instruction sets")
@@ -186,7 +185,9 @@ def test_the_wheel_grasps_an_egg_in_a_fresh_environment(wheel, tmp_path):
     where, _ = run(python, "-c", "import mjtactile; print(mjtactile.__file__)", cwd=work)
     assert Path(where.strip()).is_relative_to(fresh)
     pages = json.loads(run(mjtactile, "docs", "--json", cwd=work)[0])
-    assert Path(pages["folder"]).is_relative_to(fresh) and "sensors" in pages["pages"]
+    assert (
+        Path(pages["folder"]).is_relative_to(fresh) and "reference/sensor_files" in pages["pages"]
+    )
     _, said = run(mjtactile, "bench", "speed", cwd=work, code=2)
     assert said == (
         "mjtactile: benchmarks are not in the installed package: they are the folder 'benchmarks' "

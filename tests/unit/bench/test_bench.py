@@ -1,10 +1,12 @@
 """The benchmark's table is made from rows of any outcome, and finds its place in a document."""
 
+import importlib.util
 import math
 
 import pytest
 
 from benchmarks import grasp
+from mjtactile.commands.bench import BENCHMARKS
 from mjtactile.commands.output import insert_table
 from mjtactile.core.errors import InputError, SimulationError
 
@@ -112,3 +114,9 @@ def test_the_rigs_table_counts_what_was_late_and_what_was_not_safe():
     assert "2 of 3, 1 later than 200 ms, worst 300 ms" in table and "valves vented never" in table
     assert "0.90 N before, 0.15 N a second later" in table
     assert "| puncture | 2 of 3 | 200 / 300 | leak |" in table
+
+
+@pytest.mark.parametrize("name", BENCHMARKS)
+def test_every_benchmark_has_its_module(name):
+    module = importlib.util.find_spec(f"benchmarks.{BENCHMARKS[name]}")
+    assert module is not None, f"bench {name}: benchmarks.{BENCHMARKS[name]} does not exist"
