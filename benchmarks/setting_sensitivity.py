@@ -57,7 +57,7 @@ WORKERS = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Press:
+class RecordedPress:
     """What a camera saw: flat, at rest under `pressure_gauge` Pa, and then."""
 
     design: SensorDesign
@@ -68,7 +68,7 @@ class Press:
 
 
 @dataclass(frozen=True, eq=False)
-class Felt:
+class TouchResult:
     """Of all images of the presses, (n,) each: normal `force` N and its `sd`, `markers` seen,
     contact `area` m^2, `said`: status, whether something touches, slip, and how many patches."""
 
@@ -89,7 +89,7 @@ class Circles:
     status: NDArray[np.str_]
 
 
-def record(sensor: str, indenter: str, at: tuple[float, float], tilt: float) -> Press:
+def record(sensor: str, indenter: str, at: tuple[float, float], tilt: float) -> RecordedPress:
     """A press in steps, a drag, and the lift."""
     design = load_sensor(sensor)
     world = PressWorld(design, Indenter.parse(indenter), at=at, tilt=tilt)
@@ -112,19 +112,19 @@ def record(sensor: str, indenter: str, at: tuple[float, float], tilt: float) -> 
         sunk = p * [1.0, 1.0, 1.0 - DRIFT * number]
         time = (len(ways) - 1) * INTERVAL + (number + 1) * STILL_INTERVAL
         images.append(view.renderer.render(sunk, n, time))
-    return Press(design, flat, rest, gauge, images)
+    return RecordedPress(design, flat, rest, gauge, images)
 
 
-def feel(presses: Sequence[Press], settings: Settings) -> Felt:
+def feel(presses: Sequence[RecordedPress], settings: Settings) -> TouchResult:
     """All presses by chains with these settings; where a reference is refused, no force."""
     rows: list[tuple[Any, ...]] = []
     for press in presses:
         rows += _felt_images(press, settings)
     force, sd, markers, area, said = zip(*rows, strict=True)
-    return Felt(np.array(force), np.array(sd), np.array(markers), np.array(area), np.array(said))
+    return TouchResult(np.array(force), np.array(sd), np.array(markers), np.array(area), np.array(said))
 
 
-def _felt_images(press: Press, settings: Settings) -> list[tuple[Any, ...]]:
+def _felt_images(press: RecordedPress, settings: Settings) -> list[tuple[Any, ...]]:
     rows: list[tuple[Any, ...]] = []
     try:
         chain = Chain(press.design, settings=settings)
@@ -147,7 +147,7 @@ def _row(touch: Touch) -> tuple[Any, ...]:
     return touch.force_normal, touch.force_normal_sd, seen, area, said
 
 
-def pictures(presses: Sequence[Press]) -> list[tuple[Image, Press]]:
+def pictures(presses: Sequence[RecordedPress]) -> list[tuple[Image, RecordedPress]]:
     """What a photograph may be: sharp, soft, noisy, black and white, with a bright window."""
     found = []
     rng = np.random.default_rng(0)
@@ -168,12 +168,12 @@ def pictures(presses: Sequence[Press]) -> list[tuple[Image, Press]]:
     return found
 
 
-def look(images: Sequence[tuple[Image, Press]], settings: Settings) -> list[Circles]:
+def look(images: Sequence[tuple[Image, RecordedPress]], settings: Settings) -> list[Circles]:
     """All pictures by `locate` with these settings."""
     return [_look(image, press, settings) for image, press in images]
 
 
-def _look(image: Image, press: Press, settings: Settings) -> Circles:
+def _look(image: Image, press: RecordedPress, settings: Settings) -> Circles:
     camera = Camera.from_design(press.design.camera, press.design.glass)
     radius = press.design.markers.radius
     try:
@@ -188,7 +188,7 @@ def _look(image: Image, press: Press, settings: Settings) -> Circles:
 # -- what changes
 
 
-def touch_change(before: Felt, now: Felt) -> dict[str, float]:
+def touch_change(before: TouchResult, now: TouchResult) -> dict[str, float]:
     """How far felt force goes (rms, N; NaN where it was or is not known), by how much its error
     bar changes (median ratio), how many markers fewer or more are seen (mean), and of how many
     images something else is said, or an area that is 5 % off."""

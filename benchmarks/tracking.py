@@ -44,7 +44,7 @@ Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Moment:
+class LabelledImage:
     """One image, the true centres (M, 2) px of the markers' ellipses in it, and its time."""
 
     image: Image
@@ -136,7 +136,7 @@ def _errors(found: Ellipses, truth: Array) -> tuple[Array, Array, Array]:
 # --------------------------------------------------------------------------------
 
 
-def moments(kind: str, seed: int) -> Iterator[Moment]:
+def moments(kind: str, seed: int) -> Iterator[LabelledImage]:
     """The images of a sequence."""
     design = load_sensor(SENSOR)
     rng = np.random.default_rng(seed)
@@ -154,7 +154,7 @@ def moments(kind: str, seed: int) -> Iterator[Moment]:
         grey = renderer.irradiance_image(p_SM, n_S)
         truth = _centers(camera, p_SM - design.camera.p_SC, n_S, design.markers.radius)
         grey, truth = disturb(grey, truth, k, state, rng)
-        yield Moment(renderer.expose(grey.astype(np.float32, copy=False), time, rng=rng), truth)
+        yield LabelledImage(renderer.expose(grey.astype(np.float32, copy=False), time, rng=rng), truth)
 
 
 def _dent(

@@ -29,7 +29,7 @@ def make():
     return Decisions(gymnasium.make("mjtactile.gym:mjtactile/Grasp-v0", object="random", **how))
 
 
-class Told(BaseCallback):
+class ProgressCallback(BaseCallback):
     """How the last grasps ended, twice a minute; and the end after `seconds`."""
 
     def __init__(self, seconds):
@@ -63,7 +63,7 @@ def main(path="policy.npz", seconds="600", seed="0"):
     net = {"net_arch": [32, 32], "log_std_init": -1.0}
     how = {"gamma": 0.97, "ent_coef": 0.01, "policy_kwargs": net, "device": "cpu"}
     model = PPO("MlpPolicy", envs, 1e-3, DECISIONS, 64, seed=int(seed), **how)
-    model.learn(10_000_000, callback=Told(float(seconds)))
+    model.learn(10_000_000, callback=ProgressCallback(float(seconds)))
     envs.close()
     save(model, path)
 

@@ -49,14 +49,14 @@ def record(sensor: str, seed: int) -> Grasp:
 
 
 @dataclass(frozen=True)
-class Felt:
+class ReplayResult:
     """What came of one kind: the touches, or why the references were `refused`."""
 
     touches: tuple[Touch, ...] = ()
     refused: str = ""
 
 
-def feel(grasp: Grasp, kind: Kind, *, gauges: Sequence[bool] = (True, False)) -> list[Felt]:
+def feel(grasp: Grasp, kind: Kind, *, gauges: Sequence[bool] = (True, False)) -> list[ReplayResult]:
     """The grasp as it is felt with that trouble, by the gauge or without, in one pass over the
     pictures."""
     camera = TroubledPicture(kind.troubles, kind.seed)
@@ -71,7 +71,7 @@ def feel(grasp: Grasp, kind: Kind, *, gauges: Sequence[bool] = (True, False)) ->
         perception.take_flat(shown(grasp.references["flat"], before))
         perception.take_rest(shown(grasp.references["rest"], before), grasp.pressure)
     except DeviceError as error:
-        refused = Felt(refused=" ".join(str(error).split()))
+        refused = ReplayResult(refused=" ".join(str(error).split()))
         return [refused for _ in gauges]
     chains = [Perception(perception.chain, perception.state) for _ in gauges]
     touches: list[list[Touch]] = [[] for _ in gauges]
@@ -80,4 +80,4 @@ def feel(grasp: Grasp, kind: Kind, *, gauges: Sequence[bool] = (True, False)) ->
         for chain, found, gauge in zip(chains, touches, gauges, strict=True):
             touch = chain.perceive(seen, image.time, reading if gauge else None)
             found.append(replace(touch, traction=None, surface=None))  # they are large
-    return [Felt(tuple(found)) for found in touches]
+    return [ReplayResult(tuple(found)) for found in touches]

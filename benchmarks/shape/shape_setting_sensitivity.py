@@ -49,7 +49,7 @@ class Pressed:
 
 
 @dataclass(frozen=True)
-class Told:
+class ShapeEstimate:
     """What one image says: the kind and area m^2 of the shape, its radius m, and the force N."""
 
     kind: str
@@ -86,7 +86,7 @@ def record(case: Case) -> Pressed:
     return Pressed(begin, images)
 
 
-def tell(presses: Sequence[Pressed], settings: Settings) -> list[Told]:
+def tell(presses: Sequence[Pressed], settings: Settings) -> list[ShapeEstimate]:
     """What all images say with these settings."""
     chain = Chain(load_sensor("dense"), settings=settings)
     told = []
@@ -101,12 +101,12 @@ def tell(presses: Sequence[Pressed], settings: Settings) -> list[Told]:
     return told
 
 
-def _told(shape: FeltShape | None, force: float) -> Told:
+def _told(shape: FeltShape | None, force: float) -> ShapeEstimate:
     assert shape is not None
-    return Told(shape.kind, shape.area, shape.radius, force)
+    return ShapeEstimate(shape.kind, shape.area, shape.radius, force)
 
 
-def change(before: Sequence[Told], now: Sequence[Told]) -> dict[str, float]:
+def change(before: Sequence[ShapeEstimate], now: Sequence[ShapeEstimate]) -> dict[str, float]:
     """Of how many images another kind is said, an area that is 5 % off, a radius or none; how far
     the force goes (rms, N)."""
     pairs = list(zip(before, now, strict=True))

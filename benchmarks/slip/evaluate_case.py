@@ -27,7 +27,7 @@ _STILL = 0.85
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class Sample:
     """One image of one finger: its `touch`, and by truth the `force` N, the share `used` of
     friction's limit and the way `slid`, m, since everything began to slide (0 before), at `onset` s
     (NaN: not yet)."""
@@ -45,7 +45,7 @@ class Watched:
     """The looks of the left and the right finger, from the beginning of the load on, and the
     simulation's `flags`."""
 
-    fingers: tuple[list[Look], list[Look]]
+    fingers: tuple[list[Sample], list[Sample]]
     flags: Flags
 
 
@@ -100,7 +100,7 @@ def watch(
     renderers = [Renderer(design, seed=2 * case.seed + k) for k in range(2)]
     states = [rest, rest]
     sliders = (_Slider(), _Slider())
-    fingers: tuple[list[Look], list[Look]] = ([], [])
+    fingers: tuple[list[Sample], list[Sample]] = ([], [])
     period = round(1 / (design.camera.rate * world.timestep))
 
     def see(keep: bool) -> None:
@@ -112,7 +112,7 @@ def watch(
             if keep:
                 used, _ = ground_truth.sliding(world, k)
                 fingers[k].append(
-                    Look(world.time, touch, world.press(k), used, slider.slid, slider.onset)
+                    Sample(world.time, touch, world.press(k), used, slider.slid, slider.onset)
                 )
 
     for _ in world.grip():

@@ -41,7 +41,7 @@ _LEAST = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class Sample:
     """One image of one sensor: its `touch`, the `wrench` (6,) N, N m and the contact's `area`, m^2,
     by truth (NaN: not looked at), and whether that wrench jumps from step to step though nothing
     drives it: `rattles`."""
@@ -56,7 +56,7 @@ class Look:
 class Watched:
     """All looks of a scene, and the simulation's `flags`."""
 
-    looks: list[Look]
+    looks: list[Sample]
     flags: Flags
 
 
@@ -108,7 +108,7 @@ def watch(scene: Scene) -> Watched:
                 rattles = rests and jump > _JUMP + _JUMP_SHARE * float(
                     np.linalg.norm(wrenches[k][:3])
                 )
-                looks.append(Look(touch, wrenches[k], area, rattles))
+                looks.append(Sample(touch, wrenches[k], area, rattles))
         before[:] = wrenches
         driven[:] = world.data.ctrl
 

@@ -84,15 +84,15 @@ def ros(monkeypatch):
     sent = []
     stamp = message_class(store, "builtin_interfaces/msg/Time")
 
-    class Moment(float):
+    class FakeTime(float):
         def __sub__(self, other):
-            return Moment(float(self) - float(other))
+            return FakeTime(float(self) - float(other))
 
         def to_msg(self):
             return stamp(sec=int(self), nanosec=round(1e9 * (self % 1)))
 
     def duration(*, seconds):
-        return Moment(seconds)
+        return FakeTime(seconds)
 
     class Node:
         def __init__(self, name):
@@ -107,7 +107,7 @@ def ros(monkeypatch):
             )
 
         def get_clock(self):
-            return SimpleNamespace(now=lambda: Moment(100.0))
+            return SimpleNamespace(now=lambda: FakeTime(100.0))
 
     modules = {"rclpy": {}, "rclpy.node": {"Node": Node}, "rclpy.duration": {"Duration": duration}}
     for kind in TYPES:

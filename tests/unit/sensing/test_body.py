@@ -327,7 +327,7 @@ def test_a_ball_that_is_dragged_over_still_rubber_rolls_or_slides(sensor, fine_f
     assert np.isnan(motion.spinning)
 
 
-class Told:
+class KnownMotion:
     """A finder of shapes that says how a body moves."""
 
     def __init__(self, motion):
@@ -346,7 +346,7 @@ def test_the_chain_hears_of_a_body_that_turns_on_the_spot(sensor):
     zero, none = np.zeros(2), np.zeros((2, 2))
     for spinning, said in ((0.0, "sticking"), (1.0, "slipping")):
         motion = BodyMotion(zero, none, zero, none, zero, spinning, 0.05)
-        felt, after = chain.follow_shape(before, before, touch, Told(motion))
+        felt, after = chain.follow_shape(before, before, touch, KnownMotion(motion))
         assert felt.slip.state == said
         assert after.slip.distance == felt.slip.distance
 

@@ -157,7 +157,7 @@ def test_a_grasp_shows_its_scene_and_obeys():
     show.fastest = np.inf
     moments = []
 
-    class Look(Observer):
+    class CountingObserver(Observer):
         def on_images(self):
             moments.append(show.moment())
             act = actions.get(len(moments))
@@ -171,7 +171,7 @@ def test_a_grasp_shows_its_scene_and_obeys():
     actions = {3: lambda: setattr(show, "wish", HandGoal(0.075, 0.01)), 10: supply, 20: show.halt}
     with pytest.raises(DeviceError, match=f"stopped safely: {RED_BUTTON}"):
         controller = show.take_over(load_controller("gentle"))
-        run_grasp(Scenario(), [show, Look()], controller=controller, workers=0)
+        run_grasp(Scenario(), [show, CountingObserver()], controller=controller, workers=0)
     moments = [moment for moment in moments if moment is not None]
     times = [moment.scene[1][0] for moment in moments]  # MuJoCo's state begins with its time
     np.testing.assert_allclose(np.diff(times), 1 / 30, atol=1e-9)
