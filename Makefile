@@ -64,8 +64,9 @@ slow: $(VENV)/.test-ready  ## what `make test` leaves out: types, long tests, an
 first: lint contracts
 	$(BIN)/pytest $(FIRST)
 
-lint: $(VENV)/.test-ready  ## style and likely bugs (ruff)
+lint: $(VENV)/.test-ready  ## style and likely bugs (ruff), and the language (tools/check_prose.py)
 	$(BIN)/ruff check .
+	$(BIN)/python tools/check_prose.py
 	$(BIN)/ruff format --check --quiet . || { $(BIN)/ruff format --diff . | head -50; exit 1; }
 
 types: $(VENV)/.test-ready  ## types (pyright)

@@ -46,7 +46,7 @@ def table(result: Mapping[str, Any]) -> str:
             line("presses", lambda row: str(row["count"])),
             line("force, rms error, mN", lambda row: f"{1e3 * row['force_rms']:.1f}"),
             line("over the predicted sd", lambda row: f"{row['force_ratio']:.2f}"),
-            line("over what the chain said then", lambda row: f"{row['said_ratio']:.2f}"),
+            line("over what the chain said then", lambda row: f"{row['reported_ratio']:.2f}"),
             line("where it acts, rms error, mm", lambda row: f"{1e3 * row['place_rms']:.2f}"),
             line("over the predicted sd", lambda row: f"{row['place_ratio']:.2f}"),
         ]

@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import setting_sensitivity
-from benchmarks.setting_sensitivity import FACTORS, INTERVAL, REFERENCE_IMAGES, Press, feel
+from benchmarks.setting_sensitivity import FACTORS, INTERVAL, REFERENCE_IMAGES, PressHistory, feel
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import MjtactileError
 from mjtactile.core.optics import Camera
 from mjtactile.core.types import Image
 from mjtactile.experiments.test_bench import View
-from mjtactile.sensing.pose.circles_from_images import Located, find_circles
+from mjtactile.sensing.pose.circles_from_images import DetectedCircles, detect_circles
 from mjtactile.sensing.settings import DEFAULTS, Settings
 from mjtactile.sensing.settings.tunable_parameter import SEEN
 from mjtactile.sim import ground_truth
@@ -36,10 +36,10 @@ TORN_SD = 4e-4  # m, of markers that fit no shape
 TORN_IMAGES = 3
 SMALL = 0.5  # of a picture's size
 _NEAR = 3.0  # px, of the same circle
-_SURE_ALIKE = 0.05  # of the probability that a pose is right
+_SIMILAR_CERTAINTY = 0.05  # of the probability that a pose is right
 
 
-def torn(force: float) -> Press:
+def torn(force: float) -> PressHistory:
     """A large ball that presses with `force` N; then markers that fit no shape."""
     design = load_sensor(TORN[0])
     world = PressWorld(design, Indenter.parse(TORN[1]), at=TORN[2])
@@ -59,10 +59,12 @@ def torn(force: float) -> Press:
         places = p + rng.normal(0, TORN_SD, p.shape) * [1, 1, 0]
         pixels.append(view.renderer.render(places, n, 0.0).pixels)
     images = [Image(one, number * INTERVAL) for number, one in enumerate(pixels)]
-    return Press(design, flat, rest, gauge, images)
+    return PressHistory(design, flat, rest, gauge, images)
 
 
-def pictures(presses: Sequence[Press], bent: Press) -> list[tuple[Image, Press]]:
+def pictures(
+    presses: Sequence[PressHistory], bent: PressHistory
+) -> list[tuple[Image, PressHistory]]:
     """Those of `bench settings`, and more of `bent`: processed, and small."""
     flat, pressed = bent.flat[0].pixels, bent.images[4].pixels
     more = [_processed(bent.images[0].pixels), _processed(pressed)]
@@ -83,20 +85,24 @@ def _small(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(small, np.uint8)
 
 
-def locate(images: Sequence[tuple[Image, Press]], settings: Settings) -> list[Located | None]:
+def locate(
+    images: Sequence[tuple[Image, PressHistory]], settings: Settings
+) -> list[DetectedCircles | None]:
     """Each picture's circles; None where it is refused."""
-    found: list[Located | None] = []
+    found: list[DetectedCircles | None] = []
     for image, press in images:
         camera = Camera.from_design(press.design.camera, press.design.glass)
         radius = press.design.markers.radius
         try:
-            found.append(find_circles(image, camera, radius, gamma="auto", settings=settings))
+            found.append(detect_circles(image, camera, radius, gamma="auto", settings=settings))
         except (MjtactileError, np.linalg.LinAlgError):
             found.append(None)
     return found
 
 
-def change(before: Sequence[Located | None], now: Sequence[Located | None]) -> dict[str, float]:
+def change(
+    before: Sequence[DetectedCircles | None], now: Sequence[DetectedCircles | None]
+) -> dict[str, float]:
     """How many circles come, go, or have another status; how many another probability of their
     pose; how far depths go (rms, m); by how much error bars change (median ratio of the picture
     where it is largest)."""
@@ -111,7 +117,7 @@ def change(before: Sequence[Located | None], now: Sequence[Located | None]) -> d
         status = [(old.poses.status[i], new.poses.status[j]) for i, j in pairs]
         circles += len(old.sure) + len(new.sure) - 2 * len(pairs)
         circles += sum(one != other for one, other in status)
-        poses += sum(abs(old.sure[i] - new.sure[j]) > _SURE_ALIKE for i, j in pairs)
+        poses += sum(abs(old.sure[i] - new.sure[j]) > _SIMILAR_CERTAINTY for i, j in pairs)
         good = [pair for pair, said in zip(pairs, status, strict=True) if said == ("ok", "ok")]
         off += [float(new.poses.p_CM[j, 2] - old.poses.p_CM[i, 2]) for i, j in good]
         ratios = [new.poses.cov_p[j, 2, 2] / old.poses.cov_p[i, 2, 2] for i, j in good]
@@ -124,7 +130,7 @@ def change(before: Sequence[Located | None], now: Sequence[Located | None]) -> d
     }
 
 
-def _pairs(old: Located, new: Located) -> list[tuple[int, int]]:
+def _pairs(old: DetectedCircles, new: DetectedCircles) -> list[tuple[int, int]]:
     apart = old.ellipses.center_px[:, None] - new.ellipses.center_px
     distance = np.linalg.norm(apart, axis=2)
     if not distance.size:

@@ -24,19 +24,25 @@ from benchmarks.simulation_cases import HOLD_FORCE, SENSOR, attempt, core_ms, ho
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.recording.files import write_json
 from mjtactile.runtime.progress import Progress
-from mjtactile.sensing.stateful_pipeline import Perception
+from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 from mjtactile.sim import ground_truth
 from mjtactile.sim.effects.catalog import EFFECTS
 from mjtactile.sim.rendering.renderer import Renderer
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
-from mjtactile.sim.sensor.effect_switches import CAMERA, PHYSICS, Effect, set_design, set_picture
+from mjtactile.sim.sensor.effect_switches import (
+    CAMERA,
+    PHYSICS,
+    Effect,
+    set_camera_effects,
+    set_design,
+)
 
 _STEP = 1 / 240
 _BLOCK = 4  # steps at a time, as between two images
 _IMAGES = 20  # of a state, for means: the force felt scatters by 50 mN in the deepest
 _ALL = PHYSICS | CAMERA
-_REAL_GAS = {"heat_ratio": 1.4, "heat_exchange": 1.0, "valve_conductance": 1e-7}
+_REAL_GAS = {"polytropic_exponent": 1.4, "heat_exchange": 1.0, "valve_conductance": 1e-7}
 
 
 def run(out: Path, quick: bool = False) -> dict[str, Any]:
@@ -130,9 +136,9 @@ def _felt(
     press the mean force felt, N, and marker places (N, 3) m, NaN where one was not seen in every
     image."""
     renderer = Renderer(design, seed=1, shadows=shadows)
-    perception = Perception.of(design)
-    perception.take_flat([renderer.render(*poses[0]) for _ in range(_IMAGES)])
-    perception.take_rest([renderer.render(*poses[1]) for _ in range(_IMAGES)], 1000.0)
+    perception = StatefulPipeline.of(design)
+    perception.measure_flat_reference([renderer.render(*poses[0]) for _ in range(_IMAGES)])
+    perception.measure_rest_reference([renderer.render(*poses[1]) for _ in range(_IMAGES)], 1000.0)
     forces = []
     places = []
     for pose in poses[2:]:
@@ -189,7 +195,7 @@ def _shift(design: SensorDesign, on: frozenset[str], off: frozenset[str]) -> flo
 
 
 def _drawer(design: SensorDesign, effects: frozenset[str]) -> Callable[[], Any]:
-    seen = set_picture(set_design(design, effects), effects)
+    seen = set_camera_effects(set_design(design, effects), effects)
     renderer = Renderer(seen, seed=0)
     p_SM = design.markers.p_SM
     n_S = np.tile([0.0, 0.0, 1.0], (design.markers.count, 1))

@@ -18,7 +18,7 @@ import numpy as np
 
 from mjtactile.core.errors import MjtactileError
 from mjtactile.core.scenario import Scenario
-from mjtactile.explore.exploration import Wanted
+from mjtactile.explore.exploration import ExplorationGoal
 from mjtactile.explore.simulated import explore_on_stage
 from mjtactile.recording.files import to_json
 from mjtactile.runtime.progress import Progress
@@ -84,7 +84,7 @@ def _explored(case: Case, touches: int) -> dict[str, Any]:
     names = {"object": case.name, "seed": case.seed}
     try:
         found, true = explore_on_stage(
-            Scenario(object=case.name, seed=case.seed), Wanted(touches, force=FORCE)
+            Scenario(object=case.name, seed=case.seed), ExplorationGoal(touches, force=FORCE)
         )
     except MjtactileError as error:
         return names | {"failed": " ".join(str(error).split())}

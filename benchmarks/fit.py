@@ -33,11 +33,11 @@ FIRST_SEED = 201
 SEEDS = 3
 FINE_MESH = (17, 13)  # of the last specimen, which is the first one again
 DIFFERS = 0.3  # of each number, at most
-AIR = {"heat_ratio": 1.4, "heat_exchange_s": 1.0, "leak_mL_s_kPa": 0.01}
+AIR = {"polytropic_exponent": 1.4, "thermal_time_constant_s": 1.0, "leak_mL_s_kPa": 0.01}
 """What the nominal file of these specimens has besides that of `dense`."""
-FORCE_ASKED = 0.02
-SHARE_ASKED = 0.05
-SHARE_AIM = 0.02
+FORCE_REQUESTED = 0.02
+FRACTION_REQUESTED = 0.05
+FRACTION_AIM = 0.02
 FITTED = (
     ("press_05", "press", "sphere:8", 500.0, 9.0),
     ("press_3", "press", "sphere:8", 3000.0, 9.0),
@@ -54,7 +54,7 @@ def nominal_text() -> str:
     from mjtactile.core import resources
 
     text = resources.find("dense", "models/sensors", ".toml").read_text(encoding="utf-8")
-    lines = [line for line in text.splitlines() if not line.startswith("heat_ratio")]
+    lines = [line for line in text.splitlines() if not line.startswith("polytropic_exponent")]
     place = lines.index("[chamber]") + 1
     return (
         "\n".join(
@@ -222,14 +222,14 @@ def scores(result: FitResult, nominal: SensorDesign, true: SensorDesign) -> list
         ),
         (
             "heat ratio less 1",
-            "chamber.heat_ratio",
-            true.chamber.heat_ratio - 1,
-            found.chamber.heat_ratio - 1,
+            "chamber.polytropic_exponent",
+            true.chamber.polytropic_exponent - 1,
+            found.chamber.polytropic_exponent - 1,
             1.0,
         ),
         (
             "heat exchange, s",
-            "chamber.heat_exchange_s",
+            "chamber.thermal_time_constant_s",
             true.chamber.heat_exchange,
             found.chamber.heat_exchange,
             1.0,
@@ -268,7 +268,7 @@ def table(result: Mapping[str, Any]) -> str:
     for i, number in enumerate(rows[0]["numbers"]):
         cells = [_cell(row["numbers"][i]) for row in rows]
         lines.append(
-            f"| {number['what']} | {100 * SHARE_ASKED:g} | {100 * SHARE_AIM:g} | "
+            f"| {number['what']} | {100 * FRACTION_REQUESTED:g} | {100 * FRACTION_AIM:g} | "
             f"{' | '.join(cells)} |"
         )
     worst = [
@@ -277,7 +277,7 @@ def table(result: Mapping[str, Any]) -> str:
         for row in rows
     ]
     lines.append(
-        f"| worst predicted force of presses kept aside, mN | {1e3 * FORCE_ASKED:g} | | "
+        f"| worst predicted force of presses kept aside, mN | {1e3 * FORCE_REQUESTED:g} | | "
         f"{' | '.join(worst)} |"
     )
     times = [f"{row['seconds']:.0f} ({row['core_s']:.0f})" for row in rows]
@@ -318,9 +318,9 @@ def _plot(out: Path, rows: Sequence[Mapping[str, Any]]) -> None:
             label=label,
         )
     left.set_yticks(range(len(names)), names, fontsize=8)
-    left.axvspan(-100 * SHARE_ASKED, 100 * SHARE_ASKED, color="k", alpha=0.07)
+    left.axvspan(-100 * FRACTION_REQUESTED, 100 * FRACTION_REQUESTED, color="k", alpha=0.07)
     left.set(xlabel="error, %, with its 95 % interval", xlim=(-12, 12))
-    right.axhspan(-1e3 * FORCE_ASKED, 1e3 * FORCE_ASKED, color="k", alpha=0.07)
+    right.axhspan(-1e3 * FORCE_REQUESTED, 1e3 * FORCE_REQUESTED, color="k", alpha=0.07)
     right.set(
         xlabel="force of a press that was kept aside, N", ylabel="predicted less load cell, mN"
     )

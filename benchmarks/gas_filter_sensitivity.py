@@ -16,9 +16,9 @@ import numpy as np
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.types import Array, PressureReading
-from mjtactile.sensing.force.gas_filter import GaugeFilter
+from mjtactile.sensing.force.gas_filter import GasFilter
 from mjtactile.sensing.force.spline_fem import Gas
-from mjtactile.sensing.settings import DEFAULTS, GaugeSettings
+from mjtactile.sensing.settings import DEFAULTS, GasFilterSettings
 from mjtactile.sensing.settings.tunable_parameter import GAUGED
 
 FACTORS = (0.5, 2.0)
@@ -29,7 +29,7 @@ NOISE = 3.0  # Pa, sd of a reading
 RATE = 100.0  # Hz, of readings
 SECONDS = 6.0
 DENT = 0.005  # of the volume, within half a second from 1 s on
-DENT_SHARE = 0.02  # of a dent, that images have wrong
+DENT_FRACTION = 0.02  # of a dent, that images have wrong
 IMAGES = 3  # readings to an image
 _ALIKE = 0.005
 
@@ -58,7 +58,7 @@ def readings(case: str, seed: int) -> Readings:
         "hole": -3e-3 * (1 - np.exp(-np.maximum(time - 2, 0) / 0.5)),
         "warmth": 2e-3 * (1 - np.exp(-time / 2)),
     }.get(case, np.zeros_like(time))
-    squeezed = (design.chamber_volume_flat / volume) ** chamber.heat_ratio
+    squeezed = (design.chamber_volume_flat / volume) ** chamber.polytropic_exponent
     pressure = (chamber.ambient + REST) * squeezed * np.exp(log_amount) - chamber.ambient
     is_open = np.zeros(len(time), bool)
     if case == "valve":
@@ -69,31 +69,31 @@ def readings(case: str, seed: int) -> Readings:
     return Readings(time, pressure, read, volume, is_open)
 
 
-def follow(given: Readings, settings: GaugeSettings) -> tuple[Array, Array, int]:
+def follow(given: Readings, settings: GasFilterSettings) -> tuple[Array, Array, int]:
     """Error and standard deviation, Pa, of the pressure at each image, and how many readings were
     told to the images' fit."""
     design = load_sensor("dense")
     chamber = design.chamber
-    gauge = GaugeFilter(chamber, settings)
+    gauge = GasFilter(chamber, settings)
     volume = design.chamber_volume_flat
-    sealed = Gas(REST, (chamber.ambient + REST) * volume**chamber.heat_ratio)
+    sealed = Gas(REST, (chamber.ambient + REST) * volume**chamber.polytropic_exponent)
     state = gauge.begin(sealed, 0.0, volume)
     errors = []
     sds = []
     told = 0
     for k, time in enumerate(given.time.tolist()):
         reading = PressureReading(float(given.read[k]), NOISE, time, bool(given.is_open[k]))
-        state, is_told = gauge.read(gauge.switched(state, reading), reading)
-        told += is_told
+        state, has_setpoint = gauge.read(gauge.switched(state, reading), reading)
+        told += has_setpoint
         if k % IMAGES == IMAGES - 1:
-            state = gauge.saw(state, time, float(given.volume[k]), DENT_SHARE)
+            state = gauge.saw(state, time, float(given.volume[k]), DENT_FRACTION)
             gas, sd = gauge.gas_at(state, time)
             errors.append(gas.gauge - given.pressure[k])
             sds.append(sd)
     return np.array(errors), np.array(sds), told
 
 
-def measure(settings: GaugeSettings, seeds: int) -> dict[str, float]:
+def measure(settings: GasFilterSettings, seeds: int) -> dict[str, float]:
     """Over all cases: rms error, Pa, median standard deviation, Pa, and readings told."""
     errors, sds, told = zip(
         *(follow(readings(case, seed), settings) for case in CASES for seed in range(seeds)),

@@ -54,9 +54,9 @@ def _line(row: Mapping[str, Any]) -> str:
 
 
 def _row(scenario: Scenario) -> dict[str, Any]:
-    errors_seen = _MarkerErrors()
+    observed_errors = _MarkerErrors()
     try:
-        result: GraspResult = run_grasp(scenario, [errors_seen])
+        result: GraspResult = run_grasp(scenario, [observed_errors])
     except MjtactileError as error:
         return {
             "object": scenario.object,
@@ -64,7 +64,7 @@ def _row(scenario: Scenario) -> dict[str, Any]:
             "outcome": "fault",
             "error": str(error),
         }
-    errors = [1e3 * error for error in errors_seen.marker_errors if error == error]
+    errors = [1e3 * error for error in observed_errors.marker_errors if error == error]
     return {
         **result.summary(),
         "marker_error_mm_mean": statistics.fmean(errors) if errors else float("nan"),
@@ -125,7 +125,7 @@ def table(result: Mapping[str, Any]) -> str:
             f"{s['hold_force_error_N_worst']:+.3f} | {s['peak_force_true_N']:.2f} | "
             f"{s['slip_mm_true']:.2f} | {s['marker_error_mm_mean']:.3f} |"
         )
-    return "\n".join([*lines, "", _share_table(result)]) + "\n"
+    return "\n".join([*lines, "", _fraction_table(result)]) + "\n"
 
 
 _PARTS = {
@@ -136,7 +136,7 @@ _PARTS = {
 }
 
 
-def _share_table(result: Mapping[str, Any]) -> str:
+def _fraction_table(result: Mapping[str, Any]) -> str:
     """Where the wall time of a control cycle goes, both fingers together, in percent.
 
     Shares and not times: how long a cycle takes is what `bench speed` measures, with nothing else

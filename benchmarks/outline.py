@@ -12,7 +12,7 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.toml import read_json
-from mjtactile.experiments.indentation import PressPlan, inflate, press
+from mjtactile.experiments.indentation import IndentationPlan, inflate, press
 from mjtactile.recording.files import write_json
 from mjtactile.sim.attach import default_mesh
 from mjtactile.sim.scenes.indentation import Indenter
@@ -74,7 +74,7 @@ def run(
     return {"rows": rows}
 
 
-def held_out(design: SensorDesign, seed: int) -> PressPlan:
+def held_out(design: SensorDesign, seed: int) -> IndentationPlan:
     """Body, place and way of a seed.
 
     Args:
@@ -93,7 +93,7 @@ def held_out(design: SensorDesign, seed: int) -> PressPlan:
     half = np.array([design.frame.length, design.frame.width]) / 2
     x, y = half * radius * [np.cos(angle), np.sin(angle)]
     shear = _SHEAR if seed % 2 else 0.0
-    return PressPlan(Indenter(kind, size), DEPTHS, at=(float(x), float(y)), shear=shear)
+    return IndentationPlan(Indenter(kind, size), DEPTHS, at=(float(x), float(y)), shear=shear)
 
 
 def _felt(steps: list[dict[str, Any]]) -> list[dict[str, Any]]:

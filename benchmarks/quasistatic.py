@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import film_times, quasistatic_discretization
-from mjtactile import Film, FilmState, Obstacle, load_sensor
+from benchmarks import quasistatic_discretization, quasistatic_times
+from mjtactile import MembraneSolution, Obstacle, QuasistaticMembrane, load_sensor
 from mjtactile.core.types import Array
 from mjtactile.report.figures import new_figure
 from mjtactile.runtime.progress import Progress
@@ -67,7 +67,7 @@ def run(out: Path, *, quick: bool = False, say: Say | None = None) -> dict[str, 
         {"grid": list(grid), **_scatter(grid, PLACES_QUICK if quick else PLACES)} for grid in PLACED
     ]
     narrow = quasistatic_discretization.run(GRIDS, quick)
-    times = [film_times.times(grid, quick) for grid in TIMED]
+    times = [quasistatic_times.times(grid, quick) for grid in TIMED]
     _draw(out / "film.png", references["profiles"])
     found = {"rows": rows, "sticking": sticking, "places": places}
     return found | {"narrow": narrow, "times": times}
@@ -81,7 +81,9 @@ def _is_usual(case: dict[str, Any]) -> bool:
 # -- against the references ------------------------------------------------------------------------
 
 
-def _film(case: dict[str, Any], grid: tuple[int, int], sensor: str = "dense") -> Film:
+def _film(
+    case: dict[str, Any], grid: tuple[int, int], sensor: str = "dense"
+) -> QuasistaticMembrane:
     """The film of a case's sheet in a sensor; made once."""
     return _made(case["thickness_mm"], case["pre_stretch"], case["rest_Pa"], grid, sensor)
 
@@ -89,13 +91,15 @@ def _film(case: dict[str, Any], grid: tuple[int, int], sensor: str = "dense") ->
 @cache
 def _made(
     thickness_mm: float, pre_stretch: float, rest: float, grid: tuple[int, int], sensor: str
-) -> Film:
+) -> QuasistaticMembrane:
     design = load_sensor(sensor)
     changed = {"thickness": 1e-3 * thickness_mm, "pre_stretch": pre_stretch}
-    return Film(replace(design, membrane=replace(design.membrane, **changed)), grid, rest)
+    return QuasistaticMembrane(
+        replace(design, membrane=replace(design.membrane, **changed)), grid, rest
+    )
 
 
-def _body(film: Film, case: dict[str, Any]) -> Obstacle:
+def _body(film: QuasistaticMembrane, case: dict[str, Any]) -> Obstacle:
     """The reference's bodies meet the sheet's middle; the film's its outer face."""
     off = film.design.membrane.thickness / 2
     at = [1e-3 * value for value in case["at_mm"]]
@@ -114,7 +118,7 @@ def _against(case: dict[str, Any], grid: tuple[int, int], sensor: str = "dense")
     row = {key: case[key] for key in case if key != "markers_um"}
     row["converged"] = bool(state.converged)
     row["force_error"] = state.force_normal / case["force_N"] - 1
-    row["pressure_error"] = state.pressure_gauge / case["pressure_Pa"] - 1
+    row["pressure_error"] = state.gauge_pressure / case["pressure_Pa"] - 1
     if "markers_um" in case:
         off = _markers(film, state) - 1e-6 * np.array(case["markers_um"])
         row["heights_um"] = 1e6 * float(np.sqrt(np.mean(off[:, 2] ** 2)))
@@ -122,7 +126,7 @@ def _against(case: dict[str, Any], grid: tuple[int, int], sensor: str = "dense")
     return row
 
 
-def _markers(film: Film, state: FilmState) -> Array:
+def _markers(film: QuasistaticMembrane, state: MembraneSolution) -> Array:
     """Places (81, 3) m of markers on the sheet, by cubic splines through the nodes."""
     from scipy.interpolate import RectBivariateSpline
 
@@ -133,7 +137,7 @@ def _markers(film: Film, state: FilmState) -> Array:
 
 def _sticking(grid: tuple[int, int], references: dict[str, Any]) -> Iterator[dict[str, float]]:
     """How much stiffer than an independent sheet's a patch is held along x and y."""
-    film = Film("dense", grid, 1000.0)
+    film = QuasistaticMembrane("dense", grid, 1000.0)
     for case in references["sticking"]:
         radius = 1e-3 * case["radius_mm"] - film.design.membrane.thickness / 2
         ball = film.obstacle("sphere", (radius,), (0, 0, 1e-3 * case["height_mm"]))
@@ -145,7 +149,7 @@ def _sticking(grid: tuple[int, int], references: dict[str, Any]) -> Iterator[dic
 # -- against itself --------------------------------------------------------------------------------
 
 
-def _bodies(film: Film, at: Array) -> Iterator[tuple[str, list[Obstacle]]]:
+def _bodies(film: QuasistaticMembrane, at: Array) -> Iterator[tuple[str, list[Obstacle]]]:
     """What has no reference: its force must not hang on where the nodes are, but for as much as the
     sheet is another there."""
     lying = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
@@ -170,7 +174,7 @@ def _bodies(film: Film, at: Array) -> Iterator[tuple[str, list[Obstacle]]]:
 
 def _scatter(grid: tuple[int, int], count: int) -> dict[str, Any]:
     """Mean and spread, (max - min) / mean, of forces over `count` places within one millimetre."""
-    film = Film("dense", grid, 1000.0)
+    film = QuasistaticMembrane("dense", grid, 1000.0)
     places = np.random.default_rng(4).uniform(-1e-3, 1e-3, (count, 2))
     forces: dict[str, list[float]] = {}
     for at in places:
@@ -207,7 +211,7 @@ def _draw(path: Path, cases: list[dict[str, Any]]) -> None:
         above.set_title(case["name"])
         figure.colorbar(shown, ax=above, label="film's height, mm", orientation="horizontal")
         x = np.linspace(-0.02, 0.02, 801)
-        body = 1e3 * film.heights_of(_body(film, case), np.column_stack([x, 0 * x]))
+        body = 1e3 * film.obstacle_heights(_body(film, case), np.column_stack([x, 0 * x]))
         top = 3.3
         cut.fill_between(1e3 * x, body, top, where=body < top, color="0.85", label="body")
         full = 1e-3 * np.array(case["profile_um"])
@@ -293,7 +297,8 @@ def table(result: dict[str, Any]) -> str:
     ceilings = [t["ceiling"] for t in times]
     shares = (100 * gain / most for gain, most in zip(gains, ceilings, strict=True))
     lines += [
-        f"| {film_times.AT_ONCE} at once: rate of two threads over one | {_row(gains, '.2f')} |",
+        f"| {quasistatic_times.AT_ONCE} at once: rate of two threads over one "
+        f"| {_row(gains, '.2f')} |",
         f"| two processes, which share nothing, over one | {_row(ceilings, '.2f')} |",
         f"| what two threads reach of that, % | {_row(shares, '.0f')} |",
     ]

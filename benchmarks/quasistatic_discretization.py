@@ -1,5 +1,5 @@
 """Of `bench film`: bodies that are narrow for a grid, at random places, against a finer film, and
-whether what a state says of its own force (`FilmState.doubt`) holds."""
+whether what a state says of its own force (`MembraneSolution.doubt`) holds."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile import Film, FilmState, InputError, Obstacle
+from mjtactile import InputError, MembraneSolution, Obstacle, QuasistaticMembrane
 from mjtactile.core.types import Array
 
 FINEST = {"round": (81, 61), "edged": (121, 91), "tips": (121, 91)}
@@ -30,8 +30,8 @@ _AS_TIPS = ("balls and round pins of 0.4-3 mm", "cones of 90 degrees")
 def run(grids: tuple[tuple[int, int], ...], quick: bool) -> list[dict[str, Any]]:
     """A row for each body on each grid and on that which is fine enough: force over that of the
     finest, less one, what the state says of it, and the grid; NaN where there is no rest."""
-    films = [Film("dense", grid, 1000.0) for grid in grids]
-    finest = {kind: Film("dense", grid, 1000.0) for kind, grid in FINEST.items()}
+    films = [QuasistaticMembrane("dense", grid, 1000.0) for grid in grids]
+    finest = {kind: QuasistaticMembrane("dense", grid, 1000.0) for kind, grid in FINEST.items()}
     rng = np.random.default_rng(SEED)
     rows = []
     for _ in range(PLACES_QUICK if quick else PLACES):
@@ -42,9 +42,9 @@ def run(grids: tuple[tuple[int, int], ...], quick: bool) -> list[dict[str, Any]]
             if reference is None:
                 continue
             tried = [("own", film) for film in films]
-            enough = films[0].fine_enough(body)
+            enough = films[0].refined_for(body)
             if enough.grid != FINEST[kind]:  # else it would be held against itself
-                tried.append(("fine_enough", enough))
+                tried.append(("refined_for", enough))
             for how, film in tried:
                 state = _solve(film, body)
                 row = {"body": name, "how": how, "grid": list(film.grid)}
@@ -52,19 +52,21 @@ def run(grids: tuple[tuple[int, int], ...], quick: bool) -> list[dict[str, Any]]
     return rows
 
 
-def _compared(state: FilmState | None, reference: FilmState) -> dict[str, float]:
+def _compared(state: MembraneSolution | None, reference: MembraneSolution) -> dict[str, float]:
     """Force and area over the reference's, less one, and what the state says of both."""
     if state is None:
-        return dict.fromkeys(("force_error", "doubt", "area_error", "area_doubt"), float("nan"))
+        return dict.fromkeys(
+            ("force_error", "doubt", "area_error", "relative_area_error"), float("nan")
+        )
     return {
         "force_error": state.force_normal / reference.force_normal - 1,
         "doubt": state.doubt,
         "area_error": state.area / reference.area - 1,
-        "area_doubt": state.area_doubt,
+        "relative_area_error": state.relative_area_error,
     }
 
 
-def _slowly(film: Film, body: Obstacle) -> FilmState | None:
+def _slowly(film: QuasistaticMembrane, body: Obstacle) -> MembraneSolution | None:
     """As `_solve`, by small jumps."""
     place, state = body.numbers[13:16], None
     for above in _JUMPS:
@@ -75,7 +77,7 @@ def _slowly(film: Film, body: Obstacle) -> FilmState | None:
     return state if state is not None and state.converged else None
 
 
-def _solve(film: Film, body: Obstacle) -> FilmState | None:
+def _solve(film: QuasistaticMembrane, body: Obstacle) -> MembraneSolution | None:
     try:
         state = film.solve(body)
     except InputError:
@@ -83,7 +85,7 @@ def _solve(film: Film, body: Obstacle) -> FilmState | None:
     return state if state.converged else None
 
 
-def _bodies(film: Film, rng: np.random.Generator) -> Iterator[tuple[str, Obstacle]]:
+def _bodies(film: QuasistaticMembrane, rng: np.random.Generator) -> Iterator[tuple[str, Obstacle]]:
     """Bodies over one place, turned by one angle, as far below the bulge as each other."""
     angle = rng.uniform(0, np.pi)
     c, s = np.cos(angle), np.sin(angle)
@@ -119,7 +121,7 @@ def table(rows: list[dict[str, Any]]) -> list[str]:
     lines = [
         "",
         f"| force over that of a finer film, 90 % within (worst), % | {names} |"
-        " `fine_enough` | within what the state says | areas that are told, within what it says |",
+        " `refined_for` | within what the state says | areas that are told, within what it says |",
         "|---" * (len(grids) + 4) + "|",
     ]
     for body in dict.fromkeys(r["body"] for r in rows):
@@ -128,8 +130,8 @@ def table(rows: list[dict[str, Any]]) -> list[str]:
         cells.append(_errors([r for r in rows if r["body"] == body and r["how"] != "own"]))
         found = [r for r in own if np.isfinite(r["force_error"])]
         kept = sum(abs(r["force_error"]) <= r["doubt"] for r in found)
-        told = [r for r in found if np.isfinite(r["area_doubt"])]
-        areas = sum(abs(r["area_error"]) <= r["area_doubt"] for r in told)
+        told = [r for r in found if np.isfinite(r["relative_area_error"])]
+        areas = sum(abs(r["area_error"]) <= r["relative_area_error"] for r in told)
         said = f"{kept} of {len(found)} | {areas} of {len(told)}"
         lines.append(f"| {body} | {' | '.join(cells)} | {said} |")
     return lines

@@ -75,14 +75,14 @@ def hold(rate: float, seconds: float, seed: int = 0) -> dict[str, Any]:
         looks.append(_look(world, views, rng))
     world.drive(-DEPTH)
     world.step(_steps(world, AFTER))
-    _, left, *felt_after = _look(world, views, rng)
+    _, left, *estimate_after = _look(world, views, rng)
     held = np.array(looks)
     errors = held[:, 2:] - held[:, 1:2]
     return {
         "true_N": [float(held[0, 1]), float(held[-1, 1])],
         "worst_N": np.abs(errors).max(axis=0).tolist(),
         "drift_N": (errors[-1] - errors[0]).tolist(),
-        "after_N": [float(felt - left) for felt in felt_after],
+        "after_N": [float(felt - left) for felt in estimate_after],
         "time_s": (held[:, 0] - held[0, 0]).tolist(),
         "error_N": errors.tolist(),
     }
@@ -103,7 +103,7 @@ def _look(
     seen = []
     for _ in range(_IMAGES):
         world.step(_steps(world, 0.02))
-        pressure = world.sensors[0].pressure_gauge + float(rng.normal(0.0, _GAUGE_SD))
+        pressure = world.sensors[0].gauge_pressure + float(rng.normal(0.0, _GAUGE_SD))
         reading = PressureReading(pressure, _GAUGE_SD, world.time)
         felt = [
             view.perception.perceive(view.image(), world.time, reading).force_normal

@@ -29,14 +29,14 @@ from mjtactile.core.types import Array, Image, Touch
 from mjtactile.experiments.test_bench import View
 from mjtactile.recording.files import write_json
 from mjtactile.runtime.progress import Progress
-from mjtactile.sensing.pipeline import Chain
-from mjtactile.sensing.pose.circles_from_images import find_circles
+from mjtactile.sensing.pipeline import SensingPipeline
+from mjtactile.sensing.pose.circles_from_images import detect_circles
 from mjtactile.sensing.settings import DEFAULTS, Settings
 from mjtactile.sensing.settings.tunable_parameter import TRIED
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 FACTORS = (0.5, 2.0)
-PICTURE_STAGES = ("locate", "consensus", "smoothness", "preference", "thorough", "gamma")
+RENDER_STAGES = ("locate", "consensus", "smoothness", "preference", "thorough", "gamma")
 """What only pictures see; the stages of an image are tried on both."""
 IMAGE_STAGES = ("candidates", "markers", "edges", "profiles")
 PRESSES = (("dense", "sphere:8", (3e-3, -2e-3), 0.0), ("paper16", "sphere:12", (1e-3, 2e-3), 0.0))
@@ -49,21 +49,21 @@ STILL_INTERVAL = 0.15  # s
 DRIFT = 2e-4  # of the bulge, from image to image: 0.6 K/s
 REFERENCE_IMAGES = 4
 # what is no change: N, of an error bar, of an area, m of depth
-FORCE_ALIKE = 1e-4
-BAR_ALIKE = 5e-3
-AREA_ALIKE = 0.05
-DEPTH_ALIKE = 1e-6
+SIMILAR_FORCE = 1e-4
+SIMILAR_SD = 5e-3
+SIMILAR_AREA = 0.05
+SIMILAR_DEPTH = 1e-6
 WORKERS = 2
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedPress:
-    """What a camera saw: flat, at rest under `pressure_gauge` Pa, and then."""
+    """What a camera saw: flat, at rest under `gauge_pressure` Pa, and then."""
 
     design: SensorDesign
     flat: Sequence[Image]
     rest: Sequence[Image]
-    pressure_gauge: float
+    gauge_pressure: float
     images: Sequence[Image]
 
 
@@ -119,17 +119,19 @@ def feel(presses: Sequence[RecordedPress], settings: Settings) -> TouchResult:
     """All presses by chains with these settings; where a reference is refused, no force."""
     rows: list[tuple[Any, ...]] = []
     for press in presses:
-        rows += _felt_images(press, settings)
+        rows += _estimate_images(press, settings)
     force, sd, markers, area, said = zip(*rows, strict=True)
-    return TouchResult(np.array(force), np.array(sd), np.array(markers), np.array(area), np.array(said))
+    return TouchResult(
+        np.array(force), np.array(sd), np.array(markers), np.array(area), np.array(said)
+    )
 
 
-def _felt_images(press: RecordedPress, settings: Settings) -> list[tuple[Any, ...]]:
+def _estimate_images(press: RecordedPress, settings: Settings) -> list[tuple[Any, ...]]:
     rows: list[tuple[Any, ...]] = []
     try:
-        chain = Chain(press.design, settings=settings)
-        state = chain.take_flat(chain.begin(), press.flat)
-        state = chain.take_rest(state, press.rest, press.pressure_gauge)
+        chain = SensingPipeline(press.design, settings=settings)
+        state = chain.measure_flat_reference(chain.begin(), press.flat)
+        state = chain.measure_rest_reference(state, press.rest, press.gauge_pressure)
         for image in press.images:
             touch, state = chain.step(state, image, image.time)
             rows.append(_row(touch))
@@ -177,7 +179,7 @@ def _look(image: Image, press: RecordedPress, settings: Settings) -> Circles:
     camera = Camera.from_design(press.design.camera, press.design.glass)
     radius = press.design.markers.radius
     try:
-        found = find_circles(image, camera, radius, gamma="auto", settings=settings)
+        found = detect_circles(image, camera, radius, gamma="auto", settings=settings)
     except (MjtactileError, np.linalg.LinAlgError):
         return Circles(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, "<U24"))
     poses = found.poses
@@ -194,7 +196,7 @@ def touch_change(before: TouchResult, now: TouchResult) -> dict[str, float]:
     images something else is said, or an area that is 5 % off."""
     known = np.isfinite(before.force) & np.isfinite(now.force)
     off = now.force[known] - before.force[known]
-    area_off = np.abs(now.area - before.area) > AREA_ALIKE * np.maximum(before.area, now.area)
+    area_off = np.abs(now.area - before.area) > SIMILAR_AREA * np.maximum(before.area, now.area)
     return {
         "force_N": _rms(off),
         "bar": _median_ratio(now.sd[known], before.sd[known]),
@@ -203,7 +205,7 @@ def touch_change(before: TouchResult, now: TouchResult) -> dict[str, float]:
     }
 
 
-def picture_change(before: Sequence[Circles], now: Sequence[Circles]) -> dict[str, float]:
+def image_change(before: Sequence[Circles], now: Sequence[Circles]) -> dict[str, float]:
     """How many circles come, go, or have another status; how far depths go (rms, m); by how much
     error bars change (median ratio)."""
     off: list[float] = []
@@ -283,10 +285,10 @@ def _try(variant: tuple[str, float, Any]) -> dict[str, Any]:
     settings = DEFAULTS.override({name: value})
     stage = name.rpartition(".")[0]
     row: dict[str, Any] = {"name": name, "factor": factor, "value": value}
-    if stage not in PICTURE_STAGES:
+    if stage not in RENDER_STAGES:
         row |= touch_change(_GIVEN["felt"], feel(_GIVEN["presses"], settings))
-    if stage in (*PICTURE_STAGES, *IMAGE_STAGES):
-        row |= picture_change(_GIVEN["seen"], look(_GIVEN["images"], settings))
+    if stage in (*RENDER_STAGES, *IMAGE_STAGES):
+        row |= image_change(_GIVEN["seen"], look(_GIVEN["images"], settings))
     return row
 
 
@@ -315,13 +317,13 @@ def run(out: Path, quick: bool) -> dict[str, Any]:
 def is_insensitive(row: Mapping[str, Any]) -> bool:
     """Whether nothing that was looked at changes."""
     return (
-        abs(row.get("force_N", 0.0)) < FORCE_ALIKE
-        and abs(row.get("bar", 1.0) - 1) < BAR_ALIKE
+        abs(row.get("force_N", 0.0)) < SIMILAR_FORCE
+        and abs(row.get("bar", 1.0) - 1) < SIMILAR_SD
         and not row.get("markers", 0.0)
         and not row.get("said", 0)
         and not row.get("circles", 0)
-        and abs(row.get("depth_m", 0.0)) < DEPTH_ALIKE
-        and abs(row.get("circle_bar", 1.0) - 1) < BAR_ALIKE
+        and abs(row.get("depth_m", 0.0)) < SIMILAR_DEPTH
+        and abs(row.get("circle_bar", 1.0) - 1) < SIMILAR_SD
     )
 
 

@@ -154,7 +154,9 @@ def moments(kind: str, seed: int) -> Iterator[LabelledImage]:
         grey = renderer.irradiance_image(p_SM, n_S)
         truth = _centers(camera, p_SM - design.camera.p_SC, n_S, design.markers.radius)
         grey, truth = disturb(grey, truth, k, state, rng)
-        yield LabelledImage(renderer.expose(grey.astype(np.float32, copy=False), time, rng=rng), truth)
+        yield LabelledImage(
+            renderer.expose(grey.astype(np.float32, copy=False), time, rng=rng), truth
+        )
 
 
 def _dent(

@@ -23,9 +23,9 @@ from mjtactile.core.types import Array, Image
 from mjtactile.evaluate.episodes import Episode, run_episode
 from mjtactile.evaluate.wilson import wilson
 from mjtactile.runtime.progress import Progress
-from mjtactile.sensing.pipeline import Chain
+from mjtactile.sensing.pipeline import SensingPipeline
 from mjtactile.sim.rendering.renderer import Renderer
-from mjtactile.sim.rendering.synthetic_ellipses import Sighter
+from mjtactile.sim.rendering.synthetic_ellipses import EllipseSampler
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 IMAGES = 100
@@ -89,7 +89,7 @@ def marker_errors(scene: Scene, count: int) -> dict[str, Any]:
     )
     flat, rest, pressed = _poses(design, scene)
     renderer = Renderer(design, seed=1)
-    sighter = Sighter(design, seed=1)
+    sighter = EllipseSampler(design, seed=1)
     ways: dict[str, Callable[[Pose], Image]] = {
         "images": lambda pose: renderer.render(*pose),
         "none": lambda pose: sighter.sight(*pose),
@@ -112,7 +112,7 @@ def _poses(design: SensorDesign, scene: Scene) -> tuple[Pose, Pose, Pose]:
 def _errors(
     design: SensorDesign, look: Callable[[Pose], Image], poses: Sequence[Pose], count: int
 ) -> dict[str, Any]:
-    chain = Chain(design)
+    chain = SensingPipeline(design)
     state = None
     p_SM = poses[2][0]
     errors = []
@@ -120,8 +120,12 @@ def _errors(
     outliers = 0
     for k in range(count):
         if state is None or k % _PER_REFERENCE == 0:
-            state = chain.take_flat(chain.begin(), [look(poses[0]) for _ in range(_REFERENCES)])
-            state = chain.take_rest(state, [look(poses[1]) for _ in range(_REFERENCES)], 1000.0)
+            state = chain.measure_flat_reference(
+                chain.begin(), [look(poses[0]) for _ in range(_REFERENCES)]
+            )
+            state = chain.measure_rest_reference(
+                state, [look(poses[1]) for _ in range(_REFERENCES)], 1000.0
+            )
         markers, state = chain.see(state, look(poses[2]))
         error = np.full_like(p_SM, np.nan)
         sd = np.full_like(p_SM, np.nan)

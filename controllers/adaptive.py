@@ -20,12 +20,19 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.grasp_estimation import Belief, Frames, Load, Spring, Trial, weigh
+from mjtactile.grasp_estimation import (
+    FrameLoadEstimator,
+    FrictionEstimator,
+    FrictionProbe,
+    GripStiffnessEstimator,
+    LoadEstimator,
+    weigh,
+)
 from mjtactile.types import Command, Observation
 
-FORCE_MOST, FORCE_LEAST = 2.2, 0.18  # N on each finger that it asks for; it closes to the least
-FORCE_TRIED = 0.10  # N, the least while friction is tried, close over the table
-TOUCH_FORCE, PUSH_MOST = 0.08, 0.5  # N: well over the noise; to push it until both fingers touch
+MAX_FORCE, MIN_FORCE = 2.2, 0.18  # N on each finger that it asks for; it closes to the least
+MIN_TEST_FORCE = 0.10  # N, the least while friction is tried, close over the table
+TOUCH_FORCE, MAX_PUSH = 0.08, 0.5  # N: well over the noise; to push it until both fingers touch
 SERVO_FORCE_LIMIT = 5.0  # N: the most that the servo may push, whatever is felt
 MARGIN = 1.3  # grip over what load and friction ask for
 FRICTION_FIRST = 0.6  # then it is tried, close over the table
@@ -37,19 +44,29 @@ WEIGH_HEIGHT = 0.003  # m, over which it lifts slowly: the load comes on by itse
 TIGHTEN_SPEED, LOOSEN_SPEED = 0.015, 0.003  # faster where it must hold than to spare
 FORCE_TOLERANCE = 0.06  # N around the target that counts as settled
 SETTLE_TIME, GRIP_TIMEOUT, STOP_TIME = 0.25, 6.0, 0.3  # s; the last: the jaws get no further
-BLIND_TIME_MAX, LOST_TIME = 0.5, 0.3  # s without a usable image, or a touch, before giving up
+MAX_BLIND_TIME, LOST_TIME = 0.5, 0.3  # s without a usable image, or a touch, before giving up
 TABLE_FORCE = 0.03  # N, upward, over all fingers, beside half of the weight: it stands
 SEARCH = 0.030  # m below where it shall be set down that the table is looked for
 PULL_FORCE, PULL_TIME = 0.20, 0.09  # N over all fingers, s: who pulls; a bump is shorter
 RELEASE_OPENING = 0.012  # m to open beyond the grip before the run ends
 CLOCKS = ("phase", "settled", "blind", "lost", "stuck", "pull", "behind")
+MEMORY_KEYS = {
+    LoadEstimator: "load",
+    GripStiffnessEstimator: "spring",
+    FrameLoadEstimator: "frames",
+    FrictionEstimator: "belief",
+    FrictionProbe: "trial",
+}
 START = {f"{clock}_time": 0.0 for clock in CLOCKS} | {
     "narrowest": 1.0,
     "low": WEIGH_HEIGHT,
-    "target": FORCE_LEAST,
-    "due": FORCE_LEAST,
-    **{kind.__name__.lower(): vars(kind()) for kind in (Load, Spring, Frames)},
-    **{kind.__name__.lower(): vars(kind(FRICTION_FIRST)) for kind in (Belief, Trial)},
+    "target": MIN_FORCE,
+    "due": MIN_FORCE,
+    "load": vars(LoadEstimator()),
+    "spring": vars(GripStiffnessEstimator()),
+    "frames": vars(FrameLoadEstimator()),
+    "belief": vars(FrictionEstimator(FRICTION_FIRST)),
+    "trial": vars(FrictionProbe(FRICTION_FIRST)),
 }
 
 
@@ -63,7 +80,7 @@ def step(observation: Observation) -> Command:
     if not all(isfinite(force) for force in felt):  # unknown is not zero: stand still, then give up
         command = _remember(command, blind_time=memory["blind_time"] + period)
         blind = next(touch for touch in observation.touch if not isfinite(touch.force_normal))
-        if command.memory["blind_time"] > BLIND_TIME_MAX:
+        if command.memory["blind_time"] > MAX_BLIND_TIME:
             return _give_up(command, f"no force is known: {blind.status}")
         return command
     lost_time = 0.0 if max(felt) > TOUCH_FORCE / 2 else memory["lost_time"] + period
@@ -93,22 +110,24 @@ def _remember(command: Command, **values) -> Command:
 
 
 def _kept(kind: Any, command: Command) -> Any:
-    """The `Belief`, `Frames`, `Load`, `Spring` or `Trial` of the image before."""
-    kept: Any = command.memory[kind.__name__.lower()]
+    """Return the estimator of this class as the previous image left it."""
+    kept: Any = command.memory[MEMORY_KEYS[kind]]
     return kind(**kept)
 
 
 def grip_as_needed(observation: Observation, command: Command) -> Command:
     """Learn load and friction from this moment, and ask for the grip that they need."""
     touch = observation.touch
-    load = _kept(Load, command).after(touch, observation.period)
-    belief = _kept(Belief, command).after(touch, observation.period)
-    trial = _kept(Trial, command)
-    frames = _kept(Frames, command).after(touch, observation.gripper.effort, observation.period)
-    worst, least = hypot(load.worst, observation.told.push / len(touch)), FORCE_LEAST
+    load = _kept(LoadEstimator, command).after(touch, observation.period)
+    belief = _kept(FrictionEstimator, command).after(touch, observation.period)
+    trial = _kept(FrictionProbe, command)
+    frames = _kept(FrameLoadEstimator, command).after(
+        touch, observation.gripper.effort, observation.period
+    )
+    worst, least = hypot(load.worst, observation.told.push / len(touch)), MIN_FORCE
     if trial.is_on:  # what is tried must be in use: nothing to spare
-        worst, least = trial.grip * load.most, FORCE_TRIED
-    target = max(least, min(MARGIN * worst / belief.friction, FORCE_MOST, frames.most))
+        worst, least = trial.grip * load.most, MIN_TEST_FORCE
+    target = max(least, min(MARGIN * worst / belief.friction, MAX_FORCE, frames.most))
     found = {"load": vars(load), "belief": vars(belief), "frames": vars(frames)}
     return _remember(command, target=target, **found, mass=load.mass, mass_sd=weigh(touch).sd)
 
@@ -118,10 +137,12 @@ def _regulated(observation: Observation, command: Command, felt: list[float]) ->
     so that the mean felt force goes to the target of a delay ago, within reach of the real one."""
     memory = command.memory
     force = sum(felt) / len(felt)
-    spring = _kept(Spring, command).after(observation.gripper.opening, force, observation.period)
+    spring = _kept(GripStiffnessEstimator, command).after(
+        observation.gripper.opening, force, observation.period
+    )
     stiffness = spring.stiffness(force)
-    step = memory["target"] - observation.command.memory.get("target", FORCE_LEAST)
-    step = step if _kept(Trial, command).is_on else max(step, 0.0)
+    step = memory["target"] - observation.command.memory.get("target", MIN_FORCE)
+    step = step if _kept(FrictionProbe, command).is_on else max(step, 0.0)
     due = memory["due"] + min(1.0, observation.period / DELAY) * (memory["target"] - memory["due"])
     speed = (due - force) / (stiffness * SETTLING)
     speed = step / (stiffness * observation.period) + max(-LOOSEN_SPEED, min(TIGHTEN_SPEED, speed))
@@ -133,7 +154,7 @@ def _regulated(observation: Observation, command: Command, felt: list[float]) ->
 
 def _approach(observation: Observation, command: Command, felt: list[float]) -> Command:
     """Close at a steady speed until either finger feels something, slower until both do."""
-    if min(felt) > TOUCH_FORCE or max(felt) > PUSH_MOST:
+    if min(felt) > TOUCH_FORCE or max(felt) > MAX_PUSH:
         return _go(command, "regulate")
     gets_on = command.opening < command.memory["narrowest"] - 1e-4  # as the rig allows
     stuck_time = 0.0 if gets_on else command.memory["stuck_time"] + observation.period
@@ -155,7 +176,7 @@ def _regulate(observation: Observation, command: Command, felt: list[float]) -> 
     settled = abs(sum(felt) / len(felt) - command.memory["target"]) < FORCE_TOLERANCE
     settled_time = command.memory["settled_time"] + observation.period if settled else 0.0
     if settled_time >= SETTLE_TIME:
-        standing = _kept(Load, command).standing(observation.touch)
+        standing = _kept(LoadEstimator, command).standing(observation.touch)
         return _go(_remember(command, load=vars(standing)), "lift")
     if command.memory["phase_time"] > GRIP_TIMEOUT:
         return _give_up(command, "the force did not settle")
@@ -170,11 +191,11 @@ def _lift(observation: Observation, command: Command, felt: list[float]) -> Comm
     behind_time = command.memory["behind_time"] + observation.period if behind else 0.0
     command = _remember(command, behind_time=behind_time)
     is_low = command.lift_height < command.memory["low"]
-    if not is_low and not _kept(Trial, command).over:
+    if not is_low and not _kept(FrictionProbe, command).over:
         return _try_friction(observation, command)
-    if _kept(Belief, command).since_slip < SLIP_WAIT or 0.0 < behind_time < GRIP_WAIT:
+    if _kept(FrictionEstimator, command).since_slip < SLIP_WAIT or 0.0 < behind_time < GRIP_WAIT:
         return command  # grip first, as far as the jaws can
-    goal, load = observation.told.lift_height, _kept(Load, command)
+    goal, load = observation.told.lift_height, _kept(LoadEstimator, command)
     if not load.down and not is_low:
         command = _remember(command, load=vars(load.hanging(observation.touch)))
     if observation.gripper.lift_height > goal - 0.001:
@@ -185,8 +206,8 @@ def _lift(observation: Observation, command: Command, felt: list[float]) -> Comm
 
 def _try_friction(now: Observation, command: Command) -> Command:
     """Loosen, and see whether it slips, until friction is known or the least grip is enough."""
-    belief = _kept(Belief, command)
-    trial = _kept(Trial, command).after(now.touch, now.period, belief.friction)
+    belief = _kept(FrictionEstimator, command)
+    trial = _kept(FrictionProbe, command).after(now.touch, now.period, belief.friction)
     proof = belief.used if trial.passed and not trial.slipped else belief.wrong
     belief = replace(belief, friction=trial.friction, before=0.0, wrong=proof)
     low = command.lift_height + trial.slipped * WEIGH_HEIGHT  # it may stand again
@@ -196,10 +217,10 @@ def _try_friction(now: Observation, command: Command) -> Command:
 def _hold(observation: Observation, command: Command, felt: list[float]) -> Command:
     """Hold; let go where somebody who was announced pulls for longer than a bump lasts."""
     command = _regulated(observation, command, felt)
-    now = _kept(Load, command).vector(observation.touch)
+    now = _kept(LoadEstimator, command).vector(observation.touch)
     held = np.asarray(command.memory.get("held", now))
     pulls = float(np.linalg.norm(now - held)) > PULL_FORCE
-    if observation.told.hand_over and pulls:
+    if observation.told.handover and pulls:
         pull_time = command.memory["pull_time"] + observation.period
         command = _remember(command, pull_time=pull_time)
         return _release_now(command) if pull_time > PULL_TIME else command
@@ -216,7 +237,7 @@ def _lower(observation: Observation, command: Command, felt: list[float]) -> Com
     above = command.lift_height - observation.told.place_height
     speed = PLACE_SPEED if above < SEARCH else LIFT_SPEED
     height = max(goal, command.lift_height - speed * observation.period)
-    carried = float(_kept(Load, command).vector(observation.touch)[0])
+    carried = float(_kept(LoadEstimator, command).vector(observation.touch)[0])
     stands = carried < 0.5 * np.asarray(command.memory["held"])[0] - TABLE_FORCE
     if stands or (height == goal and observation.gripper.lift_height < goal + 0.001):
         return _release_now(replace(command, lift_height=max(0.0, observation.gripper.lift_height)))

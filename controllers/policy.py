@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mjtactile.types import Command, Observation, policy_command, policy_vector
+from mjtactile.types import Command, Observation, command_from_action, policy_observation
 
 POLICY = Path(os.environ.get("MJTACTILE_POLICY", Path(__file__).with_name("policy.npz")))
 
@@ -37,4 +37,4 @@ def load(path: Path):
 
 
 def step(observation: Observation) -> Command:
-    return policy_command(observation, load(POLICY)(policy_vector(observation)))
+    return command_from_action(observation, load(POLICY)(policy_observation(observation)))

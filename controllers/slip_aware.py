@@ -15,9 +15,9 @@ from mjtactile.types import Command, Observation
 
 # N on each finger: what it begins with, and what it never asks for more of
 FIRST_FORCE = 0.25
-FORCE_MOST = 1.6
+FORCE_MAX = 1.6
 # of the force felt, and N: how much harder it grips at a slip
-SLIPPING_SHARE = 0.3
+SLIPPING_FRACTION = 0.3
 SLIPPING_STEP = 0.1
 SLIP_PAUSE = 0.15  # s until a slip that goes on counts again: what the grip needs to follow
 INCIPIENT_RATE = 0.6  # N/s while slip is about to begin
@@ -101,7 +101,7 @@ def _grip_as_needed(observation: Observation, command: Command, felt: list[float
     ]
     if "slipping" in states and memory["since_slip"] >= SLIP_PAUSE:
         target = min(
-            FORCE_MOST, max(memory["target"], *felt) * (1 + SLIPPING_SHARE) + SLIPPING_STEP
+            FORCE_MAX, max(memory["target"], *felt) * (1 + SLIPPING_FRACTION) + SLIPPING_STEP
         )
         kick = KICK if target > memory["target"] else 0.0
         command = replace(command, opening=command.opening - kick)
@@ -109,7 +109,7 @@ def _grip_as_needed(observation: Observation, command: Command, felt: list[float
     # it has what it asked for, and needs more
     if "incipient" in states and max(felt) > memory["target"] - FORCE_TOLERANCE:
         return _remember(
-            command, target=min(FORCE_MOST, memory["target"] + INCIPIENT_RATE * observation.period)
+            command, target=min(FORCE_MAX, memory["target"] + INCIPIENT_RATE * observation.period)
         )
     return command
 

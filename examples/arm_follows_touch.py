@@ -17,7 +17,7 @@ tip = plan.get_transform_frame_to_world("left_tip", "site")
 task = mink.FrameTask("left_tip", "site", position_cost=1.0, orientation_cost=0.1)
 
 spec = mujoco.MjSpec.from_file(FILE)
-mjtactile.recommend_options(spec)
+mjtactile.configure_options(spec)
 mount = mjtactile.attach(spec, "dense", site="left_tip", prefix="left/")
 near = tip.translation() + [0.014, 0.0, 0.0]  # z out of the sensor is x of the world here
 wall = spec.worldbody.add_body(name="wall", mocap=True, pos=near)

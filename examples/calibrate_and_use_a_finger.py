@@ -45,7 +45,7 @@ def felt(rig, design, calibrations=(None, None), recorder=None):
     forces = []
     try:
         session = mjtactile.Session(
-            rig, [mjtactile.Perception.of(design, known) for known in calibrations]
+            rig, [mjtactile.StatefulPipeline.of(design, known) for known in calibrations]
         )
         session.take_references(recorder)
         session.run(
@@ -69,8 +69,10 @@ with mjtactile.Recorder(work / "squeeze", {"sensor": "paper16"}) as recorder:
         recorder=recorder,
     )
 
-stamp = mjtactile.Stamp("2026-01-31T12:00:00+00:00", "by hand", residuals={"rms_px": 0.2})
-lens = mjtactile.Lens(**camera.intrinsics, stamp=stamp)  # or from your own calibration
+stamp = mjtactile.CalibrationMetadata(
+    "2026-01-31T12:00:00+00:00", "by hand", residuals={"rms_px": 0.2}
+)
+lens = mjtactile.LensCalibration(**camera.intrinsics, stamp=stamp)  # or from your own calibration
 mjtactile.Calibration("left", sensor.name).with_part(lens).save(work / "left.json")
 
 known = mjtactile.load_calibration(work / "left.json")

@@ -23,4 +23,4 @@ def step(observation: Observation) -> Command:
     """What the shipped controller does, with the air beside it."""
     command = gentle.step(observation)
     pressure = FIRM if command.phase in IN_THE_AIR else SOFT
-    return replace(command, pressure_gauge=(pressure,) * len(observation.touch))
+    return replace(command, gauge_pressure=(pressure,) * len(observation.touch))

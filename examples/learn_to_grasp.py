@@ -17,7 +17,7 @@ from stable_baselines3 import PPO  # pyright: ignore[reportMissingImports]
 from stable_baselines3.common.callbacks import BaseCallback  # pyright: ignore[reportMissingImports]
 from stable_baselines3.common.vec_env import SubprocVecEnv  # pyright: ignore[reportMissingImports]
 
-from mjtactile.gym.wrappers import Decisions, save_policy
+from mjtactile.gym.wrappers import ActionRepeatScaling, save_policy
 
 ENVIRONMENTS = 8  # a process each: with fewer, a core waits while another begins an episode
 DECISIONS = 32  # of each environment between two updates: about a grasp
@@ -26,7 +26,9 @@ DECISIONS = 32  # of each environment between two updates: about a grasp
 def make():
     """Another random thing each time; the generator's seeds are far from those of `evaluate`."""
     how = {"effects": "-sheet,-chain", "vary": "default", "reward": "progress", "time_limit": 12.0}
-    return Decisions(gymnasium.make("mjtactile.gym:mjtactile/Grasp-v0", object="random", **how))
+    return ActionRepeatScaling(
+        gymnasium.make("mjtactile.gym:mjtactile/Grasp-v0", object="random", **how)
+    )
 
 
 class ProgressCallback(BaseCallback):

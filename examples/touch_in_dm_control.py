@@ -22,7 +22,7 @@ class Fingertip(composer.Entity):
 
     def _build(self, name):  # the name under which the arena gets it
         spec = mujoco.MjSpec()
-        mjtactile.recommend_options(spec)
+        mjtactile.configure_options(spec)
         site = spec.worldbody.add_site(name="tip")
         self.mount = mjtactile.attach(spec, "dense", site=site, prefix=f"{name}/")
         spec.compile()

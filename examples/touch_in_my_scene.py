@@ -13,7 +13,7 @@ import mjtactile
 
 package = find_spec("gymnasium_robotics").submodule_search_locations[0]
 spec = mujoco.MjSpec.from_file(f"{package}/envs/assets/fetch/pick_and_place.xml")
-print(*mjtactile.recommend_options(spec), sep="\n")  # what a membrane needs, and why
+print(*mjtactile.configure_options(spec), sep="\n")  # what a membrane needs, and why
 
 # The site's z points out of the sensor, its x along the longer side; 2 mm before the finger's own
 # pad.
@@ -28,4 +28,4 @@ finger = tip.bind(model, data)
 data.ctrl[:] = 0.0016  # m that each finger stays open
 while data.time < 1.0:
     mjtactile.step(model, data, [finger])
-print(f"felt: {finger.touch.force_normal:.2f} N, chamber at {finger.pressure_gauge:.0f} Pa")
+print(f"felt: {finger.touch.force_normal:.2f} N, chamber at {finger.gauge_pressure:.0f} Pa")

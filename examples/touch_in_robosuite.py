@@ -26,7 +26,7 @@ PandaGripper.speed = 0.05  # of its way in each action
 class TouchLift(Lift):
     def edit_model_xml(self, xml_str):
         spec = mujoco.MjSpec.from_string(super().edit_model_xml(xml_str))
-        mjtactile.recommend_options(spec, timestep=0.002)  # robosuite's
+        mjtactile.configure_options(spec, timestep=0.002)  # robosuite's
         for k, side in ((1, 1), (2, -1)):
             body = spec.body(f"gripper0_right_finger_joint{k}_tip")
             body.add_site(name=f"{k}", pos=[0, -0.011 * side, -0.015], quat=[1, side, 0, 0])

@@ -16,8 +16,8 @@ DESIGN = mjtactile.load_sensor("dense")
 TEACHER = mjtactile.load_controller("gentle")
 RIDGE = 1e-4
 # A real servo's are another's: its current goes into its gears, too, and it is behind its goal.
-NOT_SEEN = np.isin(
-    mjtactile.policy_names(), ["speed_m_s", "effort_N", "goal_ahead_m", "force_limit_N"]
+NOT_DETECTED = np.isin(
+    mjtactile.policy_observation_names(), ["speed_m_s", "effort_N", "goal_ahead_m", "force_limit_N"]
 )
 
 
@@ -35,9 +35,9 @@ def watch(seed):
             observation = mjtactile.Observation(
                 cycle.time, session.rig.period, cycle.touch, cycle.gripper, cycle.valves, last
             )
-            action = mjtactile.policy_action(cycle.last, cycle.sent, session.rig.period)
-            own.append(mjtactile.policy_command(observation, action))
-            seen.append(np.where(NOT_SEEN, 0.0, mjtactile.policy_vector(observation)))
+            action = mjtactile.action_from_commands(cycle.last, cycle.sent, session.rig.period)
+            own.append(mjtactile.command_from_action(observation, action))
+            seen.append(np.where(NOT_DETECTED, 0.0, mjtactile.policy_observation(observation)))
             done.append(action)
 
         session.take_references()

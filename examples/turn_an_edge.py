@@ -12,14 +12,14 @@ SCENE = """<mujoco><worldbody><site name="tip"/>
 </worldbody><actuator><position joint="down" kp="20000" kv="120"/>
   <position joint="turn" kp="5" kv="0.05"/></actuator></mujoco>"""
 spec = mujoco.MjSpec.from_string(SCENE)
-mjtactile.recommend_options(spec)
+mjtactile.configure_options(spec)
 tip = mjtactile.attach(spec, "dense", site="tip", prefix="tip/", mesh=(21, 16))
 model = spec.compile()
 data = mujoco.MjData(model)
 finger = tip.bind(model, data)
 
 
-def press(angle: float, height: float = 0.0113) -> mjtactile.FeltShape:
+def press(angle: float, height: float = 0.0113) -> mjtactile.ContactShape:
     """Lift, turn the block, come down on the membrane: what is felt there."""
     for lift, wait in ((0.02, 0.2), (height, 0.4)):
         data.ctrl[:] = lift - 0.02, angle

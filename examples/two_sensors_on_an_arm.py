@@ -15,7 +15,7 @@ import mjtactile
 
 package = find_spec("gymnasium_robotics").submodule_search_locations[0]
 spec = mujoco.MjSpec.from_file(f"{package}/envs/assets/fetch/pick_and_place.xml")
-mjtactile.recommend_options(spec)
+mjtactile.configure_options(spec)
 tips = []
 for side, inwards in (("r", -1), ("l", 1)):
     body = spec.body(f"robot0:{side}_gripper_finger_link")

@@ -14,8 +14,8 @@ from mjtactile.core import platform_support
 if TYPE_CHECKING:
     from mjtactile.core.calibration import Calibration as Calibration
     from mjtactile.core.calibration import load_calibration as load_calibration
-    from mjtactile.core.calibration_parts import Lens as Lens
-    from mjtactile.core.calibration_parts import Stamp as Stamp
+    from mjtactile.core.calibration_parts import CalibrationMetadata as CalibrationMetadata
+    from mjtactile.core.calibration_parts import LensCalibration as LensCalibration
     from mjtactile.core.design import SensorDesign as SensorDesign
     from mjtactile.core.design import load_sensor as load_sensor
     from mjtactile.core.errors import ControllerError as ControllerError
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
     from mjtactile.core.errors import MjtactileError as MjtactileError
     from mjtactile.core.errors import SimulationError as SimulationError
     from mjtactile.core.optics import Camera as Camera
-    from mjtactile.core.policy import policy_action as policy_action
-    from mjtactile.core.policy import policy_command as policy_command
-    from mjtactile.core.policy import policy_names as policy_names
-    from mjtactile.core.policy import policy_vector as policy_vector
+    from mjtactile.core.policy import action_from_commands as action_from_commands
+    from mjtactile.core.policy import command_from_action as command_from_action
+    from mjtactile.core.policy import policy_observation as policy_observation
+    from mjtactile.core.policy import policy_observation_names as policy_observation_names
     from mjtactile.core.scaled_clock import monotonic as monotonic
     from mjtactile.core.scenario import Scenario as Scenario
-    from mjtactile.core.types.contact_shape import FeltShape as FeltShape
+    from mjtactile.core.types.contact_shape import ContactShape as ContactShape
     from mjtactile.core.types.control import Command as Command
     from mjtactile.core.types.control import Observation as Observation
     from mjtactile.core.types.devices import GripperState as GripperState
@@ -39,14 +39,14 @@ if TYPE_CHECKING:
     from mjtactile.core.types.touch import Touch as Touch
     from mjtactile.core.types.vision import Image as Image
     from mjtactile.export.live_view import LiveView as LiveView
-    from mjtactile.plugin.attach import Mount as Mount
+    from mjtactile.plugin.attach import AttachedSensor as AttachedSensor
     from mjtactile.plugin.attach import attach as attach
     from mjtactile.plugin.sim_finger import SimFinger as SimFinger
     from mjtactile.plugin.sim_finger import step as step
-    from mjtactile.quasistatic.membrane import Film as Film
+    from mjtactile.quasistatic.membrane import QuasistaticMembrane as QuasistaticMembrane
     from mjtactile.quasistatic.obstacles import Obstacle as Obstacle
-    from mjtactile.quasistatic.sensitivities import FilmDerivatives as FilmDerivatives
-    from mjtactile.quasistatic.solution import FilmState as FilmState
+    from mjtactile.quasistatic.sensitivities import SolutionSensitivities as SolutionSensitivities
+    from mjtactile.quasistatic.solution import MembraneSolution as MembraneSolution
     from mjtactile.recording.observer import Observer as Observer
     from mjtactile.recording.reader import Recording as Recording
     from mjtactile.recording.reader import load_recording as load_recording
@@ -56,25 +56,27 @@ if TYPE_CHECKING:
     from mjtactile.rig.finger import Rig as Rig
     from mjtactile.rig.registry import build_rig as build_rig
     from mjtactile.rig.registry import rig_names as rig_names
-    from mjtactile.rig.scenario import complete_scenario as complete_scenario
     from mjtactile.rig.scenario import load_scenario as load_scenario
+    from mjtactile.rig.scenario import resolve_scenario as resolve_scenario
     from mjtactile.runtime.controller import load_controller as load_controller
     from mjtactile.runtime.session import Session as Session
     from mjtactile.runtime.session import open_session as open_session
     from mjtactile.sensing.force.from_surface import RestSurface as RestSurface
     from mjtactile.sensing.force.from_surface import SurfaceForce as SurfaceForce
-    from mjtactile.sensing.force.from_surface import force_of_surface as force_of_surface
-    from mjtactile.sensing.pipeline import Chain as Chain
-    from mjtactile.sensing.pose.circles_from_images import find_circles as find_circles
-    from mjtactile.sensing.pose.circles_from_images import marker_records as marker_records
+    from mjtactile.sensing.force.from_surface import (
+        estimate_force_from_surface as estimate_force_from_surface,
+    )
+    from mjtactile.sensing.pipeline import SensingPipeline as SensingPipeline
+    from mjtactile.sensing.pose.circles_from_images import circles_to_records as circles_to_records
+    from mjtactile.sensing.pose.circles_from_images import detect_circles as detect_circles
     from mjtactile.sensing.pose.dot_tracking import TrackedCircles as TrackedCircles
     from mjtactile.sensing.pose.dot_tracking import track_circles as track_circles
-    from mjtactile.sensing.stateful_pipeline import Perception as Perception
-    from mjtactile.sim.attach import recommend_options as recommend_options
+    from mjtactile.sensing.stateful_pipeline import StatefulPipeline as StatefulPipeline
+    from mjtactile.sim.attach import configure_options as configure_options
 
 _HOMES = {
     "core.calibration": ("Calibration", "load_calibration"),
-    "core.calibration_parts": ("Lens", "Stamp"),
+    "core.calibration_parts": ("LensCalibration", "CalibrationMetadata"),
     "core.design": ("SensorDesign", "load_sensor"),
     "core.errors": (
         "ControllerError",
@@ -86,19 +88,24 @@ _HOMES = {
     ),
     "core.optics": ("Camera",),
     "core.scaled_clock": ("monotonic",),
-    "core.policy": ("policy_action", "policy_command", "policy_names", "policy_vector"),
+    "core.policy": (
+        "action_from_commands",
+        "command_from_action",
+        "policy_observation_names",
+        "policy_observation",
+    ),
     "core.scenario": ("Scenario",),
     "core.types.control": ("Command", "Observation"),
     "core.types.devices": ("GripperState", "ValveState"),
     "core.types.touch": ("Touch",),
     "core.types.vision": ("Image",),
-    "core.types.contact_shape": ("FeltShape",),
+    "core.types.contact_shape": ("ContactShape",),
     "export.live_view": ("LiveView",),
     "quasistatic.obstacles": ("Obstacle",),
-    "quasistatic.sensitivities": ("FilmDerivatives",),
-    "quasistatic.membrane": ("Film",),
-    "quasistatic.solution": ("FilmState",),
-    "plugin.attach": ("Mount", "attach"),
+    "quasistatic.sensitivities": ("SolutionSensitivities",),
+    "quasistatic.membrane": ("QuasistaticMembrane",),
+    "quasistatic.solution": ("MembraneSolution",),
+    "plugin.attach": ("AttachedSensor", "attach"),
     "plugin.sim_finger": ("SimFinger", "step"),
     "recording.observer": ("Observer",),
     "recording.reader": ("Recording", "load_recording"),
@@ -106,15 +113,15 @@ _HOMES = {
     "rig.file": ("load_rig_file",),
     "rig.finger": ("Finger", "Rig"),
     "rig.registry": ("build_rig", "rig_names"),
-    "rig.scenario": ("complete_scenario", "load_scenario"),
+    "rig.scenario": ("resolve_scenario", "load_scenario"),
     "runtime.controller": ("load_controller",),
     "runtime.session": ("Session", "open_session"),
-    "sensing.pipeline": ("Chain",),
-    "sensing.force.from_surface": ("RestSurface", "SurfaceForce", "force_of_surface"),
-    "sensing.stateful_pipeline": ("Perception",),
-    "sensing.pose.circles_from_images": ("find_circles", "marker_records"),
+    "sensing.pipeline": ("SensingPipeline",),
+    "sensing.force.from_surface": ("RestSurface", "SurfaceForce", "estimate_force_from_surface"),
+    "sensing.stateful_pipeline": ("StatefulPipeline",),
+    "sensing.pose.circles_from_images": ("detect_circles", "circles_to_records"),
     "sensing.pose.dot_tracking": ("TrackedCircles", "track_circles"),
-    "sim.attach": ("recommend_options",),
+    "sim.attach": ("configure_options",),
 }
 _HOME = {name: f"mjtactile.{module}" for module, names in _HOMES.items() for name in names}
 __all__ = list(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -10,7 +10,7 @@ from mjtactile.core.types import Image
 from mjtactile.rig.doctor_finding import Finding
 from mjtactile.rig.file import read_rig_file
 from mjtactile.rig.simulated import SimRigFile
-from mjtactile.sensing.pipeline import Chain
+from mjtactile.sensing.pipeline import SensingPipeline
 
 
 def examine_rig(name: str | None, *, sensor: str = "dense", fix: bool = False) -> list[Finding]:
@@ -34,7 +34,7 @@ def fiducial_findings(what: str, design: SensorDesign, image: Image) -> Iterator
     before it, and where they stand; nothing of a sensor that has none."""
     if design.fiducials is None:
         return
-    chain = Chain(design)
+    chain = SensingPipeline(design)
     _, state = chain.see(chain.begin(), image)
     known = chain.sight.known
     assert known is not None

@@ -29,7 +29,7 @@ from mjtactile.rig.file import load_rig_file
 WAIT = 300.0  # s for what takes a few on a computer of one's own
 # m of the 40 mm that the hand lifts; the two heights are not read at quite the same time
 FALLEN = 0.010
-_LOOK_TIME = 0.03  # s of the hardware's clock between two looks; 40 mm are fallen in 0.09 s
+_CHECK_TIME = 0.03  # s of the hardware's clock between two looks; 40 mm are fallen in 0.09 s
 _TAIL = 40_000  # bytes of the log's end, in which there is a whole line
 _GENEROUS = (
     ("delay_ms", "8.0", "400.0"),
@@ -124,7 +124,7 @@ class Host:
         while self.phase() not in phases:
             assert self.process.poll() is None, self.process.communicate()
             assert time.monotonic() < deadline, self.phase()
-            scaled_clock.sleep(_LOOK_TIME)
+            scaled_clock.sleep(_CHECK_TIME)
 
     def phase(self) -> str | None:
         with contextlib.suppress(OSError), self.log.open("rb") as log:
@@ -162,7 +162,7 @@ class Host:
 
     def _follow(self) -> None:
         start = self.emulator.truth()
-        while not self._over.wait(scaled_clock.wall(_LOOK_TIME)):
+        while not self._over.wait(scaled_clock.wall(_CHECK_TIME)):
             now = self.emulator.truth()
             below = start["object_height"] + now["lift_height"] - now["object_height"]
             self.fallen = max(self.fallen, below if now["lift_height"] > 0 else 0.0)

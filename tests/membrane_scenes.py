@@ -3,14 +3,14 @@
 import mujoco
 import numpy as np
 
-from mjtactile.sim.attach import attach_membrane, recommend_options
+from mjtactile.sim.attach import attach_membrane, configure_options
 from mjtactile.sim.scenes.world import World
 
 
 def scene(design, mesh=(13, 11), timestep=8e-3, gravity=(0, 0, 0)):
     """One sensor at rest on the world."""
     spec = mujoco.MjSpec()
-    recommend_options(spec, timestep)
+    configure_options(spec, timestep)
     spec.option.gravity = gravity
     spec.worldbody.add_site(name="mount")
     return World(spec, [attach_membrane(spec, design, site="mount", mesh=mesh)])

@@ -24,8 +24,10 @@ class SdkClient:
         self.table = control_table(model).fields
         self.port = sdk.PortHandler(bench.bus.path)
         self.packets = sdk.PacketHandler(2.0)
-        self.patience = PATIENCE
-        self.port.setPacketTimeout = lambda length: self.port.setPacketTimeoutMillis(self.patience)
+        self.disk_wait_time = PATIENCE
+        self.port.setPacketTimeout = lambda length: self.port.setPacketTimeoutMillis(
+            self.disk_wait_time
+        )
         assert self.port.openPort() and self.port.setBaudRate(1_000_000)
 
     def read(self, name, servo=1):
@@ -47,9 +49,9 @@ class SdkClient:
 
     def is_silent(self, ask, *arguments):
         """Whether nothing comes back from a call of the SDK."""
-        self.patience = SILENCE
+        self.disk_wait_time = SILENCE
         result = [part for part in ask(self.port, *arguments) if part == sdk.COMM_RX_TIMEOUT]
-        self.patience = PATIENCE
+        self.disk_wait_time = PATIENCE
         return bool(result)
 
     def is_absent(self, servo):

@@ -12,7 +12,7 @@ from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Command, GripperState, Image, Touch, Traction, ValveState
 from mjtactile.recording.observer import CycleCallback, Observers
-from mjtactile.rig.command_limits import Limits
+from mjtactile.rig.command_limits import CommandLimits
 from mjtactile.rig.finger import Finger, Rig
 from mjtactile.runtime import control_loop
 from mjtactile.runtime.retreat import RETREAT_OPENING
@@ -22,7 +22,7 @@ OK = Touch(0.0, 0.0, 0.5, 0.01, True)
 BLIND = Touch(0.0, 0.0, math.nan, math.nan, False, status="too dark")
 SEALED = ValveState(False, 1000.0)
 LAST = Command(0.05, 4.0, 0.02, "hold")
-FEELS = SimpleNamespace(perceive=lambda images, now, patience, readings: (OK,))
+FEELS = SimpleNamespace(perceive=lambda images, now, disk_wait_time, readings: (OK,))
 
 
 def loaded(shear):
@@ -84,7 +84,7 @@ class World:
             (Finger("left", load_sensor("paper16"), self),),
             self,
             self,
-            Limits(),
+            CommandLimits(),
             close=lambda: None,
             host_timeout=host_timeout,
         )

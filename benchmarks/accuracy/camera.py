@@ -17,7 +17,7 @@ from benchmarks.simulation_cases import SENSOR, attempt
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.sensor_parts import CameraDesign, MarkerLayout
 from mjtactile.core.types import Array
-from mjtactile.sensing.stateful_pipeline import Perception
+from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 from mjtactile.sim import ground_truth
 from mjtactile.sim.rendering.renderer import Effects, Renderer
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
@@ -135,12 +135,12 @@ def _state(world: PressWorld) -> State:
 
 def _look(design: SensorDesign, states: list[State], effects: Effects) -> dict[str, Any]:
     renderer = Renderer(design, seed=1)
-    perception = Perception.of(design)
+    perception = StatefulPipeline.of(design)
     flat, rest, *pressed = states
-    perception.take_flat(
+    perception.measure_flat_reference(
         [renderer.render(flat.p_SM, flat.n_S, effects=effects) for _ in range(_FRAMES)]
     )
-    perception.take_rest(
+    perception.measure_rest_reference(
         [renderer.render(rest.p_SM, rest.n_S, effects=effects) for _ in range(_FRAMES)], 1000.0
     )
     errors = []

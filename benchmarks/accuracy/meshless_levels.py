@@ -28,8 +28,8 @@ from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.sensing_error_model import load_errors
 from mjtactile.sim.sensor.effect_switches import PHYSICS, Effect
-from mjtactile.sim.sensor.quasistatic_cache import FILM_GRID
-from mjtactile.sim.synthetic_touch import TouchDrawer
+from mjtactile.sim.sensor.quasistatic_cache import QS_GRID
+from mjtactile.sim.synthetic_touch import SyntheticTouchSource
 
 STEP = 1 / 480  # s: what a rig takes for films
 FIRST_SEED = 9400  # nothing was fitted or tuned on these
@@ -82,7 +82,7 @@ def _row(
     bias = _rms(errors)
     return {
         "effects": effects,
-        "mesh": list(FILM_GRID),
+        "mesh": list(QS_GRID),
         "timestep_ms": 1e3 * STEP,
         "tolerance": Setting().tolerance,
         "force_error_N": math.hypot(bias, noise),
@@ -103,7 +103,7 @@ def _press(case: Case) -> Pressed:
         Indenter("sphere", case.radius),
         at=case.at,
         timestep=STEP,
-        mesh=FILM_GRID,
+        mesh=QS_GRID,
         effects=_WITHOUT,
     )
     world.inflate(1000.0, seal=True)
@@ -129,7 +129,7 @@ def _held() -> dict[str, float]:
     film = core_ms(lambda: world.step(frame), 20) / frame / STEP
     design = load_sensor(SENSOR)
     drawers = [
-        TouchDrawer(sensor, load_errors(design), design.membrane.friction, k)
+        SyntheticTouchSource(sensor, load_errors(design), design.membrane.friction, k)
         for k, sensor in enumerate(world.sensors)
     ]
     drawing = core_ms(lambda: [one.draw() for one in drawers], 50) * design.camera.rate

@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.camera_faults.replay import Felt, Grasp
+from benchmarks.camera_faults.replay import Grasp, ReplayResult
 
 # beyond both is wrong
 FAR_SD = 5.0
 FAR_N = 0.05
 
 
-def numbers(grasp: Grasp, felt: Felt) -> dict[str, Any]:
+def numbers(grasp: Grasp, felt: ReplayResult) -> dict[str, Any]:
     """Felt less true force where the status is ok, and how often it is far from it."""
     touches = felt.touches
     known = np.array([touch.status == "ok" for touch in touches], bool)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.config_fields import entries, from_table
-from mjtactile.rig.camera_faults import CameraTroubles
+from mjtactile.rig.camera_faults import CameraFaults
 
 SEED = 20261
 """Strengths are drawn from this; those of other seeds were used in tuning."""
@@ -30,9 +30,9 @@ class Kind:
     seed: int
 
     @property
-    def troubles(self) -> CameraTroubles:
+    def troubles(self) -> CameraFaults:
         """As a camera has it."""
-        return from_table(CameraTroubles, self.table, self.name)
+        return from_table(CameraFaults, self.table, self.name)
 
 
 GOOD = (ALWAYS, RUN)
@@ -57,17 +57,17 @@ TABLES: tuple[tuple[str, dict[str, Any], tuple[str, ...]], ...] = (
     ("5 specks", {"dust_count": 5, "dust_px": 4, "dust_dark_percent": 70}, GOOD),
     ("a fingerprint", {"fingerprint_percent": 60}, GOOD),
     ("smear of 80 DN", {"smear_DN": 80}, GOOD),
-    ("knock of 0.5 px", {"knock_px": [0.5, -0.4]}, (RUN,)),
-    ("knock of 2 px", {"knock_px": [-1.6, 1.2]}, (RUN,)),
-    ("knock of 6 px", {"knock_px": [5.0, 3.3]}, (RUN,)),
-    ("turn of 0.2 degrees", {"turn_deg": 0.2}, (RUN,)),
-    ("turn of 1 degree", {"turn_deg": -1.0}, (RUN,)),
-    ("zoom by 0.1 %", {"zoom_percent": 0.1}, (RUN,)),
-    ("zoom by -0.1 %", {"zoom_percent": -0.1}, (RUN,)),
-    ("zoom by 0.3 %", {"zoom_percent": 0.3}, (RUN,)),
-    ("zoom by -0.3 %", {"zoom_percent": -0.3}, (RUN,)),
-    ("zoom by 1 %", {"zoom_percent": 1.0}, (RUN,)),
-    ("zoom by -1 %", {"zoom_percent": -1.0}, (RUN,)),
+    ("knock of 0.5 px", {"image_shift_px": [0.5, -0.4]}, (RUN,)),
+    ("knock of 2 px", {"image_shift_px": [-1.6, 1.2]}, (RUN,)),
+    ("knock of 6 px", {"image_shift_px": [5.0, 3.3]}, (RUN,)),
+    ("turn of 0.2 degrees", {"rotation_deg": 0.2}, (RUN,)),
+    ("turn of 1 degree", {"rotation_deg": -1.0}, (RUN,)),
+    ("zoom by 0.1 %", {"scale_percent": 0.1}, (RUN,)),
+    ("zoom by -0.1 %", {"scale_percent": -0.1}, (RUN,)),
+    ("zoom by 0.3 %", {"scale_percent": 0.3}, (RUN,)),
+    ("zoom by -0.3 %", {"scale_percent": -0.3}, (RUN,)),
+    ("zoom by 1 %", {"scale_percent": 1.0}, (RUN,)),
+    ("zoom by -1 %", {"scale_percent": -1.0}, (RUN,)),
     ("defocus of 1 px", {"defocus_px": 1.0}, GOOD),
     ("rolling shutter of 25 ms", {"rolling_shutter_ms": 25}, GOOD),
     ("mains flicker of 10 %", {"flicker_percent": 10}, GOOD),
@@ -126,7 +126,7 @@ def _near(key: str, value: Any, rng: np.random.Generator) -> Any:
     return min(found, _ENTRIES[key].high)
 
 
-_ENTRIES = {entry.key: entry for entry in entries(CameraTroubles).values()}
+_ENTRIES = {entry.key: entry for entry in entries(CameraFaults).values()}
 
 
 def _off(key: str) -> float:

@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.accuracy.run import stamp
 from benchmarks.camera_faults.error_statistics import numbers
 from benchmarks.camera_faults.fault_kinds import ALWAYS, RUN, kinds
-from benchmarks.camera_faults.replay import Felt, Grasp, feel, record
+from benchmarks.camera_faults.replay import Grasp, ReplayResult, feel, record
 from mjtactile.runtime.progress import Progress
 
 SENSORS = ("dense", "dense_fiducials")
@@ -69,7 +69,7 @@ def _rows(
 ) -> list[dict[str, Any]]:
     """One grasp under each trouble, with the gauge and without; the first is none."""
     rows = []
-    clean: Sequence[Felt] = ()
+    clean: Sequence[ReplayResult] = ()
     for kind in kinds():
         if kind.name not in names or kind.when != (ALWAYS if kind.name == "none" else RUN):
             continue
@@ -83,7 +83,7 @@ def _rows(
     return rows
 
 
-def _row(grasp: Grasp, felt: Felt, clean: Felt) -> dict[str, Any]:
+def _row(grasp: Grasp, felt: ReplayResult, clean: ReplayResult) -> dict[str, Any]:
     """How far felt forces are from true ones, and from those that are felt in the same images
     without a trouble."""
     forces, usual = (

@@ -61,7 +61,7 @@ def scene(mass: float | None) -> tuple[mujoco.MjModel, mujoco.MjData, SimFinger]
     """A sensor that looks up, with a ball of `mass` kg on it that can only move up and down, or
     without."""
     spec = mujoco.MjSpec()
-    mjtactile.recommend_options(spec)
+    mjtactile.configure_options(spec)
     tip = mjtactile.attach(spec, "dense", site=spec.worldbody.add_site(name="tip"), prefix="f/")
     if mass is not None:
         ball = spec.worldbody.add_body(name="ball", pos=[0, 0, RADIUS + 0.006])

@@ -14,8 +14,8 @@ from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Image, PressureReading, Touch
 from mjtactile.recording.observer import Observer
 from mjtactile.runtime.grasp import run_grasp
-from mjtactile.sensing.stateful_pipeline import Perception
-from mjtactile.sim.rendering.image_faults import TroubledPicture
+from mjtactile.sensing.stateful_pipeline import StatefulPipeline
+from mjtactile.sim.rendering.image_faults import FaultyImage
 
 
 @dataclass(eq=False)
@@ -30,10 +30,10 @@ class Grasp(Observer):
     true: list[float] = field(default_factory=list)
 
     def add_reference(
-        self, stage: str, images: Sequence[Sequence[Image]], pressure_gauge: Sequence[float | None]
+        self, stage: str, images: Sequence[Sequence[Image]], gauge_pressure: Sequence[float | None]
     ) -> None:
         self.references[stage] = list(images[0])
-        self.pressure = float(pressure_gauge[0] or 0.0)
+        self.pressure = float(gauge_pressure[0] or 0.0)
 
     def add(self, cycle: Any, view: Any = None, **truth: Any) -> None:
         self.images.append(cycle.images[0])
@@ -59,21 +59,21 @@ class ReplayResult:
 def feel(grasp: Grasp, kind: Kind, *, gauges: Sequence[bool] = (True, False)) -> list[ReplayResult]:
     """The grasp as it is felt with that trouble, by the gauge or without, in one pass over the
     pictures."""
-    camera = TroubledPicture(kind.troubles, kind.seed)
+    camera = FaultyImage(kind.troubles, kind.seed)
     before = kind.when in (ALWAYS, REFERENCES)
     after = kind.when != REFERENCES
 
     def shown(images: Sequence[Image], on: bool) -> list[Image]:
         return [camera(image) if on else image for image in images]
 
-    perception = Perception.of(grasp.design)
+    perception = StatefulPipeline.of(grasp.design)
     try:
-        perception.take_flat(shown(grasp.references["flat"], before))
-        perception.take_rest(shown(grasp.references["rest"], before), grasp.pressure)
+        perception.measure_flat_reference(shown(grasp.references["flat"], before))
+        perception.measure_rest_reference(shown(grasp.references["rest"], before), grasp.pressure)
     except DeviceError as error:
         refused = ReplayResult(refused=" ".join(str(error).split()))
         return [refused for _ in gauges]
-    chains = [Perception(perception.chain, perception.state) for _ in gauges]
+    chains = [StatefulPipeline(perception.chain, perception.state) for _ in gauges]
     touches: list[list[Touch]] = [[] for _ in gauges]
     for image, reading in zip(grasp.images, grasp.readings, strict=True):
         seen = camera(image) if after else image

@@ -31,7 +31,7 @@ from mjtactile.experiments.motion_stage import NOTHING, record_stage
 from mjtactile.recording.files import write_json
 from mjtactile.recording.stage_protocol import Stage, read_moves
 from mjtactile.recording.writer import Recorder
-from mjtactile.rig.as_built_sensor import SpecimenConfig, true_design
+from mjtactile.rig.as_built_sensor import AsBuiltSensor, true_design
 from mjtactile.rig.file import load_rig_file
 from mjtactile.runtime.controller import load_controller
 from mjtactile.runtime.session import Session
@@ -160,7 +160,7 @@ class Day:
         self.file.write_text(text, encoding="utf-8")
         return {"questions": len(asked), "cameras_told_apart": right}
 
-    def _specimen(self, finger: str) -> SpecimenConfig:
+    def _specimen(self, finger: str) -> AsBuiltSensor:
         emulator = load_rig_file(self.world).emulator
         assert emulator is not None
         return emulator.specimen(finger)

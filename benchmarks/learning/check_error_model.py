@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.sim.sensing_error_model import ChainErrors
+from mjtactile.sim.sensing_error_model import SensingErrorModel
 
 
-def check(errors: ChainErrors, rows: dict[str, Array]) -> dict[str, Any]:
+def check(errors: SensingErrorModel, rows: dict[str, Array]) -> dict[str, Any]:
     """How errors of other seeds compare with the model: their root mean square over its sd at each
     load (1: as it says), over all grasps."""
     load = np.maximum(-rows["wrench"][:, 2], 0.0)
@@ -38,7 +38,7 @@ def check(errors: ChainErrors, rows: dict[str, Array]) -> dict[str, Any]:
     return {"rows": by_load, "unknown_percent": 100 * float(np.mean(~known))}
 
 
-def _drawn(errors: ChainErrors, wrenches: Array) -> Array:
+def _drawn(errors: SensingErrorModel, wrenches: Array) -> Array:
     """(n,) N: an error of the normal force for each wrench, as it would be drawn."""
     rng = np.random.default_rng(0)
     found = []

@@ -27,7 +27,7 @@ from mjtactile.core.types import Array
 from mjtactile.recording.files import write_json
 from mjtactile.runtime.progress import Progress
 from mjtactile.sensing.settings import DEFAULTS
-from mjtactile.sim.sensing_error_model import ChainErrors, path_of
+from mjtactile.sim.sensing_error_model import SensingErrorModel, path_of
 
 LOADS = np.array([0.0, 0.03, 0.1, 0.25, 0.5, 1.0, 1.6])
 GRASPS, GRASPS_QUICK = 40, 2
@@ -95,7 +95,7 @@ def joined(grasps: Sequence[Rows]) -> Rows:
 # -- fit -------------------------------------------------------------------------------------------
 
 
-def fit(rows: Rows) -> ChainErrors:
+def fit(rows: Rows) -> SensingErrorModel:
     """The errors of the chain that felt these rows."""
     known = np.asarray(rows["status"] == "ok")
     load = np.maximum(-rows["wrench"][:, 2], 0.0)
@@ -126,7 +126,7 @@ def fit(rows: Rows) -> ChainErrors:
     area, area_sd = _moments(log_area[:, None], near[touching])
     _, centroid_sd = _moments(aside.reshape(-1, 1), np.repeat(near[touching], 2, axis=0))
     zero = DEFAULTS.zero
-    return ChainErrors(
+    return SensingErrorModel(
         loads=LOADS,
         gain=gain,
         mean=mean,
@@ -134,7 +134,7 @@ def fit(rows: Rows) -> ChainErrors:
         fresh=fresh,
         correlation=_correlation(z[~far]),
         said=_mean_at(said, near),
-        said_correlation=_correlation_of(np.median(ratio, axis=0)),
+        reported_correlation=_correlation_of(np.median(ratio, axis=0)),
         shear_gain=shear_gain,
         between=spread,
         slow_time=_memory(z, felt),
@@ -143,13 +143,13 @@ def fit(rows: Rows) -> ChainErrors:
         if out.any()
         else np.ones(6),
         unknown=_mean_at(1.0 - known[:, None], share)[:, 0],
-        touch_force=max(zero.touch_least, zero.touch_sd * float(fresh[0, 2])),
+        touch_force=max(zero.touch_min, zero.touch_sd * float(fresh[0, 2])),
         release=zero.release,
         area=area[:, 0],
         area_sd=area_sd[:, 0],
         centroid_sd=centroid_sd[:, 0],
         depth=float(np.median((felt["felt_depth"] / np.maximum(felt["depth"], 1e-6))[touching])),
-        slip_way=DEFAULTS.slip.least_way,
+        slip_displacement=DEFAULTS.slip.min_displacement,
         incipient=DEFAULTS.slip.incipient,
     )
 

@@ -15,7 +15,7 @@ from mjtactile.core.types import Array, Command, Observation, Touch
 from mjtactile.recording.observer import Observer
 from mjtactile.runtime.cycle import Cycle
 from mjtactile.runtime.session import Session, open_session
-from mjtactile.sim.sensor.quasistatic_sensor import FilmSensor
+from mjtactile.sim.sensor.quasistatic_sensor import QuasistaticSensor
 
 _LEAST, _MOST = 0.05, 1.5  # N that it grips with
 _CHANGE_EVERY = 0.4  # s
@@ -33,7 +33,7 @@ class Squeezer:
 
     def __init__(self, seed: int):
         self._rng = np.random.default_rng([seed, 7])
-        self._begun: float | None = None
+        self._best_start: float | None = None
         self._next = 0.0
         self._goal = 0.0
         self._height = 0.0
@@ -45,12 +45,12 @@ class Squeezer:
         if not np.isfinite(felt).all():
             return limit
         now = observation.time
-        if self._begun is None:
+        if self._best_start is None:
             if min(felt) > _LEAST:
-                self._begun = now
+                self._best_start = now
             opening = last.opening - _CLOSING * observation.period
             return replace(limit, opening=max(opening, 0.0), phase="close")
-        if now - self._begun > _TIME:
+        if now - self._best_start > _TIME:
             return replace(limit, phase="done", lift_height=0.0)
         if now >= self._next:
             self._next = now + _CHANGE_EVERY
@@ -80,7 +80,7 @@ class Compared(Observer):
             self.rows.append({"finger": finger, "time": cycle.time, **true, **_felt(touch)})
 
 
-def _true(sensor: FilmSensor) -> dict[str, Any]:
+def _true(sensor: QuasistaticSensor) -> dict[str, Any]:
     return {
         "wrench": sensor.look(),
         "area": sensor.contact_area,

@@ -186,10 +186,10 @@ _CONDENSE = """
 import time
 from mjtactile import Film, load_sensor
 from mjtactile.quasistatic.incremental import Sticking
-from mjtactile.sim.sensor.quasistatic_cache import FILM_GRID
+from mjtactile.sim.sensor.quasistatic_cache import QS_GRID
 design = load_sensor("dense")
 begin = time.process_time()
-film = Film(design, FILM_GRID)
+film = Film(design, QS_GRID)
 assert Sticking(film).compliance.size
 print(time.process_time() - begin)
 """

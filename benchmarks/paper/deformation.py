@@ -20,7 +20,7 @@ from mjtactile.core import geometry
 from mjtactile.core.bspline import Cubic
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
-from mjtactile.sensing.constitutive_law import SheetLaw
+from mjtactile.sensing.constitutive_law import ConstitutiveLaw
 
 # nodes in each interval of the spline: what is integrated varies over markers, several intervals
 # wide
@@ -65,7 +65,7 @@ class MembraneModel:
         self.material = np.asarray(
             design.markers.p_SM[:, :2] if material is None else material, float
         )
-        self._law = SheetLaw(design.membrane)
+        self._law = ConstitutiveLaw(design.membrane)
         frame = design.frame
         ax, ay = self._axes = (
             Cubic(frame.length, spans, _GAUSS),

@@ -23,7 +23,7 @@ def save(name: str, result: Mapping[str, Any], out: Path) -> None:
         figure.savefig(out / f"{name}.png")
 
 
-def draw_fig5a(figure: Any, result: Mapping[str, Any]) -> None:
+def plot_fig5a(figure: Any, result: Mapping[str, Any]) -> None:
     """Estimate against load cell; under it the change of area that dF = c dA rests on."""
     axes = figure.subplots(2, len(result["runs"]), squeeze=False, sharex="col")
     for column, run in enumerate(result["runs"]):
@@ -54,7 +54,7 @@ def draw_fig5a(figure: Any, result: Mapping[str, Any]) -> None:
     axes[1, 0].set(ylabel="change of area, mm$^2$")
 
 
-def draw_fig5b(figure: Any, result: Mapping[str, Any]) -> None:
+def plot_fig5b(figure: Any, result: Mapping[str, Any]) -> None:
     """Force against how far the sensor was driven in, and against the object's own deformation."""
     whole, own = figure.subplots(1, 2)
     for name, colour in _COLOURS.items():
@@ -86,7 +86,7 @@ def draw_fig5b(figure: Any, result: Mapping[str, Any]) -> None:
     own.legend()
 
 
-def draw_fig5c(figure: Any, result: Mapping[str, Any]) -> None:
+def plot_fig5c(figure: Any, result: Mapping[str, Any]) -> None:
     """Force over time."""
     axes = figure.subplots()
     for name, colour in _COLOURS.items():
@@ -110,7 +110,7 @@ def draw_fig5c(figure: Any, result: Mapping[str, Any]) -> None:
     axes.legend()
 
 
-def draw_fig6(figure: Any, result: Mapping[str, Any]) -> None:
+def plot_fig6(figure: Any, result: Mapping[str, Any]) -> None:
     """Error of every circle, and its histogram against the paper's mean."""
     each, spread = figure.subplots(1, 2)
     errors = np.asarray(result["distance_error_mm"])
@@ -123,7 +123,7 @@ def draw_fig6(figure: Any, result: Mapping[str, Any]) -> None:
     spread.set(xlabel="depth error, um", ylabel="circles")
 
 
-def draw_fig7(figure: Any, result: Mapping[str, Any]) -> None:
+def plot_fig7(figure: Any, result: Mapping[str, Any]) -> None:
     """Image, reconstruction with forces (drawn with a minus sign, as in the paper), force field
     from above."""
     for row, (name, data) in enumerate(result.items()):
@@ -153,7 +153,7 @@ def draw_fig7(figure: Any, result: Mapping[str, Any]) -> None:
         figure.colorbar(drawn, ax=field, label="mN a node")
 
 
-def draw_air(figure: Any, result: Mapping[str, Any]) -> None:
+def plot_pressure(figure: Any, result: Mapping[str, Any]) -> None:
     """Stiffness and noise against pressure, and against the amount of air."""
     runs = [run for run in result["runs"] if run["valve"] == "closed"]
     airs = [run["air_mL"] for run in runs]
@@ -176,10 +176,10 @@ def draw_air(figure: Any, result: Mapping[str, Any]) -> None:
 
 
 _DRAW = {
-    "fig5a": (draw_fig5a, (16.5, 5.4)),
-    "fig5b": (draw_fig5b, (9.5, 4.2)),
-    "fig5c": (draw_fig5c, (6.4, 4.2)),
-    "fig6": (draw_fig6, (9.0, 3.8)),
-    "fig7": (draw_fig7, (10.0, 8.5)),
-    "air": (draw_air, (9.5, 3.8)),
+    "fig5a": (plot_fig5a, (16.5, 5.4)),
+    "fig5b": (plot_fig5b, (9.5, 4.2)),
+    "fig5c": (plot_fig5c, (6.4, 4.2)),
+    "fig6": (plot_fig6, (9.0, 3.8)),
+    "fig7": (plot_fig7, (10.0, 8.5)),
+    "air": (plot_pressure, (9.5, 3.8)),
 }

@@ -91,12 +91,15 @@ class MembraneForce:
             settings.taper * max(markers.pitch_x, markers.pitch_y)
         )
 
-    def pressure_gauge(self, fields: Fields, rest: RestState) -> float:
+    def gauge_pressure(self, fields: Fields, rest: RestState) -> float:
         """Gauge pressure, Pa, from the gas volume under the membrane (Eq. G1)."""
         if not rest.sealed:
             return rest.pressure - self.design.chamber.ambient
         ratio = rest.volume / self.gas_volume(fields)
-        return rest.pressure * ratio**self.design.chamber.heat_ratio - self.design.chamber.ambient
+        return (
+            rest.pressure * ratio**self.design.chamber.polytropic_exponent
+            - self.design.chamber.ambient
+        )
 
     def gas_volume(self, fields: Fields) -> float:
         """Chamber and bulge, m^3."""
@@ -113,7 +116,7 @@ class MembraneForce:
         )
 
     def rest_state(
-        self, markers: Markers, pressure_gauge: float, *, sealed: bool = True
+        self, markers: Markers, gauge_pressure: float, *, sealed: bool = True
     ) -> RestState:
         """Calibrate on a state with nothing touching and a known gauge pressure, Pa.
 
@@ -123,13 +126,13 @@ class MembraneForce:
         """
         fields = self._fields(markers.ids, markers.p_SM)
         elastic, push = self._terms(fields)
-        informative = pressure_gauge > self.settings.informative_pressure and elastic[2] > 0
-        scale = float(pressure_gauge * push[2] / elastic[2]) if informative else 1.0
+        informative = gauge_pressure > self.settings.informative_pressure and elastic[2] > 0
+        scale = float(gauge_pressure * push[2] / elastic[2]) if informative else 1.0
         rest = RestState(
             self.gas_volume(fields),
-            self.design.chamber.ambient + pressure_gauge,
+            self.design.chamber.ambient + gauge_pressure,
             scale,
-            scale * elastic - pressure_gauge * push,
+            scale * elastic - gauge_pressure * push,
             np.zeros((6, 0, 3)),
             sealed,
         )
@@ -161,7 +164,7 @@ class MembraneForce:
     def wrench_of(self, fields: Fields, rest: RestState) -> tuple[Array, float]:
         """The same from the deformation itself."""
         elastic, push = self._terms(fields)
-        gauge = self.pressure_gauge(fields, rest)
+        gauge = self.gauge_pressure(fields, rest)
         return rest.stiffness_scale * elastic - gauge * push - rest.offset, gauge
 
     def wrench_cov(self, markers: Markers, rest: RestState) -> Array:

@@ -17,7 +17,7 @@ from mjtactile.core import optics
 from mjtactile.core.types import Array, CirclePoses
 from mjtactile.sensing.image.markers import detect
 from mjtactile.sensing.pose.circles import estimate_poses
-from mjtactile.sensing.pose.circles_from_images import find_circles
+from mjtactile.sensing.pose.circles_from_images import detect_circles
 
 CAMERA = optics.Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
 _STEP = np.array([1e-6, 1e-6, 1e-6, 1e-3, 1e-3])  # m and rad: numeric derivatives of the image
@@ -47,7 +47,7 @@ def paper_like(images: int, seed: int = 0) -> tuple[dict[str, float], dict[str, 
             bright_dn=BRIGHT,
             seed=int(rng.integers(2**31)),
         )
-        located = find_circles(image, CAMERA, RADIUS)
+        located = detect_circles(image, CAMERA, RADIUS)
         poses = located.poses
         which, nearer, found = match(poses, circles)
         missed += int((~found).sum())

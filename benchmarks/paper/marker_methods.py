@@ -14,7 +14,7 @@ from mjtactile.core import optics
 from mjtactile.core.types import Array, CirclePoses, Ellipses
 from mjtactile.sensing.image.markers import detect
 from mjtactile.sensing.pose.circles import estimate_poses
-from mjtactile.sensing.pose.circles_from_images import Neighbours, find_circles
+from mjtactile.sensing.pose.circles_from_images import Neighbours, detect_circles
 
 
 def compare_methods(images: int, seed: int = 1) -> dict[str, dict[str, float]]:
@@ -162,7 +162,7 @@ def _ellipses(rims: Array) -> Ellipses:
     )
 
 
-def known_board(images: int, seed: int = 4) -> dict[str, dict[str, float]]:
+def board_from_name(images: int, seed: int = 4) -> dict[str, dict[str, float]]:
     """A flat board of 16 circles: each circle by itself, and `cv2.solvePnP`, which must be told
     where on the board each is, from the ellipses' centres and from the projected centres."""
     rng = np.random.default_rng(seed)
@@ -235,7 +235,7 @@ def small_circles(images: int, seed: int = 5) -> list[dict[str, Any]]:
                 marker_scenes.coverage(CAMERA, circles, 0.6), int(rng.integers(2**31))
             )
             for neighbours in scatter:
-                located = find_circles(image, CAMERA, RADIUS, neighbours=neighbours)
+                located = detect_circles(image, CAMERA, RADIUS, neighbours=neighbours)
                 shared += "depth" in located.shared
                 good = located.poses.status == "ok"
                 away = np.linalg.norm(

@@ -22,7 +22,7 @@ from mjtactile.calibrate.force_from_area import AreaCalibration
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
-from mjtactile.experiments.test_bench import Station
+from mjtactile.experiments.test_bench import TestBench
 from mjtactile.sim.scenes.indentation import Indenter
 
 CYLINDER = Indenter("cylinder", 6e-3)
@@ -63,7 +63,7 @@ def _increments(
     design: SensorDesign, indenter: Indenter, *, sealed: bool, depths: Sequence[float]
 ) -> dict[str, Any]:
     """One press in steps. c is fitted to the same points, the best case for the paper's method."""
-    station = Station(design, indenter, mesh=MESH)
+    station = TestBench(design, indenter, mesh=MESH)
     station.zero(sealed=sealed)
     rest = station.look(10)
     steps = []
@@ -104,7 +104,7 @@ def fig5b(say: Say, quick: bool = False) -> dict[str, Any]:
     depths = np.arange(5e-4, 4.01e-3, 1e-3 if quick else 2.5e-4)
     curves = {}
     for name, indenter in (("solid", CYLINDER), ("sponge", SPONGE)):
-        station = Station(load_sensor("dense"), indenter)
+        station = TestBench(load_sensor("dense"), indenter)
         station.zero()
         felt = []
         given = []
@@ -160,7 +160,7 @@ def fig5c(say: Say, quick: bool = False) -> dict[str, Any]:
     s, then held."""
     curves = {}
     for name, indenter in (("solid", CYLINDER), ("sponge", SPONGE)):
-        station = Station(load_sensor("dense"), indenter, mesh=MESH)
+        station = TestBench(load_sensor("dense"), indenter, mesh=MESH)
         station.zero()
         station.world.press(-2e-4)
         start = station.world.time
@@ -211,7 +211,7 @@ def fig7(say: Say, quick: bool = False) -> dict[str, Any]:
     """Three objects: the camera's image, the reconstructed membrane, the force on each node."""
     found = {}
     for name, (indenter, placing) in list(OBJECTS.items())[: 1 if quick else None]:
-        station = Station(load_sensor("dense"), indenter, **placing)
+        station = TestBench(load_sensor("dense"), indenter, **placing)
         station.zero()
         station.world.press(2.5e-3)
         touch = station.touch()
@@ -261,7 +261,7 @@ def air(say: Say, quick: bool = False) -> dict[str, Any]:
 def _sensitivity(design: SensorDesign, *, sealed: bool) -> dict[str, Any]:
     """N/mm of a 6 mm cylinder at the first mm, and the sd of the felt force over 20 images with
     nothing touching."""
-    station = Station(design, CYLINDER)
+    station = TestBench(design, CYLINDER)
     station.zero(sealed=sealed)
     noise = float(np.std([station.touch().force_normal for _ in range(20)], ddof=1))
     station.world.press(1e-3)

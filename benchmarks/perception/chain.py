@@ -24,7 +24,7 @@ from mjtactile.core.geometry import normal_from_slope
 from mjtactile.core.optics import Camera
 from mjtactile.core.types import Array, Image
 from mjtactile.sensing.image.markers import detect
-from mjtactile.sensing.pipeline import Chain
+from mjtactile.sensing.pipeline import SensingPipeline
 from mjtactile.sensing.pose.circles import estimate_poses
 from mjtactile.sensing.surface.delaunay import reconstruct_delaunay
 from mjtactile.sensing.surface.surface import Spline, grid_of
@@ -34,7 +34,7 @@ _BALL = 0.010
 _DEEP = 0.003
 _PRESSURE_OVER_TENSION = 20.0
 _CELLS = 96  # of the relaxation, along the length
-_LEAST_PX = 4.0  # nothing smaller is looked for; the blob detector is told an area, too
+_MIN_PX = 4.0  # nothing smaller is looked for; the blob detector is told an area, too
 # rows, columns, radius m
 _LAYOUTS = ((4, 4, 0.0015), (8, 10, 0.0010), (11, 14, 0.0007), (14, 18, 0.0006))
 
@@ -100,7 +100,7 @@ def pressed(frames: int, repeats: int) -> dict[str, Any]:
     seen = []
     x, y = np.meshgrid(*grid_of(design.frame, 0.0005))
     for sheet, image in zip(sheets, images, strict=True):
-        chain = Chain(design)
+        chain = SensingPipeline(design)
         markers, _ = chain.see(chain.begin(), image)
         seen.append(len(markers))
         spline: Spline = chain.fitter.fit_spline(markers.p_SM, markers.cov_p, markers.n_S)
@@ -111,7 +111,7 @@ def pressed(frames: int, repeats: int) -> dict[str, Any]:
     result: dict[str, Any] = {
         "frames": frames,
         "markers": design.markers.count,
-        "fewest_seen": min(seen),
+        "min_detected": min(seen),
     }
     for name, parts in errors.items():
         result[f"{name}_rms_mm"] = float(np.sqrt(np.mean([np.mean(e**2) for e in parts])) * 1e3)
@@ -122,7 +122,7 @@ def pressed(frames: int, repeats: int) -> dict[str, Any]:
 def _chain_ms(design: SensorDesign, images: list[Image], repeats: int) -> list[float]:
     """Processor time of each run from image to surface, ms, in turn through `images` as in a
     recording."""
-    chain = Chain(design)
+    chain = SensingPipeline(design)
     markers, state = chain.see(chain.begin(), images[0])
     chain.fitter.fit(markers)
     spent = []
@@ -151,13 +151,13 @@ def speed(repeats: int) -> list[dict[str, float]]:
             tilt_deg=(0, 25),
         )
         image = marker_scenes.image(CAMERA, circles)
-        ellipses = detect(image, CAMERA, min_radius_px=_LEAST_PX)
+        ellipses = detect(image, CAMERA, min_radius_px=_MIN_PX)
         rows.append(
             {
                 "markers": nv * nu,
                 "found_ok": int((ellipses.status == "ok").sum()),
                 "detect_ms": _median_ms(
-                    lambda im=image: detect(im, CAMERA, min_radius_px=_LEAST_PX), repeats
+                    lambda im=image: detect(im, CAMERA, min_radius_px=_MIN_PX), repeats
                 ),
                 "pose_ms": _median_ms(
                     lambda e=ellipses, r=radius: estimate_poses(e, CAMERA, r), repeats

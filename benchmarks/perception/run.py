@@ -45,7 +45,7 @@ def run(
         "accuracy": accuracy,
         "methods": marker_methods.compare_methods(images=1 if quick else 5),
         "chord_noise": marker_methods.chord_noise(images=2 if quick else 15),
-        "known_board": marker_methods.known_board(images=1 if quick else 10),
+        "board_from_name": marker_methods.board_from_name(images=1 if quick else 10),
     }
     say("blur; small circles through a cheap camera")
     result["bias_against_blur"] = marker_accuracy.bias_against_blur(repeats=2 if quick else 10)
@@ -80,7 +80,7 @@ def table(result: Mapping[str, Any]) -> str:
                 _targets(result),
                 _methods(result),
                 _chord_noise(result),
-                _known_board(result),
+                _board_from_name(result),
                 _surface(result),
                 _speed(result),
                 _blur(result),
@@ -152,10 +152,10 @@ def _chord_noise(result: Mapping[str, Any]) -> str:
     )
 
 
-def _known_board(result: Mapping[str, Any]) -> str:
+def _board_from_name(result: Mapping[str, Any]) -> str:
     rows = [
         f"| {name} | {m['mean_mm']:.4f} | {m['worst_mm']:.4f} |"
-        for name, m in result["known_board"].items()
+        for name, m in result["board_from_name"].items()
     ]
     return _rows("| flat board of 16 circles | mean error, mm | worst, mm |", rows)
 

@@ -1,5 +1,5 @@
 """`mjtactile bench bubble --data FOLDER`: a real air-filled bubble pressed once to about 4.8 N, its
-force from surface and gauge (`mjtactile.force_of_surface`) beside a wrist's wrench.
+force from surface and gauge (`mjtactile.estimate_force_from_surface`) beside a wrist's wrench.
 
 The recording is `demo/0` of uiuc-iml/punyo_force_estimation. FOLDER holds its `data.json`, rows of
 [time s, absolute pressure hPa, six joint angles, wrench of a wrist sensor N, N m], and
@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile import InputError, RestSurface, force_of_surface
+from mjtactile import InputError, RestSurface, estimate_force_from_surface
 from mjtactile.core.types import Array
 from mjtactile.recording.files import write_json
 from mjtactile.report.figures import new_figure
@@ -54,7 +54,9 @@ def run(
     for row in sorted(clouds):
         if quick and row % 20:
             continue
-        felt = force_of_surface(clouds[row], gauge[row], OUTLINE, rest, smoothing=SMOOTHING)
+        felt = estimate_force_from_surface(
+            clouds[row], gauge[row], OUTLINE, rest, smoothing=SMOOTHING
+        )
         found.append(
             {
                 "row": row,

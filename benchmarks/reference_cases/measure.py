@@ -17,7 +17,7 @@ from mjtactile.sim.scenes.world import World
 
 # N, and how many of its own sd: what is asked of a felt force
 FELT = 0.04
-FELT_SD = 3.0
+FORCE_SD = 3.0
 _LOOKS = 3  # a camera that runs: bars are wide in the image in which the force has just changed
 # steps over which a force at rest is averaged: the solver's tolerance rocks it by 0.3-0.5 %
 _REST = 20
@@ -91,7 +91,7 @@ def _press(case: Case) -> list[Number]:
                     "N",
                     force,
                     touch.force_normal,
-                    max(FELT, FELT_SD * touch.force_normal_sd),
+                    max(FELT, FORCE_SD * touch.force_normal_sd),
                     touch.force_normal_sd,
                 )
             )
@@ -156,7 +156,7 @@ def _hold(case: Case) -> list[Number]:
         world = PinchWorld(
             case.design,
             body,
-            pressure_gauge=case.design.chamber.supply_gauge,
+            gauge_pressure=case.design.chamber.supply_gauge,
             squeeze=1e-3 * plan["squeeze_mm"],
             timestep=1e-3 * step,
         )
@@ -250,7 +250,7 @@ def _spin(case: Case) -> list[Number]:
     axis = np.array(plan["axis"]) / np.linalg.norm(plan["axis"])
     for step in plan["timestep_ms"]:
         world = FloatWorld(
-            case.design, pressure_gauge=case.design.chamber.supply_gauge, timestep=1e-3 * step
+            case.design, gauge_pressure=case.design.chamber.supply_gauge, timestep=1e-3 * step
         )
         world.turn(plan["speed_rad_s"] * axis)
         before = world.angular_momentum

@@ -24,7 +24,7 @@ from mjtactile.rig.file import ValveConfig
 SERVOS = (1, 2)
 START = 126
 SIZE = 21
-_TRUE_SHARE = 0.05  # of the answers: a driver that accepted nothing at all would be no use
+_TRUE_FRACTION = 0.05  # of the answers: a driver that accepted nothing at all would be no use
 _PRESSURE = 1000
 _MAX = 3000.0
 _PATIENCE = 0.004  # s for an answer: most of them are none
@@ -74,7 +74,7 @@ def payload(servo: int) -> bytes:
 def servo_answer(rng: random.Random, question: bytes) -> tuple[bytes, bool]:
     """An answer of two servos to a sync read: true, or bad in one of the ways a bus goes bad."""
     packets = [p2.status(servo, 0, payload(servo)) for servo in SERVOS]
-    if rng.random() < _TRUE_SHARE:
+    if rng.random() < _TRUE_FRACTION:
         return b"".join(packets), False
     kind = rng.randrange(6)
     if kind == 0:
@@ -144,7 +144,7 @@ class ValveAdversary:
             text, text
         )
         true = valve.framed(f"{number} {answer}")
-        if not self.bad or rng.random() < _TRUE_SHARE:
+        if not self.bad or rng.random() < _TRUE_FRACTION:
             return true, False
         kind = rng.randrange(5)
         if kind == 0:
@@ -192,7 +192,7 @@ def fuzz_valve(count: int, seed: int = 0) -> dict[str, Any]:
                 tally["longest_s"] = max(tally["longest_s"], scaled_clock.monotonic() - begin)
             tally[
                 "wrong"
-                if reading.is_open or reading.fault or reading.pressure_gauge != _PRESSURE
+                if reading.is_open or reading.fault or reading.gauge_pressure != _PRESSURE
                 else "true"
             ] += 1
     finally:

@@ -21,9 +21,9 @@ from mjtactile.runtime.cycle import Cycle
 from mjtactile.runtime.references import inflate
 from mjtactile.runtime.session import Session
 from mjtactile.runtime.supervisor import Supervisor
-from mjtactile.sensing.pipeline import Chain
-from mjtactile.sensing.pipeline_state import ChainState
-from mjtactile.sensing.stateful_pipeline import Perception
+from mjtactile.sensing.pipeline import SensingPipeline
+from mjtactile.sensing.pipeline_state import PipelineState
+from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
 SENSOR = "paper16"
 OBJECT = "egg"
@@ -74,7 +74,7 @@ class Bench:
         self.object_name = object_name
         self.seed = seed
         self.process = EmulatorProcess(self.rig_file, design, object_name=object_name, seed=seed)
-        self._states: list[ChainState] = []
+        self._states: list[PipelineState] = []
 
     def connect(self) -> Rig:
         return build_emulated_rig(
@@ -93,11 +93,11 @@ class Bench:
             self._states = [
                 perception.state
                 for perception in session.perceptions
-                if isinstance(perception, Perception)
+                if isinstance(perception, StatefulPipeline)
             ]
             return session
-        chain = Chain(self.design)
-        session = Session(rig, [Perception(chain, state) for state in self._states])
+        chain = SensingPipeline(self.design)
+        session = Session(rig, [StatefulPipeline(chain, state) for state in self._states])
         inflate(rig.fingers, rig.clock)
         return session
 

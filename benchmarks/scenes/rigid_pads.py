@@ -8,7 +8,7 @@ import numpy as np
 
 from mjtactile.core import resources
 from mjtactile.core.design import SensorDesign
-from mjtactile.sim.attach import recommend_options
+from mjtactile.sim.attach import configure_options
 from mjtactile.sim.scenes.objects import add_object, load_object
 from mjtactile.sim.scenes.world import World
 
@@ -26,7 +26,7 @@ def scene(
     Newton with an elliptic cone: what MuJoCo's manual recommends for grasping rigid things.
     """
     spec = mujoco.MjSpec.from_file(str(resources.find("two_finger", "models/grippers", ".xml")))
-    recommend_options(spec, timestep)
+    configure_options(spec, timestep)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
     item = load_object(grasped)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from mjtactile.core.design import SensorDesign
-from mjtactile.sim.attach import attach_membrane, recommend_options
+from mjtactile.sim.attach import attach_membrane, configure_options
 from mjtactile.sim.scenes.world import World
 
 # m between two sensors, and of a ball above the frame before it falls
@@ -25,7 +25,7 @@ def row_of(
     """So many sensors that look up, inflated to `gauge` Pa and sealed; on each a `ball` (radius m,
     mass kg), or nothing. `settle` is the time before the valves close, and after, s."""
     spec = mujoco.MjSpec()
-    recommend_options(spec, timestep)
+    configure_options(spec, timestep)
     attachments = []
     for k in range(count):
         at = k * (design.frame.length + _GAP)

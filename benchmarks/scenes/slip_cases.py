@@ -10,7 +10,7 @@ import numpy as np
 BODIES = ("ball", "box", "cylinder", "lying cylinder", "soft block", "soft ball")
 FRICTION = (0.3, 1.2)
 SPEED = (2e-3, 40e-3)  # m/s that a slipping body comes to, where nothing moves it
-_SHEAR_MOST = 1.0  # N that the membrane is sheared by: more wrinkles it
+_SHEAR_MAX = 1.0  # N that the membrane is sheared by: more wrinkles it
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class SlipCase:
     frequency: float
 
 
-def draw_case(seed: int) -> SlipCase:
+def plot_case(seed: int) -> SlipCase:
     """Slips and holds alternate, and so do the ways to load; all else is drawn from the seed."""
     rng = np.random.default_rng([seed, 12])
     ways = SLIPS if seed % 2 == 0 else HOLDS
@@ -100,7 +100,7 @@ def draw_case(seed: int) -> SlipCase:
         float(size),
         float(mass),
         friction,
-        grip=float(min(rng.uniform(0.25, 1.5), _SHEAR_MOST / max(friction))),
+        grip=float(min(rng.uniform(0.25, 1.5), _SHEAR_MAX / max(friction))),
         offset=(float(rng.uniform(-4e-3, 4e-3)), float(rng.uniform(-3e-3, 3e-3))),
         angle=float(rng.uniform(0, 2 * np.pi)),
         share=float(rng.uniform(*way.share)),

@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.scenes.slip_cases import SlipCase
 from mjtactile.core.design import SensorDesign
-from mjtactile.sim.attach import DEFAULT_MESH, Attachment, attach_membrane, recommend_options
+from mjtactile.sim.attach import DEFAULT_MESH, Attachment, attach_membrane, configure_options
 from mjtactile.sim.scenes.world import World
 
 MESH = DEFAULT_MESH
@@ -35,7 +35,7 @@ _CLOSING = 0.02
 _CLEARANCE = 1e-3
 # The test: the grip is changed by a twentieth at this rate, Hz. N/m of a finger's way and N/m for
 # each N, of two membranes over 1 kPa that press on something hard
-_TEST_SHARE = 0.05
+_TEST_FRACTION = 0.05
 _TEST_RATE = 4.0
 _SOFT_GRIP = 220.0
 _STIFF_GRIP = 520.0
@@ -56,7 +56,7 @@ class SlipWorld(World):
     ):
         """`test`: the grip is changed a little all the while, to see what follows it."""
         spec = mujoco.MjSpec()
-        recommend_options(spec, timestep)
+        configure_options(spec, timestep)
         spec.option.gravity = [0, 0, 0]
         self.case = case
         self.direction = np.array([0.0, np.sin(case.angle), np.cos(case.angle)])
@@ -77,8 +77,8 @@ class SlipWorld(World):
             self.model.geom_friction[sensor.vertex_geom_ids, 0] = friction
         self._reach = reach
         self._test = test
-        self._test_way = 0.0
-        self._test_begin = 0.0
+        self._test_direction = 0.0
+        self._test_start = 0.0
 
     def _add_jaw(
         self, spec: mujoco.MjSpec, design: SensorDesign, prefix: str, mesh: tuple[int, int]
@@ -109,13 +109,13 @@ class SlipWorld(World):
     # -- what happens
     # --------------------------------------------------------------------------------
 
-    def inflate(self, pressure_gauge: float) -> None:
+    def inflate(self, gauge_pressure: float) -> None:
         """Fill both chambers, with the body out of the way; seals them."""
         self._hold_body(away=True)
         for sensor in self.sensors:
-            sensor.open_valve(pressure_gauge)
+            sensor.open_valve(gauge_pressure)
         self._still(_FILLING, away=True)
-        if pressure_gauge:
+        if gauge_pressure:
             for sensor in self.sensors:
                 sensor.close_valve()
 
@@ -152,8 +152,8 @@ class SlipWorld(World):
         begin = self.time
         if self._test:
             grip = float(normal.mean())
-            self._test_way = _TEST_SHARE * grip / (_SOFT_GRIP + _STIFF_GRIP * grip)
-            self._test_begin = begin
+            self._test_direction = _TEST_FRACTION * grip / (_SOFT_GRIP + _STIFF_GRIP * grip)
+            self._test_start = begin
         for _ in range(round(seconds / self.timestep)):
             self._squeeze(self._travel)
             self._apply(self.time - begin, limit, seconds)
@@ -192,8 +192,8 @@ class SlipWorld(World):
         self.data.xfrc_applied[self._body, :3] = force * self.direction
 
     def _squeeze(self, goal: float) -> None:
-        turned = 2 * np.pi * _TEST_RATE * (self.time - self._test_begin)
-        goal += self._test_way * float(np.sin(turned))
+        turned = 2 * np.pi * _TEST_RATE * (self.time - self._test_start)
+        goal += self._test_direction * float(np.sin(turned))
         for name in ("left/x", "right/x"):
             self.set_control(self._drives[name], goal)
 

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from mjtactile.core.design import SensorDesign
-from mjtactile.sim.attach import DEFAULT_MESH, attach_membrane, recommend_options
+from mjtactile.sim.attach import DEFAULT_MESH, attach_membrane, configure_options
 from mjtactile.sim.scenes.world import World
 
 # N/m and kg of the jaw that pinches
@@ -58,7 +58,7 @@ class DropWorld(World):
         sensor: SensorDesign | str | Path,
         thing: Body,
         *,
-        pressure_gauge: float,
+        gauge_pressure: float,
         speed: float = 0.0,
         timestep: float = 4e-3,
         mesh: tuple[int, int] = DEFAULT_MESH,
@@ -66,7 +66,7 @@ class DropWorld(World):
     ):
         """A `guided` body moves up and down only: a weight on a rail; else it is free."""
         spec = mujoco.MjSpec()
-        recommend_options(spec, timestep)
+        configure_options(spec, timestep)
         spec.worldbody.add_site(name="base")
         attachment = attach_membrane(spec, sensor, site="base", mesh=mesh)
         body = spec.worldbody.add_body(name="thing", pos=[0, 0, _HIGH])
@@ -82,13 +82,13 @@ class DropWorld(World):
         self._height = int(joint.qposadr[0]) + skip
         self._velocity = int(joint.dofadr[0]) + skip
         self.weight = thing.mass * 9.81
-        self._fill(pressure_gauge)
+        self._fill(gauge_pressure)
         top = self.sensors[0].height_at(0.0, 0.0) + attachment.design.membrane.thickness / 2
         self._hold(top + under + 2 * self.timestep * speed + 1e-5, -speed)
 
-    def _fill(self, pressure_gauge: float) -> None:
+    def _fill(self, gauge_pressure: float) -> None:
         sensor = self.sensors[0]
-        sensor.open_valve(pressure_gauge)
+        sensor.open_valve(gauge_pressure)
         for _ in range(round(_FILLING / self.timestep)):
             self._hold(_HIGH, 0.0)
             self.step()
@@ -107,18 +107,18 @@ class FloatWorld(World):
         self,
         sensor: SensorDesign | str | Path,
         *,
-        pressure_gauge: float,
+        gauge_pressure: float,
         timestep: float = 4e-3,
         mesh: tuple[int, int] = DEFAULT_MESH,
     ):
         spec = mujoco.MjSpec()
-        recommend_options(spec, timestep)
+        configure_options(spec, timestep)
         spec.option.gravity = [0, 0, 0]
         body = spec.worldbody.add_body(name="float")
         body.add_freejoint()
         body.add_site(name="mount", quat=[0.8, 0.3, 0.5, 0.1])
         super().__init__(spec, [attach_membrane(spec, sensor, site="mount", mesh=mesh)])
-        self.sensors[0].open_valve(pressure_gauge)
+        self.sensors[0].open_valve(gauge_pressure)
         self.step(round(_FILLING / timestep))
         self.sensors[0].close_valve()
 
@@ -143,13 +143,13 @@ class PinchWorld(World):
         sensor: SensorDesign | str | Path,
         thing: Body,
         *,
-        pressure_gauge: float,
+        gauge_pressure: float,
         squeeze: float,
         timestep: float = 4e-3,
         mesh: tuple[int, int] = DEFAULT_MESH,
     ):
         spec = mujoco.MjSpec()
-        recommend_options(spec, timestep)
+        configure_options(spec, timestep)
         quats = {
             "left/": [np.sqrt(0.5), 0, np.sqrt(0.5), 0],
             "right/": [np.sqrt(0.5), 0, -np.sqrt(0.5), 0],
@@ -177,7 +177,7 @@ class PinchWorld(World):
         self._place = int(joint.qposadr[0]) + 2
         self.weight = thing.mass * 9.81
         for device in self.sensors:
-            device.open_valve(pressure_gauge)
+            device.open_valve(gauge_pressure)
         gravity = self.model.opt.gravity.copy()
         self.model.opt.gravity = 0.0
         self.step(round(_FILLING / timestep))

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import benchmarks
-from mjtactile import Chain, Film, load_sensor
+from mjtactile import QuasistaticMembrane, SensingPipeline, load_sensor
 from mjtactile.core.types import Array, Markers
 from mjtactile.sensing.settings import DEFAULTS
 
@@ -32,11 +32,13 @@ def rows() -> list[dict[str, Any]]:
         A row a ball.
     """
     design = load_sensor("dense")
-    chain = Chain(design)
-    film = Film(design, _FILM)
+    chain = SensingPipeline(design)
+    film = QuasistaticMembrane(design, _FILM)
     order = [int(np.abs(_GRID - at[:2]).sum(axis=1).argmin()) for at in design.markers.p_SM]
-    state = chain.set_rest(chain.begin(), _seen(_at_rest(film)[order]), film.pressure_gauge)
-    finder = chain.shape_finder(state)
+    state = chain.load_rest_reference(
+        chain.begin(), _seen(_at_rest(film)[order]), film.gauge_pressure
+    )
+    finder = chain.make_shape_estimator(state)
     path = Path(benchmarks.__path__[0]) / "film_reference.json"
     found = []
     for seed, case in enumerate(json.loads(path.read_text(encoding="utf-8"))["cases"]):
@@ -45,7 +47,7 @@ def rows() -> list[dict[str, Any]]:
         places = 1e-6 * np.array(case["markers_um"])[order]
         markers = _seen(places + _NOISE * np.random.default_rng(seed).standard_normal((81, 3)))
         touch, _ = chain.feel(state, markers, chain.fitter.fit(markers), 0.0)
-        shape = chain.find_shape(state, [touch], finder)
+        shape = chain.estimate_contact_shape(state, [touch], finder)
         found.append(
             {
                 "kind": shape.kind,
@@ -60,7 +62,7 @@ def rows() -> list[dict[str, Any]]:
     return found
 
 
-def _at_rest(film: Film) -> Array:
+def _at_rest(film: QuasistaticMembrane) -> Array:
     """Places (81, 3) m of the markers on the film at rest."""
     from scipy.interpolate import RectBivariateSpline
 

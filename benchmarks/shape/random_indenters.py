@@ -101,7 +101,13 @@ def _round_rim(rng: np.random.Generator, name: str, at: tuple[float, float]) -> 
     profile.append((radius, 0.02))
     points = [(r * np.cos(t), r * np.sin(t), z) for r, z in profile for t in turn]
     return Case(
-        "face", name, _MESH, at, _mesh(np.array(points)), radius=radius, extra={"rim_mm": 1e3 * rim}
+        "face",
+        name,
+        _MESH,
+        at,
+        _mesh(np.array(points)),
+        radius=radius,
+        extra={"wall_mm": 1e3 * rim},
     )
 
 

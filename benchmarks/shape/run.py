@@ -24,9 +24,9 @@ from benchmarks.shape import independent_reference
 from benchmarks.shape.random_indenters import Case, draw
 from benchmarks.shape.tables import summary, table
 from mjtactile.core.design import load_sensor
-from mjtactile.core.types import Array, FeltShape, Touch, Traction
+from mjtactile.core.types import Array, ContactShape, Touch, Traction
 from mjtactile.experiments.test_bench import View, take_references
-from mjtactile.sensing.contact_shape.estimator import ShapeFinder
+from mjtactile.sensing.contact_shape.estimator import ContactShapeEstimator
 from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
@@ -35,7 +35,7 @@ FIRST_SEED = 1120  # those from 1000 on have been looked at, 2000 to 2059 are ca
 BODIES, BODIES_QUICK = 20, 2
 MESH = (33, 25)
 _DEPTHS = np.array([0.4, 0.8, 1.2, 1.7, 2.3, 3.0]) * 1e-3
-_FORCE_LEAST, _FORCE_MOST = 0.06, 1.5  # N
+_FORCE_MIN, _MAX_FORCE = 0.06, 1.5  # N
 _HELD = 4  # images
 _DRAG = 1e-3  # m at most
 _DRAGGED = (0.5, 1.0)  # of it
@@ -71,13 +71,13 @@ def _press(seed: int) -> list[dict[str, Any]]:
         world = PressWorld("dense", indenter, at=case.at, mesh=MESH)
     view = View(world, load_sensor("dense"), seed=seed)
     take_references(world, [view], world.design.chamber.supply_gauge)
-    finder = view.perception.chain.shape_finder(view.perception.state)  # made once
+    finder = view.perception.chain.make_shape_estimator(view.perception.state)  # made once
     drag = float(np.random.default_rng([seed, 78]).uniform(-_DRAG, _DRAG))
     rows: list[dict[str, Any]] = []
     for looked in _stages(world, drag):
         true = ground_truth.contact_wrench(world, 0)
         row = _followed(case, view, finder, true)
-        if row is None or -true[2] < _FORCE_LEAST:
+        if row is None or -true[2] < _FORCE_MIN:
             continue
         touch = row.pop("touch")
         row |= {"seed": seed, "looked": looked, "first": not rows}
@@ -93,7 +93,7 @@ def _stages(world: PressWorld, drag: float) -> Iterator[str]:
     reached = 0.0
     for depth in _DEPTHS:
         world.press(float(depth))
-        if -ground_truth.contact_force(world, 0)[2] > _FORCE_MOST:
+        if -ground_truth.contact_force(world, 0)[2] > _MAX_FORCE:
             world.press(reached)
             break
         reached = float(depth)
@@ -105,7 +105,9 @@ def _stages(world: PressWorld, drag: float) -> Iterator[str]:
         yield "drag"
 
 
-def _followed(case: Case, view: View, finder: ShapeFinder, true: Array) -> dict[str, Any] | None:
+def _followed(
+    case: Case, view: View, finder: ContactShapeEstimator, true: Array
+) -> dict[str, Any] | None:
     """One image more of a press; None where nothing is felt."""
     perception = view.perception
     before = perception.state
@@ -113,7 +115,9 @@ def _followed(case: Case, view: View, finder: ShapeFinder, true: Array) -> dict[
     if nodal.traction is None or not nodal.touching:
         return None
     start = time.thread_time()
-    felt, perception.state = perception.chain.follow_shape(before, perception.state, nodal, finder)
+    felt, perception.state = perception.chain.track_contact_shape(
+        before, perception.state, nodal, finder
+    )
     seconds = time.thread_time() - start
     assert felt.shape is not None and felt.traction is not None
     contact = nodal.contact
@@ -138,7 +142,7 @@ def _alone(case: Case, view: View, touch: Touch) -> dict[str, Any]:
     return {"looked": "image", "milliseconds": 1e3 * seconds, **_said(case, shape)}
 
 
-def _said(case: Case, shape: FeltShape) -> dict[str, Any]:
+def _said(case: Case, shape: ContactShape) -> dict[str, Any]:
     return {
         "name": case.name,
         "family": case.family,
@@ -162,7 +166,7 @@ def _chi2(traction: Traction, true: Array) -> float:
     return float(off @ np.linalg.solve(traction.wrench_cov, off)) / len(off)
 
 
-def _edge(case: Case, shape: FeltShape) -> dict[str, float]:
+def _edge(case: Case, shape: ContactShape) -> dict[str, float]:
     """Across a wedge's edge, and turned from it."""
     if case.name != "wedge":
         return {"edge_off_mm": np.nan, "edge_turn_deg": np.nan}

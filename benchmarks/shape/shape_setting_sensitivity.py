@@ -18,10 +18,10 @@ import numpy as np
 from benchmarks.shape.random_indenters import Case, draw
 from benchmarks.shape.run import MESH
 from mjtactile.core.design import load_sensor
-from mjtactile.core.types import FeltShape, Touch
+from mjtactile.core.types import ContactShape, Touch
 from mjtactile.experiments.test_bench import View, take_references
-from mjtactile.sensing.pipeline import Chain
-from mjtactile.sensing.pipeline_state import ChainState
+from mjtactile.sensing.pipeline import SensingPipeline
+from mjtactile.sensing.pipeline_state import PipelineState
 from mjtactile.sensing.settings import DEFAULTS, Settings
 from mjtactile.sensing.settings.tunable_parameter import PRESSED
 from mjtactile.sim import ground_truth
@@ -34,9 +34,9 @@ _CLOSE = "".join(
     for x, later in ((-3e-3, 0.0), (3e-3, 0.2e-3))
 )
 _DEPTHS = np.array([0.4, 0.8, 1.2, 1.7, 2.3]) * 1e-3  # m
-_FORCE_MOST = 1.5  # N
+_MAX_FORCE = 1.5  # N
 _HELD = 20  # images
-_AREA_ALIKE = 0.05
+_SIMILAR_AREA = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +44,8 @@ class Pressed:
     """A press: the `state` after its references, and of each image the states before and after it
     and what was felt."""
 
-    state: ChainState
-    images: Sequence[tuple[ChainState, ChainState, Touch]]
+    state: PipelineState
+    images: Sequence[tuple[PipelineState, PipelineState, Touch]]
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def record(case: Case) -> Pressed:
     images = []
     for depth in (*_DEPTHS, *[None] * _HELD):
         if depth is not None:
-            if -ground_truth.contact_force(world, 0)[2] > _FORCE_MOST:
+            if -ground_truth.contact_force(world, 0)[2] > _MAX_FORCE:
                 continue
             world.press(float(depth))
         before = perception.state
@@ -88,20 +88,20 @@ def record(case: Case) -> Pressed:
 
 def tell(presses: Sequence[Pressed], settings: Settings) -> list[ShapeEstimate]:
     """What all images say with these settings."""
-    chain = Chain(load_sensor("dense"), settings=settings)
+    chain = SensingPipeline(load_sensor("dense"), settings=settings)
     told = []
     for pressed in presses:
-        finder = chain.shape_finder(pressed.state)
+        finder = chain.make_shape_estimator(pressed.state)
         press = None
         for before, after, touch in pressed.images:
             followed = replace(before, press=press)
-            felt, state = chain.follow_shape(followed, after, touch, finder)
+            felt, state = chain.track_contact_shape(followed, after, touch, finder)
             press = state.press
             told.append(_told(felt.shape, felt.force_normal))
     return told
 
 
-def _told(shape: FeltShape | None, force: float) -> ShapeEstimate:
+def _told(shape: ContactShape | None, force: float) -> ShapeEstimate:
     assert shape is not None
     return ShapeEstimate(shape.kind, shape.area, shape.radius, force)
 
@@ -114,7 +114,7 @@ def change(before: Sequence[ShapeEstimate], now: Sequence[ShapeEstimate]) -> dic
     off = [new.force - old.force for old, new in pairs]
     return {
         "kinds": sum(old.kind != new.kind for old, new in pairs),
-        "areas": sum(abs(new.area / old.area - 1) > _AREA_ALIKE for old, new in same),
+        "areas": sum(abs(new.area / old.area - 1) > _SIMILAR_AREA for old, new in same),
         "radii": sum(np.isfinite(old.radius) != np.isfinite(new.radius) for old, new in same),
         "force_N": float(np.sqrt(np.mean(np.square(off)))),
     }

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmarks.slip.evaluate_case import Look
+from benchmarks.slip.evaluate_case import Sample
 from mjtactile.core.types import Touch
-from mjtactile.grasp_estimation import Following, follows
+from mjtactile.grasp_estimation import SlipTestResult, follows
 
 WINDOW = 0.3  # s: a little more than one period
 IN_TIME = 0.4  # s, with the test
@@ -22,7 +22,7 @@ STAYS = 0.7  # of the grip's change in the shear, and two sd: less is no slip
 _ARM = 3e-3  # m, of a contact: a torque about its normal counts as a force at it
 
 
-def states(looks: Sequence[Look]) -> list[str]:
+def states(looks: Sequence[Sample]) -> list[str]:
     """Say for each image "slipping" or "sticking", from it and those of the last 0.3 s alone."""
     signs = [look.touch.slip is not None and look.touch.slip.state == "slipping" for look in looks]
     return [
@@ -31,7 +31,7 @@ def states(looks: Sequence[Look]) -> list[str]:
     ]
 
 
-def followings(looks: Sequence[Look]) -> list[Following]:
+def followings(looks: Sequence[Sample]) -> list[SlipTestResult]:
     """How the shear, force and torque, followed the grip up to each image."""
     time = np.array([look.time for look in looks])
     normal = np.array([look.touch.force_normal for look in looks])
@@ -45,7 +45,7 @@ def followings(looks: Sequence[Look]) -> list[Following]:
     ]
 
 
-def sticks(found: Following) -> bool:
+def sticks(found: SlipTestResult) -> bool:
     """Whether it is plain that too little follows for a slip; False where nothing is known."""
     return found.share + 2 * found.sd < STAYS
 

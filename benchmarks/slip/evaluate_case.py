@@ -10,8 +10,8 @@ from benchmarks.scenes.slip_cases import SlipCase
 from benchmarks.scenes.slip_world import SlipWorld
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Touch
-from mjtactile.sensing.pipeline import Chain
-from mjtactile.sensing.pipeline_state import ChainState
+from mjtactile.sensing.pipeline import SensingPipeline
+from mjtactile.sensing.pipeline_state import PipelineState
 from mjtactile.sim import ground_truth
 from mjtactile.sim.attach import DEFAULT_MESH
 from mjtactile.sim.rendering.renderer import Renderer
@@ -68,27 +68,30 @@ class _Slider:
 
 
 def references(
-    design: SensorDesign, chain: Chain, case: SlipCase, mesh: tuple[int, int] = DEFAULT_MESH
-) -> ChainState:
+    design: SensorDesign,
+    chain: SensingPipeline,
+    case: SlipCase,
+    mesh: tuple[int, int] = DEFAULT_MESH,
+) -> PipelineState:
     """The sensor's own references, from images of it flat and inflated."""
     world = SlipWorld(design, case, mesh=mesh)
     renderer = Renderer(design, seed=case.seed)
     state = chain.begin()
     world.inflate(0.0)
-    state = chain.take_flat(
+    state = chain.measure_flat_reference(
         state, [renderer.render(*world.marker_poses(0), world.time) for _ in range(_IMAGES)]
     )
     supply = design.chamber.supply_gauge
     world.inflate(supply)
-    return chain.take_rest(
+    return chain.measure_rest_reference(
         state, [renderer.render(*world.marker_poses(0), world.time) for _ in range(_IMAGES)], supply
     )
 
 
 def watch(
     design: SensorDesign,
-    chain: Chain,
-    rest: ChainState,
+    chain: SensingPipeline,
+    rest: PipelineState,
     case: SlipCase,
     mesh: tuple[int, int] = DEFAULT_MESH,
     test: bool = False,

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.scenes.slip_cases import SlipCase, draw_case
+from benchmarks.scenes.slip_cases import SlipCase, plot_case
 from benchmarks.slip import active_slip_test
 from benchmarks.slip.evaluate_case import Watched, references, watch
 from benchmarks.slip.score import OUTCOMES, SLIPS, Frame, outcome
@@ -25,8 +25,8 @@ from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.evaluate.wilson import wilson
 from mjtactile.report.figures import new_figure
-from mjtactile.sensing.pipeline import Chain
-from mjtactile.sensing.pipeline_state import ChainState
+from mjtactile.sensing.pipeline import SensingPipeline
+from mjtactile.sensing.pipeline_state import PipelineState
 
 FIRST_SEED = 2000
 CASES = 200
@@ -122,7 +122,7 @@ def with_test(rows: Sequence[Row]) -> dict[str, Any]:
 def case_rows(seed: int, test: bool = False, rate: float = RATES[0]) -> list[Row]:
     """Both fingers of one case; one row without a finger when the simulation could not do it. With
     `test` what the test says counts, and not the chain."""
-    case = draw_case(seed)
+    case = plot_case(seed)
     design, chain, rest = _sensor(rate)
     try:
         return rows_of(case, watch(design, chain, rest, case, test=test), test)
@@ -169,12 +169,12 @@ def rows_of(case: SlipCase, watched: Watched, test: bool = False) -> list[Row]:
 
 
 @cache
-def _sensor(rate: float) -> tuple[SensorDesign, Chain, ChainState]:
+def _sensor(rate: float) -> tuple[SensorDesign, SensingPipeline, PipelineState]:
     """The sensor, its chain, and its references, taken once a process."""
     design = load_sensor(SENSOR)
     design = replace(design, camera=replace(design.camera, rate=rate))
-    chain = Chain(design)
-    return design, chain, references(design, chain, draw_case(0))
+    chain = SensingPipeline(design)
+    return design, chain, references(design, chain, plot_case(0))
 
 
 def summary(rows: Sequence[Row], rate: float = RATES[0]) -> dict[str, Any]:

@@ -29,7 +29,7 @@ def main(rate: float, kind: str) -> dict[str, Any]:
     from mjtactile.core.design import load_sensor
     from mjtactile.runtime.controller import load_controller
     from mjtactile.runtime.session import open_session
-    from mjtactile.sensing.stateful_pipeline import Perception
+    from mjtactile.sensing.stateful_pipeline import StatefulPipeline
     from mjtactile.sim.camera import SimCamera
     from mjtactile.sim.rig import SimClock
     from mjtactile.sim.scenes.world import World
@@ -58,7 +58,7 @@ def main(rate: float, kind: str) -> dict[str, Any]:
         setattr(owner, name, outer)
 
     if kind == "core":
-        timed(Perception, "perceive", "image to touch")
+        timed(StatefulPipeline, "perceive", "image to touch")
         timed(SimCamera, "draw", "drawing an image")
         timed(World, "step", "a step")
         # an older checkout has it in another file

@@ -231,7 +231,7 @@ def _drop(case: Case, design: SensorDesign) -> tuple[World, float | None, bool]:
     world = DropWorld(
         design,
         Body(case.body, case.size, case.mass),
-        pressure_gauge=case.pressure,
+        gauge_pressure=case.pressure,
         speed=case.speed,
         timestep=case.timestep,
         mesh=case.mesh,
@@ -244,7 +244,7 @@ def _pinch(case: Case, design: SensorDesign) -> tuple[World, float | None, bool]
     world = PinchWorld(
         design,
         Body(case.body, case.size, case.mass),
-        pressure_gauge=case.pressure,
+        gauge_pressure=case.pressure,
         squeeze=case.depth,
         timestep=case.timestep,
         mesh=case.mesh,

@@ -46,7 +46,7 @@ _SCRIPT = """(() => {
 
 
 @contextlib.contextmanager
-def look_at(url: str, folder: Path) -> Iterator[Callable[[], list[tuple[int, float]]]]:
+def check_image(url: str, folder: Path) -> Iterator[Callable[[], list[tuple[int, float]]]]:
     """A page with `url`. Gives what says which cycles' pictures it got, and when, s of the
     clock."""
     assert CHROMIUM is not None

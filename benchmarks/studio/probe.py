@@ -18,7 +18,7 @@ from mjtactile.runtime.cycle import Cycle
 from mjtactile.runtime.grasp import run_grasp
 from mjtactile.studio import panel
 from mjtactile.studio.serve import watch
-from mjtactile.studio.session_bridge import Show
+from mjtactile.studio.session_bridge import SessionBridge
 
 MARK = 171  # in the third byte of a picture that says in its first two which cycle's it is
 # of a cycle, s: of the simulation, on the clock, and of core time with its processes
@@ -26,7 +26,7 @@ Moments = tuple[float, float, float]
 _FRAMES = 60  # that are drawn before it begins: the page has its model and its textures
 
 
-class Watched(Show):
+class Watched(SessionBridge):
     """A show that takes its own time."""
 
     def __init__(self) -> None:

@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from benchmarks.studio.browser import CHROMIUM, look_at
+from benchmarks.studio.browser import CHROMIUM, check_image
 from mjtactile.core import platform_support
 from mjtactile.core.errors import InputError
 from mjtactile.runtime.progress import Progress
@@ -82,7 +82,7 @@ def _probe(kind: str) -> dict[str, Any]:
         for line in process.stdout:
             last = line
             if seen is None and (found := _ADDRESS.search(line)):
-                seen = stack.enter_context(look_at(found.group(), Path(home) / "page"))
+                seen = stack.enter_context(check_image(found.group(), Path(home) / "page"))
         if not last.startswith("{"):
             raise InputError(f"the grasp ended with {last!r}", field="bench studio")
         result = json.loads(last)

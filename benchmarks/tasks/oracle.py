@@ -16,19 +16,21 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.scenario import Scenario
-from mjtactile.core.task import GRAVITY, DrawnTask, load_task
+from mjtactile.core.task import GRAVITY, SampledTask, load_task
 from mjtactile.core.types import Command, Observation
 from mjtactile.recording.observer import Observer
 from mjtactile.runtime.controller import load_controller
-from mjtactile.runtime.task_scoring import Judge
+from mjtactile.runtime.task_scoring import TaskScorer
 from mjtactile.sim import ground_truth
 
 MARGIN = 1.25  # grip over what holding takes: what the jaws miss their target by
 AHEAD = 0.5  # s: what the jaws need to follow
-FELT_PULL = 0.5  # N, of who takes it: what is held with less is torn out before the pull is felt
+PULL_ESTIMATE = (
+    0.5  # N, of who takes it: what is held with less is torn out before the pull is felt
+)
 _LOOKS = 26
 _LEAST = 0.15  # N: less is not regulated
-_MOST_LEVER = 3.0  # of a torque about the grip, in the need
+_MAX_LEVER = 3.0  # of a torque about the grip, in the need
 
 
 def step(observation: Observation) -> Command:
@@ -49,15 +51,15 @@ class Oracle(Observer):
         module: Any = sys.modules[own.function.__module__]
         module.grip_as_needed = lambda observation, command: command
         self._scenario = scenario
-        self._judge: Judge | None = None
-        self._drawn: DrawnTask | None = None
+        self._judge: TaskScorer | None = None
+        self._drawn: SampledTask | None = None
         self._up_since = math.nan
         self._lever = 1.0
         self.need = 0.0
 
     def begin(self, session: Any) -> None:
         """Take hold of the truth."""
-        self._judge = Judge.of(self._scenario, session.rig)
+        self._judge = TaskScorer.of(self._scenario, session.rig)
         fingers = len(session.rig.fingers)
         self._drawn = load_task(self._scenario.task).draw(self._scenario.seed, fingers)
 
@@ -72,7 +74,7 @@ class Oracle(Observer):
         now = judge.need()
         plain = self._plain(time, time)
         if judge.in_the_air() and plain > 0 and now > 0:
-            self._lever = min(max(now / plain, 1.0), _MOST_LEVER)
+            self._lever = min(max(now / plain, 1.0), _MAX_LEVER)
         moments = np.linspace(time, time + AHEAD, _LOOKS)
         ahead = max(self._plain(moment, time) for moment in moments)
         self.need = max(now, ahead * self._lever)
@@ -108,5 +110,5 @@ class Oracle(Observer):
             elif event.kind == "push" and 0 < done < 1:
                 push = max(push, event.values["impulse"] / event.last)
             elif event.kind == "pull" and done > 0:
-                push = max(push, FELT_PULL)
+                push = max(push, PULL_ESTIMATE)
         return (mass * pull + push) / judge.friction_sum()

@@ -44,10 +44,10 @@ def table(result: Mapping[str, Any]) -> str:
         lines.append(f"| {task} | {' | '.join(cells)} |")
     lines += ["", f"| beside | {head} |", "|---" * (len(names) + 1) + "|"]
     for task, key, which, label, form in (
-        ("place", "bump_N_s", "median", "bump when placing, N s: median", "{:.4f}"),
-        ("place", "bump_N_s", "p95", "bump when placing, N s: 95 %", "{:.4f}"),
-        ("hand-over", "let_go_s", "median", "let go after, s: median", "{:.2f}"),
-        ("hand-over", "let_go_s", "p95", "let go after, s: 95 %", "{:.2f}"),
+        ("place", "impact_N_s", "median", "bump when placing, N s: median", "{:.4f}"),
+        ("place", "impact_N_s", "p95", "bump when placing, N s: 95 %", "{:.4f}"),
+        ("hand-over", "release_delay_s", "median", "let go after, s: median", "{:.2f}"),
+        ("hand-over", "release_delay_s", "p95", "let go after, s: 95 %", "{:.2f}"),
         ("bump", "margin_ready", "median", f"bump: {READY}", "{:.1f}"),
         ("hand-over", "margin_ready", "median", f"hand-over: {READY}", "{:.1f}"),
         ("", "margin", "median", "grip over need in all tasks, median", "{:.1f}"),

@@ -113,7 +113,7 @@ def press(
         SimulationError: the body went through.
     """
     spec = mujoco.MjSpec()
-    mjtactile.recommend_options(spec, timestep)
+    mjtactile.configure_options(spec, timestep)
     spec.option.gravity = [0.0, 0.0, 0.0]
     spec.option.tolerance = 1e-9
     spec.worldbody.add_body(name="base").add_site(name="here")
@@ -142,4 +142,4 @@ def press(
         data.ctrl[0] = height
         mjtactile.step(model, data, [finger])
     mjtactile.step(model, data, [finger], nstep=round(_STILL / timestep))
-    return Pressed(-float(finger.true_wrench()[2]), dict(finger.flags))
+    return Pressed(-float(finger.ground_truth_wrench()[2]), dict(finger.flags))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.thin_objects.press import BODIES, FACES, Body, press
-from mjtactile import Film, FilmState, Obstacle
+from mjtactile import MembraneSolution, Obstacle, QuasistaticMembrane
 from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.core.types import Array
 from mjtactile.runtime.progress import Progress
@@ -30,7 +30,7 @@ Say = Callable[[str], None]
 def run(out: Path, *, quick: bool = False, say: Say | None = None) -> dict[str, Any]:
     """Forces of all bodies at all places and speeds, and the film's."""
     say = say or Progress().message
-    films = [Film("dense", grid, 1000.0) for grid in (_GRID, *_COARSER)]
+    films = [QuasistaticMembrane("dense", grid, 1000.0) for grid in (_GRID, *_COARSER)]
     places = PLACES_QUICK if quick else PLACES
     rows = []
     for name, body in (BODIES | FACES).items():
@@ -43,7 +43,9 @@ def run(out: Path, *, quick: bool = False, say: Say | None = None) -> dict[str, 
     return {"places": places, "speeds": list(SPEEDS), "rows": rows}
 
 
-def _compared(films: list[Film], body: Body, at: Array, turn: float) -> dict[str, Any]:
+def _compared(
+    films: list[QuasistaticMembrane], body: Body, at: Array, turn: float
+) -> dict[str, Any]:
     """Forces, N, at each speed (None: the body went through, which is `stopped`), the film's, and
     what the flags say. A scene that is refused ends the benchmark: none of these should be."""
     forces: list[float | None] = []
@@ -68,19 +70,21 @@ def _compared(films: list[Film], body: Body, at: Array, turn: float) -> dict[str
     }
 
 
-def _reference(films: list[Film], body: Body, at: Array, turn: float) -> float | None:
+def _reference(
+    films: list[QuasistaticMembrane], body: Body, at: Array, turn: float
+) -> float | None:
     """Force, N, of the finest film that comes to rest on the body."""
     forces = (_film_force(film, body, at, turn) for film in films[1 if body.tilt else 0 :])
     return next((force for force in forces if force is not None), None)
 
 
-def _film_force(film: Film, body: Body, at: Array, turn: float) -> float | None:
+def _film_force(film: QuasistaticMembrane, body: Body, at: Array, turn: float) -> float | None:
     """Force, N, of the film at rest on the body; None where it finds none."""
     from scipy.interpolate import RectBivariateSpline
 
     surface = RectBivariateSpline(film.x, film.y, film.rest.displacements[2])
     height = float(surface.ev(*at)) - body.depth + body.below
-    state: FilmState | None = None
+    state: MembraneSolution | None = None
     for lift in np.linspace(body.depth, 0.0, 9)[1:]:
         obstacle = _obstacle(body, (at[0], at[1], height + lift), body.rotation(turn))
         try:
@@ -94,9 +98,9 @@ def _obstacle(body: Body, p_SO: tuple[float, float, float], R_SO: Array) -> Obst
     """The body as the film takes it. A lying wire goes on in flanks that a sheet does not reach:
     between two nodes it would be missed."""
     if body.kind == "box":
-        return Film.obstacle("box", body.size, p_SO, R_SO)
+        return QuasistaticMembrane.obstacle("box", body.size, p_SO, R_SO)
     if not body.tilt:
-        return Film.obstacle("cylinder", body.size[:2], p_SO, R_SO)
+        return QuasistaticMembrane.obstacle("cylinder", body.size[:2], p_SO, R_SO)
     radius, half = body.size[:2]
     half += radius if body.kind == "capsule" else 0.0
     # the wire's axis is its z; its lowest line is at -y, which the tilt about x turns down
@@ -106,7 +110,7 @@ def _obstacle(body: Body, p_SO: tuple[float, float, float], R_SO: Array) -> Obst
     section = [*zip(across, down, strict=True)]
     section += [(x + np.sign(x) * flank[0], y + flank[1]) for x, y in (section[0], section[-1])]
     corners = [(x, y, z) for x, y in section for z in (-half, half)]
-    return Film.obstacle("mesh", (), p_SO, R_SO, data=corners)
+    return QuasistaticMembrane.obstacle("mesh", (), p_SO, R_SO, data=corners)
 
 
 def table(result: dict[str, Any]) -> str:

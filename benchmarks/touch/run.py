@@ -72,11 +72,13 @@ class LayoutView(View):
             *self._markers.marker_poses(self.world.sensors[0].p_SV), self._clock
         )
 
-    def take_rest(self, pressure: float) -> None:
+    def measure_rest_reference(self, pressure: float) -> None:
         """The rest state of the weak form, which the other levels are compared with."""
         chain = self.perception.chain
         state = self.perception.state
-        self._weak_rest = self._weak.rest_state(chain.rest_markers(state, self.images()), pressure)
+        self._weak_rest = self._weak.rest_state(
+            chain.detect_rest_markers(state, self.images()), pressure
+        )
 
     def look(self, image: Image | None = None) -> Touch:
         image = self.image() if image is None else image
@@ -159,7 +161,7 @@ def _start(
     supply = world.design.chamber.supply_gauge
     take_references(world, list(views.values()), supply)
     for view in views.values():
-        view.take_rest(supply)
+        view.measure_rest_reference(supply)
     return world, views
 
 
@@ -239,7 +241,7 @@ def _compare(world: PressWorld, touch: Touch) -> dict[str, Any]:
         "area_mm2": 1e6 * touch.contact.area,
         "penetration_mm": 1e3 * ground_truth.penetration(world, 0),
         "centroid_error_mm": 1e3 * float(np.linalg.norm(touch.contact.centroid - centroid)),
-        "pressure_error_Pa": touch.traction.pressure_gauge - world.sensors[0].pressure_gauge,
+        "pressure_error_Pa": touch.traction.gauge_pressure - world.sensors[0].gauge_pressure,
     }
 
 

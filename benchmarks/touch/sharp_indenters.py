@@ -1,5 +1,5 @@
 """Edges, corners and two balls at once for `bench touch`: what is felt of them without a shape and
-with it (`Perception.shape`). The bodies are those of `bench shape`, of seeds of their own."""
+with it (`StatefulPipeline.shape`). The bodies are those of `bench shape`, of seeds of their own."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FIRST_SEED = 1200
 _EACH, _EACH_QUICK = 3, 1
 _DEPTHS = (0.8e-3, 1.6e-3, 2.6e-3)
 _DRAG = 1e-3  # m at most, where it was pressed deepest
-_FORCE_MOST = 1.5  # N
+_MAX_FORCE = 1.5  # N
 _FRAMES = 3  # looked at in each state; the last one counts
 
 
@@ -52,7 +52,7 @@ def episode(
         A row for each state and sensor.
     """
     finders = {
-        name: view.perception.chain.shape_finder(view.perception.state)
+        name: view.perception.chain.make_shape_estimator(view.perception.state)
         for name, view in views.items()
     }
     drag = float(np.random.default_rng([seed, 79]).uniform(-_DRAG, _DRAG))
@@ -60,7 +60,7 @@ def episode(
     reached = 0.0
     for depth in _DEPTHS:
         world.press(depth)
-        if -ground_truth.contact_force(world, 0)[2] > _FORCE_MOST:
+        if -ground_truth.contact_force(world, 0)[2] > _MAX_FORCE:
             break
         reached = depth
         rows += _looked(world, views, finders)
@@ -81,7 +81,7 @@ def _looked(
             image = view.image()
             before = perception.state
             touch = perception.perceive(image, image.time)
-            felt, perception.state = perception.chain.follow_shape(
+            felt, perception.state = perception.chain.track_contact_shape(
                 before, perception.state, touch, finders[name]
             )
         assert touch is not None and felt is not None and felt.shape is not None

@@ -12,7 +12,7 @@ from benchmarks.touch import sharp_indenters
 from mjtactile.report.figures import new_figure
 
 LIGHT = 0.03  # N, the smallest touch that is asked for
-_DIRECTION_LEAST = 0.3  # N
+_DIRECTION_MIN = 0.3  # N
 
 
 def summary(name: str, result: Mapping[str, Any]) -> dict[str, Any]:
@@ -41,7 +41,7 @@ def summary(name: str, result: Mapping[str, Any]) -> dict[str, Any]:
             [
                 r["direction_error_deg"]
                 for r, f in zip(rows, full, strict=True)
-                if f > _DIRECTION_LEAST
+                if f > _DIRECTION_MIN
             ]
         ),
         "torque_Nmm": _mean(np.linalg.norm(torque, axis=1)),

@@ -34,7 +34,7 @@ _FAST = 0.02
 _SQUEEZE = (0.5e-3, 4e-3)
 # N and share of the force by which a force at rest does not change in a step
 _JUMP = 0.02
-_JUMP_SHARE = 0.05
+_JUMP_FRACTION = 0.05
 # images between two looks at the area; N from which on there is one
 _AREA_EVERY = 5
 _LEAST = 0.02
@@ -81,7 +81,7 @@ def watch(scene: Scene) -> Watched:
     if scene.kind == "hold":
         squeeze = float(np.interp(scene.forces[1], (0.04, 1.8), _SQUEEZE))
         world = PinchWorld(
-            design, scene.body, pressure_gauge=scene.supply, squeeze=squeeze, mesh=scene.mesh
+            design, scene.body, gauge_pressure=scene.supply, squeeze=squeeze, mesh=scene.mesh
         )
     fingers = range(len(world.sensors))
     renderers = [Renderer(design, seed=2 * scene.seed + k) for k in fingers]
@@ -105,7 +105,7 @@ def watch(scene: Scene) -> Watched:
                     else np.nan
                 )
                 jump = float(np.abs(wrenches[k] - before[k])[:3].max())
-                rattles = rests and jump > _JUMP + _JUMP_SHARE * float(
+                rattles = rests and jump > _JUMP + _JUMP_FRACTION * float(
                     np.linalg.norm(wrenches[k][:3])
                 )
                 looks.append(Sample(touch, wrenches[k], area, rattles))

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.uncertainty.evaluate_scene import Look, watch
-from benchmarks.uncertainty.scenes import draw_scene
+from benchmarks.uncertainty.evaluate_scene import Sample, watch
+from benchmarks.uncertainty.scenes import render_scene
 from benchmarks.uncertainty.tables import summary, table
 from mjtactile.core.errors import SimulationError
 from mjtactile.core.status import OK
@@ -53,7 +53,7 @@ def run(
 
 def scene_rows(seed: int) -> dict[str, Any]:
     """One scene: what it is, and a row for each image."""
-    scene = draw_scene(seed)
+    scene = render_scene(seed)
     about = {
         "seed": seed,
         "kind": scene.kind,
@@ -72,7 +72,7 @@ def scene_rows(seed: int) -> dict[str, Any]:
     }
 
 
-def _row(look: Look) -> dict[str, Any]:
+def _row(look: Sample) -> dict[str, Any]:
     touch = look.touch
     traction = look.touch.traction
     known = touch.status == OK

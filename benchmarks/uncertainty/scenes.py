@@ -82,7 +82,7 @@ class Scene:
         return self.indenter.path.stem if self.indenter.path else self.indenter.kind
 
 
-def draw_scene(seed: int) -> Scene:
+def render_scene(seed: int) -> Scene:
     """Kinds and sensors alternate; all else is drawn from the seed."""
     rng = np.random.default_rng([seed, 23])
     kind = KINDS[seed % len(KINDS)]

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mjtactile.core.calibration_parts import Lens, Stamp
+from mjtactile.core.calibration_parts import CalibrationMetadata, LensCalibration
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 
@@ -304,9 +304,9 @@ def camera_info(c: CameraCalibration, name: str) -> dict[str, Any]:
     }
 
 
-def lens_part(c: CameraCalibration, stamp: Stamp) -> Lens:
+def lens_part(c: CameraCalibration, stamp: CalibrationMetadata) -> LensCalibration:
     """What a finger's calibration keeps of it."""
-    return Lens(
+    return LensCalibration(
         *c.size,
         float(c.K[0, 0]),
         float(c.K[1, 1]),

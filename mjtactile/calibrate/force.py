@@ -12,18 +12,18 @@ import numpy as np
 from mjtactile.calibrate.force_from_area import AreaCalibration
 from mjtactile.calibrate.result_io import fit_line
 from mjtactile.core.calibration import Calibration
-from mjtactile.core.calibration_parts import ForceScale, Stamp
+from mjtactile.core.calibration_parts import CalibrationMetadata, ForceScale
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, Image
-from mjtactile.sensing.stateful_pipeline import Perception
+from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
 LOADS_MIN = 4
 FORCE_MIN = 0.2  # N; the largest load, below it noise is what would be calibrated
 SCALE_OFF_MAX = 0.25  # the sensor file's thickness and modulus explain no more than that
-RMS_SHARE = 0.10  # of the largest load
+RMS_FRACTION = 0.10  # of the largest load
 # dF = c dA is no better than that for a sealed membrane (tests/physics/test_paper_force.py)
-AREA_RMS_SHARE = 0.30
+AREA_RMS_FRACTION = 0.30
 GRAVITY = 9.80665  # m/s^2, standard
 
 
@@ -66,19 +66,19 @@ def ready_perception(
     flat: Sequence[Image],
     rest: Sequence[Image],
     reading: float | None,
-) -> Perception:
+) -> StatefulPipeline:
     """Perception with references from these pictures, at what its pressure sensor says, Pa (None:
     there is none), without the scale that is to be found. Raises DeviceError when they do not agree
     with the sensor file."""
-    perception = Perception.of(design, replace(calibration, force=None))
-    perception.take_flat(flat)
-    perception.take_rest(
+    perception = StatefulPipeline.of(design, replace(calibration, force=None))
+    perception.measure_flat_reference(flat)
+    perception.measure_rest_reference(
         rest, design.chamber.supply_gauge if reading is None else calibration.pressure(reading)
     )
     return perception
 
 
-def feel(perception: Perception, images: Sequence[Image]) -> tuple[float, float]:
+def feel(perception: StatefulPipeline, images: Sequence[Image]) -> tuple[float, float]:
     """Mean normal force, N, and area, m^2, that a sensor with references sees in images of one
     load.
 
@@ -134,7 +134,7 @@ def calibrate_force(true: Array, felt: Array, area: Array, area_rest: float) -> 
     )
 
 
-def force_part(c: ForceCalibration, stamp: Stamp) -> ForceScale:
+def force_part(c: ForceCalibration, stamp: CalibrationMetadata) -> ForceScale:
     """What a finger's calibration keeps of it: the slope. At rest a sensor feels nothing; the
     offset is what held the load cell, or its zero."""
     return ForceScale(c.scale, c.scale_sd, float(np.max(c.true)), stamp)
@@ -165,18 +165,18 @@ def _judge(
             "file",
         ),
         (
-            rms <= RMS_SHARE * largest,
+            rms <= RMS_FRACTION * largest,
             f"the loads are off a line by {rms:.2f} N of {largest:.2f}: loads slid, load cell "
             "tilted",
         ),
         (
-            abs(offset) <= RMS_SHARE * largest,
+            abs(offset) <= RMS_FRACTION * largest,
             f"without a load it would feel {-offset / scale:.2f} N: the rest images were not free "
             "of touch, or the load cell's zero is off",
         ),
         (constant is not None, "the membrane's area does not grow with the load: no constant c"),
         (
-            constant is None or constant.residual <= AREA_RMS_SHARE * largest,
+            constant is None or constant.residual <= AREA_RMS_FRACTION * largest,
             f"dF = c dA leaves {constant.residual if constant else np.nan:.2f} N of {largest:.2f}: "
             "too few or too small loads",
         ),

@@ -14,7 +14,7 @@ from mjtactile.core.calibration_parts import FrameCalibration, RestMarkers
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Image
-from mjtactile.sensing.stateful_pipeline import Perception
+from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
 # centres of markers in focus are found to 0.05 px; a bent frame or a wrong lens shows as more
 RESIDUAL_MAX_PX = 1.0
@@ -25,7 +25,7 @@ def calibrate_frame(
     calibration: Calibration,
     flat: Sequence[Image],
     rest: Sequence[Image],
-    pressure_gauge: float,
+    gauge_pressure: float,
     *,
     sealed: bool = True,
 ) -> tuple[FrameCalibration | None, dict[str, Any], list[str]]:
@@ -33,12 +33,14 @@ def calibrate_frame(
     refuse it.
 
     `flat` and `rest` (may be empty) are images of the membrane with the valve open, and inflated to
-    `pressure_gauge` Pa.
+    `gauge_pressure` Pa.
     """
-    perception = Perception.of(design, calibration)
+    perception = StatefulPipeline.of(design, calibration)
     try:
-        found = perception.take_flat(flat)
-        markers = perception.take_rest(rest, pressure_gauge, sealed=sealed) if rest else None
+        found = perception.measure_flat_reference(flat)
+        markers = (
+            perception.measure_rest_reference(rest, gauge_pressure, sealed=sealed) if rest else None
+        )
     except DeviceError as error:  # the pictures do not agree with the sensor file
         return None, {"sensor": design.name, "images": len(flat)}, [str(error)]
     reference = perception.state.reference
@@ -64,7 +66,7 @@ def calibrate_frame(
         found.residual_px,
         found.scale_sd,
         stamp_of(design, report),
-        None if markers is None else RestMarkers(markers, pressure_gauge, sealed),
+        None if markers is None else RestMarkers(markers, gauge_pressure, sealed),
         stiffness,
     )
     reasons = [

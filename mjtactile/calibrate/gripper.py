@@ -28,7 +28,7 @@ SCALE_OFF_MAX = 0.03  # more is a wrong pinion radius or a wrong law, which a nu
 OPENING_RMS_MAX = 2e-4  # m; a caliper reads 0.02 mm, a servo's tick is 0.02 to 0.03 mm
 BACKLASH_MAX = 1e-3  # m; the membrane is pressed by 1 to 3 mm
 FACTOR_RANGE = (0.5, 1.5)  # data sheets are stall values, good to 20 %; friction takes more
-FORCE_RMS_SHARE = 0.10  # of the largest force
+FORCE_RMS_FRACTION = 0.10  # of the largest force
 
 
 @dataclass(frozen=True)
@@ -107,10 +107,10 @@ def calibrate_opening(
         float(np.sqrt(np.mean(left**2))),
         (),
     )
-    return OpeningCalibration(**{**asdict(result), "reasons": tuple(_judge_opening(result))})
+    return OpeningCalibration(**{**asdict(result), "reasons": tuple(_assess_opening(result))})
 
 
-def _judge_opening(c: OpeningCalibration) -> list[str]:
+def _assess_opening(c: OpeningCalibration) -> list[str]:
     checks = [
         (
             abs(c.scale - 1) <= SCALE_OFF_MAX,
@@ -144,11 +144,11 @@ def calibrate_force(reported: Array, measured: Array) -> GripperForceCalibration
         float(factor), float(factor_sd), float(offset), float(offset_sd), rms, ()
     )
     return GripperForceCalibration(
-        **{**asdict(result), "reasons": tuple(_judge_force(result, float(np.max(measured))))}
+        **{**asdict(result), "reasons": tuple(_assess_force(result, float(np.max(measured))))}
     )
 
 
-def _judge_force(c: GripperForceCalibration, largest: float) -> list[str]:
+def _assess_force(c: GripperForceCalibration, largest: float) -> list[str]:
     low, high = FACTOR_RANGE
     checks = [
         (
@@ -157,7 +157,7 @@ def _judge_force(c: GripperForceCalibration, largest: float) -> list[str]:
             "plausible: wrong servo model, mm_per_rad or load cell range",
         ),
         (
-            c.rms <= FORCE_RMS_SHARE * largest,
+            c.rms <= FORCE_RMS_FRACTION * largest,
             f"the forces are off a line by {c.rms:.2f} N of {largest:.2f}: stick-slip, a jaw that "
             "touches something else",
         ),

@@ -32,7 +32,7 @@ Ask = Callable[[str], float | None]
 
 # a view counts when the board rests, and is elsewhere than in all others
 _STILL_PX = 2.0
-_NEW_VIEW_SHARE = 0.06
+_NEW_VIEW_FRACTION = 0.06
 _SPEED = 0.010  # m/s of the opening while calibrating
 _PERIOD = 0.02  # s between two commands
 _REST_TIME = 0.6  # s at each opening
@@ -76,9 +76,7 @@ def collect_views(
     return taken
 
 
-def camera_pictures(
-    camera: OpenCvCamera, seconds: float
-) -> Iterator[tuple[str, NDArray[np.uint8]]]:
+def camera_images(camera: OpenCvCamera, seconds: float) -> Iterator[tuple[str, NDArray[np.uint8]]]:
     """Each new picture of a camera, for `seconds` s. Raises DeviceError when it fails."""
     end = scaled_clock.monotonic() + seconds
     last = 0.0
@@ -100,7 +98,7 @@ def _moved(view: BoardView, other: BoardView) -> float:
 
 
 def _is_new(view: BoardView, taken: Sequence[BoardView], width: int) -> bool:
-    return all(_moved(view, other) > _NEW_VIEW_SHARE * width for other in taken)
+    return all(_moved(view, other) > _NEW_VIEW_FRACTION * width for other in taken)
 
 
 def _hint(taken: Sequence[BoardView], shape: tuple[int, ...]) -> str:
@@ -120,17 +118,17 @@ def _hint(taken: Sequence[BoardView], shape: tuple[int, ...]) -> str:
 # --------------------------------------------------------------------------------
 
 
-def reference_pictures(rig: Rig, say: Say) -> list[tuple[list[Image], list[Image], float | None]]:
+def reference_images(rig: Rig, say: Say) -> list[tuple[list[Image], list[Image], float | None]]:
     """Of each finger: pictures of the flat and of the inflated membrane, and what its pressure
     sensor says then, Pa."""
     taken = {}
     for reference in take_references(rig.fingers, rig.clock, say):
         taken[reference.stage] = reference
-    pressures = taken["rest"].pressure_gauge or [None] * len(rig.fingers)
+    pressures = taken["rest"].gauge_pressure or [None] * len(rig.fingers)
     return list(zip(taken["flat"].images, taken["rest"].images, pressures, strict=True))
 
 
-def squeezed_pictures(
+def dropped_images(
     rig: Rig, forces: Sequence[float], load_cell: Ask, say: Say
 ) -> Iterator[tuple[str, float, list[list[Image]]]]:
     """Squeeze a load cell between the jaws with rising force limits (N): a name, what it shows (N),
@@ -143,7 +141,7 @@ def squeezed_pictures(
     for force in sorted(forces):
         say(f"squeezing with up to {force:.2f} N")
         _squeeze(gripper, force)
-        with kept_alive(gripper):
+        with keepalive(gripper):
             shots = settled_images(rig.fingers, rig.clock)
             measured = load_cell(f"load cell, N (squeezed with {force:.2f})")
         if measured is not None:
@@ -172,7 +170,7 @@ def measure_openings(
         _move(gripper, min(max(opening + away, low), high), force)
         _move(gripper, opening, force)
         reported = gripper.state().opening
-        with kept_alive(gripper):
+        with keepalive(gripper):
             measured = ask(
                 f"caliper between the sensors' frames, mm (jaws at {1e3 * reported:.2f})"
             )
@@ -192,7 +190,7 @@ def measure_forces(
         say(f"squeezing with up to {force:.2f} N")
         _squeeze(gripper, force)
         reported = float(np.mean([_pause(gripper, _PERIOD).effort for _ in range(10)]))
-        with kept_alive(gripper):
+        with keepalive(gripper):
             measured = ask(f"load cell, N (the currents say {reported:.2f})")
         if measured is not None:
             rows.append((reported, measured))
@@ -207,7 +205,7 @@ def _pause(gripper: DynamixelGripper, seconds: float):
 
 
 @contextlib.contextmanager
-def kept_alive(*devices: Any) -> Iterator[None]:
+def keepalive(*devices: Any) -> Iterator[None]:
     """Ask grippers or valves for their state while a person reads an instrument, or the pictures
     are worked on: the servos' watchdog, or the valve board's heartbeat, would take a host that is
     silent for one that hangs."""
@@ -294,13 +292,13 @@ def step_valve(
         end = scaled_clock.monotonic() + seconds
         while (now := scaled_clock.monotonic()) < end:
             reading = valve.board.measure(valve.config.channel)
-            if reading.pressure_gauge is None:
+            if reading.gauge_pressure is None:
                 raise InputError(
                     "the board has no pressure sensor: nothing to calibrate",
                     field=f"valve.{valve.config.finger}",
                 )
             if not rows or reading.time > rows[-1][0]:
-                rows.append((reading.time, reading.pressure_gauge, stage))
+                rows.append((reading.time, reading.gauge_pressure, stage))
             scaled_clock.sleep(max(0.0, now + _SAMPLE - scaled_clock.monotonic()))
     times, pressures, stages = zip(*rows, strict=True)
     return np.array(times), np.array(pressures), list(stages)

@@ -17,7 +17,7 @@ from mjtactile.rig.sensors import finger_design
 
 
 @dataclass(frozen=True)
-class Target:
+class OutputFile:
     """The calibration file `path` of one finger, whose sensor file says `design`."""
 
     finger: str
@@ -45,7 +45,7 @@ class Target:
 
 def find_targets(
     rig: str | None, finger: str | None, sensor: str, out: Path | None
-) -> list[Target]:
+) -> list[OutputFile]:
     """The files of the fingers of `rig` (all, or one `finger`), or the one file `out`; `sensor` is
     for fingers without a sensor file of their own. Raises InputError, which names what the options
     of `mjtactile calibrate` are called."""
@@ -75,14 +75,14 @@ def _fingers_of(finger: str | None, rig_file: RigFile) -> list[CameraConfig]:
     return found
 
 
-def places(targets: Sequence[Target], rig_file: RigFile) -> list[int]:
+def places(targets: Sequence[OutputFile], rig_file: RigFile) -> list[int]:
     """Which camera of the rig each target's finger has."""
     return [[camera.finger for camera in rig_file.cameras].index(goal.finger) for goal in targets]
 
 
 def _target(
     out: Path | None, rig_file: RigFile, camera: CameraConfig, default: SensorDesign
-) -> Target:
+) -> OutputFile:
     design = finger_design(camera, default)
     if out is not None:
         return _at(out, camera.finger, design)
@@ -96,13 +96,13 @@ def _target(
             source=rig_file.path,
             field=f"camera[{number}].calibration",
         )
-    return Target(camera.finger, path, design)
+    return OutputFile(camera.finger, path, design)
 
 
-def _at(out: Path | None, finger: str, design: SensorDesign) -> Target:
+def _at(out: Path | None, finger: str, design: SensorDesign) -> OutputFile:
     if out is None:
         raise InputError(
             "whose calibration is it? Give --rig FILE.toml with --finger, or --out FILE.json",
             field="--rig",
         )
-    return Target(finger, out, design)
+    return OutputFile(finger, out, design)

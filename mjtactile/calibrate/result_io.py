@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core import calibration_parts
-from mjtactile.core.calibration_parts import Stamp
+from mjtactile.core.calibration_parts import CalibrationMetadata
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.recording.files import to_json, versions, write_json
 
 
-def stamp_of(design: SensorDesign, residuals: Mapping[str, Any]) -> Stamp:
+def stamp_of(design: SensorDesign, residuals: Mapping[str, Any]) -> CalibrationMetadata:
     """The stamp of a calibration's part that was measured now."""
     return calibration_parts.stamp(design, versions(), to_json(residuals))
 

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from mjtactile.calibrate.result_io import fit_line
-from mjtactile.core.calibration_parts import Stamp, ValveZero
+from mjtactile.core.calibration_parts import CalibrationMetadata, ValveZero
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 
 STATES = ("vent", "open", "closed")
-OFFSET_MAX_SHARE = 0.05  # of the step: the rest state is weighed with this pressure
-ERROR_MAX_SHARE = 0.10
-NOISE_MAX_SHARE = 0.05
+OFFSET_MAX_FRACTION = 0.05  # of the step: the rest state is weighed with this pressure
+ERROR_MAX_FRACTION = 0.10
+NOISE_MAX_FRACTION = 0.05
 RISE_MAX = 1.0  # s; the driver takes a valve for stuck after 1.5 s
 LEAK_MAX = 0.10  # of the step a minute: the force's zero follows slower changes than this
 # the last quarter of a stage counts as settled; s after sealing that are left out
@@ -58,7 +58,7 @@ class ValveCalibration:
         }
 
 
-def valve_part(c: ValveCalibration, stamp: Stamp) -> ValveZero:
+def valve_part(c: ValveCalibration, stamp: CalibrationMetadata) -> ValveZero:
     """What a finger's calibration keeps of it."""
     return ValveZero(c.offset, c.noise_sd, stamp)
 
@@ -105,16 +105,16 @@ def _judge(c: ValveCalibration) -> list[str]:
     size = abs(c.asked)
     checks = [
         (
-            abs(c.offset) <= OFFSET_MAX_SHARE * size,
+            abs(c.offset) <= OFFSET_MAX_FRACTION * size,
             f"vented, the sensor shows {c.offset:.0f} Pa: set its zero, or see that the valve "
             "really vents",
         ),
         (
-            c.noise_sd <= NOISE_MAX_SHARE * size,
+            c.noise_sd <= NOISE_MAX_FRACTION * size,
             f"the sensor's noise is {c.noise_sd:.0f} Pa of {size:.0f}: cable, ground, range",
         ),
         (
-            abs(c.step - c.asked) <= ERROR_MAX_SHARE * size,
+            abs(c.step - c.asked) <= ERROR_MAX_FRACTION * size,
             f"{c.step:.0f} Pa were reached instead of {c.asked:.0f}: supply, valve stuck, a leak "
             "as large as the flow",
         ),

@@ -108,7 +108,7 @@ ARGUMENTS = (
 def run(options: argparse.Namespace) -> int:
     from mjtactile.design_study import json_output
 
-    design = _begun_from(options)
+    design = _base_sensor(options)
     wish = _wish(options)
     names = (
         ("design.json", "face.png", "design.html")
@@ -123,7 +123,7 @@ def run(options: argparse.Namespace) -> int:
                     design, options.force_N, check=options.check, say=progress.message
                 )
             else:
-                result, files = json_output.of_wish(
+                result, files = json_output.from_requirements(
                     design,
                     options.force_N,
                     wish,
@@ -136,19 +136,19 @@ def run(options: argparse.Namespace) -> int:
         if out is not None:
             write_json(out / "design.json", result)
             if wish is None:
-                _write_file_pictures(out, result)
+                _write_file_figures(out, result)
             else:
-                _write_wish(out, result, files)  # pyright: ignore[reportPossiblyUnboundVariable]
+                _write_requirements(out, result, files)  # pyright: ignore[reportPossiblyUnboundVariable]
     if options.json:
         print_json(result)
     elif wish is None:
         _print_file(result)
     else:
-        _print_wish(result, options.out)
+        _print_requirements(result, options.out)
     return 0
 
 
-def _begun_from(options: argparse.Namespace) -> SensorDesign:
+def _base_sensor(options: argparse.Namespace) -> SensorDesign:
     """The sensor, with the frame and the camera that are wanted."""
     from mjtactile.design_study import sensor_file_edit
 
@@ -166,7 +166,7 @@ def _begun_from(options: argparse.Namespace) -> SensorDesign:
 
 def _wish(options: argparse.Namespace) -> Any:
     """What is wanted; None: nothing is, it is the file that is asked about."""
-    from mjtactile.design_study.design_sweep import Wish
+    from mjtactile.design_study.design_sweep import Requirements
 
     for name, (low, high) in _WISHES.items():
         value = getattr(options, name)
@@ -183,7 +183,7 @@ def _wish(options: argparse.Namespace) -> Any:
     def metres(value: float | None) -> float | None:
         return None if value is None else 1e-3 * value
 
-    return Wish(
+    return Requirements(
         touch=metres(options.feel_mN),  # mN to N
         most=options.range_N,
         edge=metres(options.edge_mm),
@@ -191,21 +191,21 @@ def _wish(options: argparse.Namespace) -> Any:
     )
 
 
-def _write_file_pictures(out: Path, result: dict[str, Any]) -> None:
+def _write_file_figures(out: Path, result: dict[str, Any]) -> None:
     from mjtactile.design_study import plots
 
     path = out / "face.png"
-    save_plot(path, lambda figure: plots.draw_face(figure, result), size=(13.0, 3.3))
+    save_plot(path, lambda figure: plots.plot_face(figure, result), size=(13.0, 3.3))
     picture = path.read_bytes() if path.exists() else None
     (out / "design.html").write_text(plots.page(result, picture), encoding="utf-8")
 
 
-def _write_wish(out: Path, result: dict[str, Any], files: dict[str, str]) -> None:
+def _write_requirements(out: Path, result: dict[str, Any], files: dict[str, str]) -> None:
     from mjtactile.design_study import plots
 
     for name, text in files.items():
         (out / name).write_text(text, encoding="utf-8")
-    save_plot(out / "front.png", lambda figure: plots.draw_front(figure, result))
+    save_plot(out / "front.png", lambda figure: plots.plot_front(figure, result))
 
 
 def _print_file(result: dict[str, Any]) -> None:
@@ -214,7 +214,7 @@ def _print_file(result: dict[str, Any]) -> None:
     print(f"sensor {result['sensor']}, where {result['force_N']:g} N press, predicted:")
     for key, (words, unit) in plots.WORDS.items():
         print(f"  {words:50s} {plots.number(result['reaches'][key]):>7s} {unit}")
-    print(f"  {plots.picture_words(result['picture'])}")
+    print(f"  {plots.image_quality_text(result['picture'])}")
     print("What changes would buy, times what it reaches now:")
     print(f"  {'':58s}" + "".join(f"{words:>15s}" for words in plots.CHANGED.values()))
     for what, *factors in plots.change_rows(result):
@@ -222,7 +222,7 @@ def _print_file(result: dict[str, Any]) -> None:
     _print_checked(result.get("checked", []))
 
 
-def _print_wish(result: dict[str, Any], out: Path | None) -> None:
+def _print_requirements(result: dict[str, Any], out: Path | None) -> None:
     from mjtactile.design_study import plots
 
     rows = [{"file": result["sensor"], "meets": not result["begun_from"]["missed"]}]
@@ -241,7 +241,7 @@ def _print_wish(result: dict[str, Any], out: Path | None) -> None:
             if "rows" not in one
             else f"{one['columns']:3d} x {one['rows']:2d} {one['marker_radius_mm']:10.2f} "
             f"{one['fx_px']:6.0f} {one['thickness_mm']:9.2f} {one['pre_stretch']:8.2f} "
-            f"{one['supply_gauge_kPa']:6.2f}"
+            f"{one['supply_pressure_kPa']:6.2f}"
         )
         values = (
             f"{plots.number(reached[key]):>9s}"

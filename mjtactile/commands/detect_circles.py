@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import cv2
 
-from mjtactile import Camera, InputError, find_circles, marker_records
+from mjtactile import Camera, InputError, circles_to_records, detect_circles
 from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
@@ -151,7 +151,7 @@ def run(options: argparse.Namespace) -> int:
 def _behind_glass(camera: Camera, text: str) -> Camera:
     try:
         thickness, index, distance = map(float, text.split(":"))
-        return camera.behind_pane(1e-3 * thickness, index, 1e-3 * distance)
+        return camera.behind_glass(1e-3 * thickness, index, 1e-3 * distance)
     except (ValueError, InputError) as error:
         raise InputError(
             f"{text!r} is no pane",
@@ -179,7 +179,7 @@ def _locate(
             f"{camera.width} x {camera.height}",
         )
     begin = time.perf_counter()
-    found = find_circles(
+    found = detect_circles(
         frame.pixels,
         camera,
         options.radius_mm * 1e-3,
@@ -202,7 +202,7 @@ def _locate(
             "sd": found.gamma.sd,
             "wrong": found.nonlinear,
         },
-        "markers": marker_records(found),
+        "markers": circles_to_records(found),
         "rejected": found.rejected.records(),
         "ms": spent,
         "usable": True,

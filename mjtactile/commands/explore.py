@@ -19,7 +19,7 @@ from mjtactile.recording.files import write_json
 from mjtactile.runtime.progress import Progress
 
 if TYPE_CHECKING:
-    from mjtactile.explore.exploration import Explored, Wanted
+    from mjtactile.explore.exploration import ExplorationGoal, ExplorationResult
 
 DESCRIPTION = """\
 Touch an unknown object at a few places, each where its surface is least known so far, and fuse
@@ -53,10 +53,10 @@ kept) or the simulation failed.
 _RESULTS = ("explore.json", "explore.html", "explore.png", "surface.ply", "surface.stl")
 _TOUCHED = "touched.jsonl"
 _DEFAULT = Scenario(object="egg")
-_NOT_ASKED = ("controller", "effects", "vary", "task", "shapes")
+_NOT_REQUESTED = ("controller", "effects", "vary", "task", "shapes")
 
 ARGUMENTS = (
-    *scenario.arguments(_DEFAULT, leave_out=_NOT_ASKED),
+    *scenario.arguments(_DEFAULT, leave_out=_NOT_REQUESTED),
     time_scale.ARGUMENT,
     arg.choice(
         "--on",
@@ -147,7 +147,7 @@ def _in(options: argparse.Namespace, out: Path | None) -> int:
     return 0 if found.patches else 1
 
 
-def _fused(options: argparse.Namespace) -> tuple[Explored, dict[str, Any]]:
+def _fused(options: argparse.Namespace) -> tuple[ExplorationResult, dict[str, Any]]:
     from mjtactile.explore.exploration import PatchStore, explored
     from mjtactile.explore.from_recording import patches_of_recording
 
@@ -180,12 +180,12 @@ def _take_a_replay_as_a_source(options: argparse.Namespace, wanted: Scenario) ->
 
 def _live(
     options: argparse.Namespace, wanted: Scenario, out: Path | None, progress: Progress
-) -> tuple[Explored, dict[str, Any]]:
-    from mjtactile.explore.exploration import PatchStore, Wanted
+) -> tuple[ExplorationResult, dict[str, Any]]:
+    from mjtactile.explore.exploration import ExplorationGoal, PatchStore
 
     store = None if out is None else PatchStore(out / _TOUCHED)
     known = store.read() if store is not None and options.resume else []
-    asked = Wanted(options.touches, 1e-3 * options.accuracy_mm, options.force)
+    asked = ExplorationGoal(options.touches, 1e-3 * options.accuracy_mm, options.force)
     keep = store.write if store is not None else lambda _: None
     on = _holder(options, wanted)
     with signals.deferred() as stop:
@@ -221,9 +221,9 @@ def _holder(options: argparse.Namespace, wanted: Scenario) -> str:
 
 def _explorer(
     on: str, options: argparse.Namespace, out: Path | None, stopped: Callable[[], bool]
-) -> Callable[..., tuple[Explored, dict[str, Any]]]:
+) -> Callable[..., tuple[ExplorationResult, dict[str, Any]]]:
     """What explores, and says how true it is, as far as that is known."""
-    from mjtactile.explore.gripper_exploration import explore_in_hand
+    from mjtactile.explore.gripper_exploration import explore_by_gripper
     from mjtactile.explore.simulated import explore_in_gripper, explore_on_stage
 
     if on == "stage":
@@ -231,7 +231,9 @@ def _explorer(
     if on == "gripper":
         return partial(explore_in_gripper, stopped=stopped)
 
-    def in_hand(wanted: Scenario, asked: Wanted, **told: Any) -> tuple[Explored, dict[str, Any]]:
+    def in_gripper(
+        wanted: Scenario, asked: ExplorationGoal, **told: Any
+    ) -> tuple[ExplorationResult, dict[str, Any]]:
         yaw = math.radians(sum(options.turns))
         with contextlib.ExitStack() as stack:
             recorder = None
@@ -239,10 +241,10 @@ def _explorer(
                 folder = _unused(out / "recording")
                 header = wanted.header() | {"controller": "explore"}
                 recorder = stack.enter_context(Recorder(folder, header))
-            found = explore_in_hand(wanted, asked, yaw=yaw, observer=recorder, **told)
+            found = explore_by_gripper(wanted, asked, yaw=yaw, observer=recorder, **told)
         return found, {}
 
-    return in_hand
+    return in_gripper
 
 
 def _unused(folder: Path) -> Path:
@@ -251,7 +253,7 @@ def _unused(folder: Path) -> Path:
     return next(name for name in names if not name.exists())
 
 
-def _write(out: Path, found: Explored, summary: dict[str, Any]) -> None:
+def _write(out: Path, found: ExplorationResult, summary: dict[str, Any]) -> None:
     from mjtactile.explore.html_report import draw, write_page
     from mjtactile.explore.surface_export import write_ply, write_stl
 

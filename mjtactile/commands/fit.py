@@ -118,7 +118,7 @@ def run(options: argparse.Namespace) -> int:
             fades = fit_relaxation(options.relaxation, result.design, options.finger)
             text = f"{text}\nrelaxation: {fades.sentence}"
             table |= {"relaxation": fades.to_table()}
-            if fades.is_known:
+            if fades.is_finite_value:
                 sensor = f"{sensor}\n{fades.section}"
         options.out.write_text(sensor, encoding="utf-8")
         write_json(files["json"], table)

@@ -30,9 +30,9 @@ from mjtactile.commands.output import (
     stdout_to_stderr,
 )
 from mjtactile.core import signals
-from mjtactile.recording.decimated_history import Strip
+from mjtactile.recording.decimated_history import DecimatedHistory
 from mjtactile.recording.files import write_json
-from mjtactile.runtime.grasp import level_texts
+from mjtactile.runtime.grasp import fidelity_notes
 from mjtactile.runtime.progress import Progress
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ ARGUMENTS = (
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.report.figure_process import drawing_beside
+    from mjtactile.report.figure_process import figure_writer_process
 
     _check_video(options.video, options.frames)
     if options.rig is not None:
@@ -131,7 +131,7 @@ def run(options: argparse.Namespace) -> int:
         folder = new_run_folder(scenario.stem(wanted))
     else:
         folder = output_folder(options.out, *_RESULTS, "recording")
-    with live as views, folder as out, stdout_to_stderr(), drawing_beside() as figure:
+    with live as views, folder as out, stdout_to_stderr(), figure_writer_process() as figure:
         summary = _run_and_report(wanted, options, out, progress, views, figure)
     with contextlib.suppress(BrokenPipeError):  # the exit code says how it went, read or not
         if options.json:
@@ -174,7 +174,7 @@ def _run_and_report(
         with signals.deferred():  # no signal between an open file and who closes it
             recorder = Recorder(out / "recording", wanted.header(), frames=options.frames)
             recorder.views = [] if options.video else None
-            recorder.strip = Strip()
+            recorder.strip = DecimatedHistory()
         summary = run_grasp(
             wanted,
             [recorder, progress, *views],
@@ -268,11 +268,11 @@ def _write_report(
 ) -> None:
     """Write summary.json, then with a `figure` picture and page; what cannot be written does not
     change how the run went."""
-    from mjtactile.report.summary import write_pictures
+    from mjtactile.report.summary import write_plots
 
     try:
         write_json(out / "summary.json", summary)
-        problems = [] if figure is None else write_pictures(out, recorder, summary, figure)
+        problems = [] if figure is None else write_plots(out, recorder, summary, figure)
     except (MjtactileError, OSError) as error:
         problems = [error]
     for problem in problems:
@@ -293,7 +293,7 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
         f"  holding   {newton('hold_force_N')} on each finger (true {newton('hold_force_true_N')})"
     )
     print(f"  at most   {newton('peak_force_N')} (true {newton('peak_force_true_N')})")
-    for name, text in level_texts(summary).items():
+    for name, text in fidelity_notes(summary).items():
         print(f"  {name:<9} {text}")
     if math.isfinite(summary["slip_mm_true"]):
         print(f"  slipped   {summary['slip_mm_true']:.2f} mm (true)")

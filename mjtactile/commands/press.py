@@ -71,11 +71,11 @@ ARGUMENTS = (
 
 def run(options: argparse.Namespace) -> int:
     from mjtactile.experiments.fidelity_options import simulation_of
-    from mjtactile.experiments.indentation import Indenter, PressPlan, press
+    from mjtactile.experiments.indentation import IndentationPlan, Indenter, press
 
     design = load_sensor(options.sensor)
     _check(options, design)
-    plan = PressPlan(
+    plan = IndentationPlan(
         Indenter.parse(options.indenter),
         [1e-3 * d for d in options.depths],
         (1e-3 * options.at[0], 1e-3 * options.at[1]),
@@ -188,12 +188,12 @@ def _draw(figure: Any, result: dict[str, Any], design: SensorDesign) -> None:
     force.legend()
     gas.plot(depths, [s["pressure_kPa"] for s in steps], "o-", ms=4)
     gas.set(xlabel="depth below first touch, mm", ylabel="gauge pressure, kPa")
-    _draw_body(body, result["shape"], design)
+    _plot_shape(body, result["shape"], design)
     for axes in (force, gas, body):
         axes.grid(alpha=0.3)
 
 
-def _draw_body(axes: Any, shape: dict[str, Any], design: SensorDesign) -> None:
+def _plot_shape(axes: Any, shape: dict[str, Any], design: SensorDesign) -> None:
     """Where the body is believed to lie on the sheet, in the sensor's frame."""
     outline = shape["outline_mm"]
     if outline:

@@ -13,7 +13,7 @@ from mjtactile.commands import arguments as arg
 from mjtactile.commands import numeric_options, plots, scenario
 from mjtactile.commands.output import optional_folder, print_flags, print_json, stdout_to_stderr
 from mjtactile.core import signals
-from mjtactile.recording.decimated_history import Strip
+from mjtactile.recording.decimated_history import DecimatedHistory
 from mjtactile.recording.files import write_json
 from mjtactile.runtime.progress import Progress
 
@@ -81,7 +81,7 @@ def _live(options: argparse.Namespace, out: Path | None) -> ProbeResult:
             signals.deferred(),
             Recorder(out / "recording", wanted.header(), frames=options.frames) as recorder,
         ):
-            recorder.strip = Strip()
+            recorder.strip = DecimatedHistory()
             result = run_probe(wanted, [recorder, progress])
             recorder.close(outcome=result.material.kind)
     write_page(

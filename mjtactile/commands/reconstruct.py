@@ -12,13 +12,20 @@ from typing import Any
 import cv2
 import numpy as np
 
-from mjtactile import Chain, InputError, Perception, SensorDesign, load_calibration, load_sensor
+from mjtactile import (
+    InputError,
+    SensingPipeline,
+    SensorDesign,
+    StatefulPipeline,
+    load_calibration,
+    load_sensor,
+)
 from mjtactile.commands import arguments as arg
 from mjtactile.commands import plots, track_dots
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
 from mjtactile.report.frame_source import NamedImage, marker_overlay, read_frames, to_image
-from mjtactile.report.summary_figure import draw_surface
+from mjtactile.report.summary_figure import plot_surface_map
 from mjtactile.runtime.progress import Progress
 from mjtactile.types import Contact, Markers, Surface, Touch, Traction
 
@@ -106,19 +113,19 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def load_perception(design: SensorDesign, path: Path | None) -> Perception:
+def load_perception(design: SensorDesign, path: Path | None) -> StatefulPipeline:
     """The chain of a sensor, with what its calibration file says, if there is one. Raises
     InputError for a file of another."""
     if path is None:
-        return Perception.of(design)
+        return StatefulPipeline.of(design)
     calibration = load_calibration(path)
     calibration.check(design, calibration.finger, path)
-    chain = Chain(design, calibration)
-    return Perception(chain, chain.recall())
+    chain = SensingPipeline(design, calibration)
+    return StatefulPipeline(chain, chain.recall())
 
 
 def _reconstruct(
-    frame: NamedImage, perception: Perception, out: Path | None
+    frame: NamedImage, perception: StatefulPipeline, out: Path | None
 ) -> tuple[dict[str, Any], Touch | None]:
     """One frame of the JSON, and its touch."""
     chain = perception.chain
@@ -218,7 +225,9 @@ def _figures(seen: Sequence[tuple[str, dict[str, Any], Touch | None]], out: Path
         name, touch = shown[i]
         plots.save(
             out / f"{_stem(name)}_surface.png",
-            lambda figure, touch=touch: draw_surface(figure.add_subplot(projection="3d"), touch),
+            lambda figure, touch=touch: plot_surface_map(
+                figure.add_subplot(projection="3d"), touch
+            ),
             size=(7, 5),
         )
 

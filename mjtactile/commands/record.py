@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mjtactile import InputError, Recorder, Scenario, complete_scenario, rig_names
+from mjtactile import InputError, Recorder, Scenario, resolve_scenario, rig_names
 from mjtactile.commands import arguments as arg
 from mjtactile.commands import numeric_options, time_scale
 from mjtactile.commands.output import output_folder, print_flags, print_json, stdout_to_stderr
@@ -37,7 +37,7 @@ which does it by itself.
 The recording replays through the same chain to the same numbers, bit for bit (--rig replay:DIR)."""
 EPILOG = """\
 examples:
-  mjtactile record --rig my_gripper.toml --seconds 30 --out runs/by_hand
+  mjtactile record --rig my_gripper.toml --seconds 30 --out runs/manually
   mjtactile record --rig emulated --out runs/idle
   mjtactile record --rig my_gripper.toml --steps press --indenter sphere:8 --pressure-kPa 0.5 \\
       --seconds 11 --out runs/press_05
@@ -229,7 +229,7 @@ def _on_rig(
 ) -> dict[str, Any]:
     from mjtactile import open_session
 
-    wanted = complete_scenario(
+    wanted = resolve_scenario(
         Scenario(
             object=options.object,
             controller="monitor",

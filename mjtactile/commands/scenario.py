@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from mjtactile import Scenario, complete_scenario, load_scenario, rig_names
+from mjtactile import Scenario, load_scenario, resolve_scenario, rig_names
 from mjtactile.commands import arguments as arg
 from mjtactile.core import resources
 
@@ -112,7 +112,7 @@ def scenario_of(options: argparse.Namespace, default: Scenario | None = None) ->
     said = {name: value for name, value in given.items() if value is not None}
     if "sensor" in said:
         base = replace(base, sensors={})
-    return complete_scenario(replace(base, **said))
+    return resolve_scenario(replace(base, **said))
 
 
 def stem(scenario: Scenario) -> str:

@@ -54,9 +54,9 @@ ARGUMENTS = (
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.studio.playback import TapePlayer
+    from mjtactile.studio.playback import RecordingPlayer
     from mjtactile.studio.serve import watch
-    from mjtactile.studio.session_bridge import Show
+    from mjtactile.studio.session_bridge import SessionBridge
 
     def say(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
@@ -65,9 +65,9 @@ def run(options: argparse.Namespace) -> int:
     time_scale.apply(options.slow, wanted.rig)
     backend, _, folder = wanted.rig.partition(":")
     if backend == "replay" and folder:
-        show = TapePlayer(wanted, load_recording(folder), say)
+        show = RecordingPlayer(wanted, load_recording(folder), say)
     else:
-        show = Show(wanted, say)
+        show = SessionBridge(wanted, say)
     show.fastest = float("inf") if options.fast else 1.0
     watch(
         show,

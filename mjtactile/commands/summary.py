@@ -10,7 +10,7 @@ from typing import Any
 from mjtactile import InputError, Recording, load_recording
 from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import print_flags, print_json, stdout_to_stderr
-from mjtactile.recording.decimated_history import Strip
+from mjtactile.recording.decimated_history import DecimatedHistory
 from mjtactile.runtime.progress import Progress
 
 SIMULATES = False
@@ -41,23 +41,23 @@ ARGUMENTS = (
 
 def run(options: argparse.Namespace) -> int:
     from mjtactile.report.page import write_page
-    from mjtactile.report.summary import see_again, with_shapes
+    from mjtactile.report.summary import replay_estimate, with_shapes
 
     recording = load_recording(options.source)
     path = options.out or options.source / "summary.html"
     if not path.parent.is_dir():
         raise InputError("no such folder", source=path.parent, field="--out")
-    strip = Strip()
+    strip = DecimatedHistory()
     with stdout_to_stderr():
         Progress(quiet=options.json).message(f"{len(recording)} cycles")
-        felt = see_again(recording, strip.add)
+        felt = replay_estimate(recording, strip.add)
         kept = with_shapes(recording, strip.kept) if options.shape else strip.kept
         write_page(path, recording, kept, _summary(options.source, recording))
     result = {
         "out": str(path),
         "cycles": len(recording),
         "shown": len(strip.kept),
-        "felt_again": felt,
+        "re_estimate": felt,
         "flags": dict(recording.flags),
     }
     if options.json:

@@ -94,14 +94,14 @@ def rectangle_coefficients(aspect: float, poisson: float) -> tuple[float, float]
     return float(_between(_ASPECT, _C1, aspect)), float(c2)
 
 
-def bulge_height(design: SensorDesign, pressure_gauge: float) -> float:
+def bulge_height(design: SensorDesign, gauge_pressure: float) -> float:
     """Height w0, m, of the middle of the inflated rectangle, or circle with C1 = 4 and Hencky's C2,
     or ellipse, at a gauge pressure, Pa (Eq. M1; Eq. M7 for neo-Hookean rubber); NaN outside of the
     tables, of other outlines, and where the rubber cannot hold the pressure.
     """
     sheet = design.membrane
     if sheet.law is Law.STVK:
-        return _hookean_height(design, sheet.young, pressure_gauge)
+        return _hookean_height(design, sheet.young, gauge_pressure)
     half_width = min(design.frame.length, design.frame.width) / 2
 
     def missing(height: float) -> float:
@@ -109,17 +109,17 @@ def bulge_height(design: SensorDesign, pressure_gauge: float) -> float:
         rubber = equibiaxial_stress(stretch, sheet.young, sheet.poisson, Law.NEO_HOOKEAN)
         plain = equibiaxial_stress(stretch, sheet.young, sheet.poisson, Law.STVK)
         secant = sheet.young * rubber / plain
-        return _hookean_height(design, secant, abs(pressure_gauge)) - height
+        return _hookean_height(design, secant, abs(gauge_pressure)) - height
 
     least = 1e-3 * half_width
     most = 1.5 * half_width
     if not np.isfinite(missing(least)) or missing(most) > 0:
         return np.nan
     height = _root(missing, least, most) if missing(least) > 0 else least + missing(least)
-    return float(np.copysign(height, pressure_gauge))
+    return float(np.copysign(height, gauge_pressure))
 
 
-def _hookean_height(design: SensorDesign, young: float, pressure_gauge: float) -> float:
+def _hookean_height(design: SensorDesign, young: float, gauge_pressure: float) -> float:
     """Eq. M1 for a modulus of `young` Pa.
 
     Seen from the mounted sheet, stretched by l, the stiffness is l^2 E h
@@ -143,16 +143,16 @@ def _hookean_height(design: SensorDesign, young: float, pressure_gauge: float) -
     cubic = c2 * young * sheet.thickness * sheet.pre_stretch**2 / a**4
     if not np.isfinite(linear + cubic) or linear < 0:
         return np.nan
-    if pressure_gauge == 0:
+    if gauge_pressure == 0:
         return 0.0
-    height = (abs(pressure_gauge) / cubic) ** (1 / 3)  # without pre-tension: the most
+    height = (abs(gauge_pressure) / cubic) ** (1 / 3)  # without pre-tension: the most
     for _ in range(_NEWTON):  # from above, where the curve bends up: never past the root
-        missing = abs(pressure_gauge) - linear * height - cubic * height**3
+        missing = abs(gauge_pressure) - linear * height - cubic * height**3
         lower = height + missing / (linear + 3 * cubic * height**2)
         if not lower < height:
             break
         height = lower
-    return float(np.sign(pressure_gauge) * height)
+    return float(np.sign(gauge_pressure) * height)
 
 
 # C2 of ellipses 1 to 4 times as long as wide (rows), for Poisson's ratios: of a spline sheet
@@ -228,16 +228,16 @@ def sphere_on_circle(radius: float, tension: float, sphere: float, force: float)
     return force / (2 * np.pi * tension) * (np.log(radius / np.sqrt(contact_square)) + 0.5)
 
 
-def stvk_height_error(design: SensorDesign, pressure_gauge: float) -> float:
+def stvk_height_error(design: SensorDesign, gauge_pressure: float) -> float:
     """By how much, as a share, a neo-Hookean sheet bulges higher at a gauge pressure, Pa, than a
     St. Venant-Kirchhoff one of the same modulus, Poisson's ratio and pre-stretch (Eq. M7); NaN
     where one of the two is unknown."""
-    rubber = _height_by(Law.NEO_HOOKEAN, design, abs(pressure_gauge))
-    plain = _height_by(Law.STVK, design, abs(pressure_gauge))
+    rubber = _height_by(Law.NEO_HOOKEAN, design, abs(gauge_pressure))
+    plain = _height_by(Law.STVK, design, abs(gauge_pressure))
     return rubber / plain - 1 if plain else 0.0
 
 
-def _height_by(law: Law, design: SensorDesign, pressure_gauge: float) -> float:
+def _height_by(law: Law, design: SensorDesign, gauge_pressure: float) -> float:
     """`bulge_height` of the same sheet with rubber of this law."""
     sheet = replace(design.membrane, law=law)
-    return bulge_height(replace(design, membrane=sheet), pressure_gauge)
+    return bulge_height(replace(design, membrane=sheet), gauge_pressure)

@@ -17,11 +17,11 @@ from typing import Any
 
 from mjtactile.core.calibration_parts import (
     KINDS,
+    CalibrationMetadata,
     ForceScale,
     FrameCalibration,
-    Lens,
+    LensCalibration,
     Part,
-    Stamp,
     ValveZero,
     fingerprint,
     now,
@@ -74,7 +74,7 @@ class Calibration:
 
     finger: str
     sensor: str
-    lens: Lens | None = None
+    lens: LensCalibration | None = None
     frame: FrameCalibration | None = None
     valve: ValveZero | None = None
     force: ForceScale | None = None
@@ -296,7 +296,9 @@ def calibration_from_table(table: Any, source: str) -> Calibration:
     finger = root.text("finger")
     sensor = root.text("sensor")
     parts: dict[str, Any] = {
-        kind: read(part, found, stamp=Stamp(**read_fields(Stamp, found)))
+        kind: read(
+            part, found, stamp=CalibrationMetadata(**read_fields(CalibrationMetadata, found))
+        )
         for kind, part in KINDS.items()
         if (found := root.optional(kind)) is not None
     }
@@ -321,9 +323,9 @@ def pressure_reading(
 ) -> PressureReading | None:
     """What the chamber's gauge says where `valve` was asked; None where there is none, or it is
     silent. `calibration` is the finger's."""
-    if valve.pressure_gauge is None or not math.isfinite(valve.pressure_gauge + valve.time):
+    if valve.gauge_pressure is None or not math.isfinite(valve.gauge_pressure + valve.time):
         return None
     zero = None if calibration is None else calibration.valve
-    pressure = valve.pressure_gauge - (0.0 if zero is None else zero.offset)
+    pressure = valve.gauge_pressure - (0.0 if zero is None else zero.offset)
     sd = GAUGE_SD if zero is None else max(zero.noise_sd, _RESOLUTION)
     return PressureReading(pressure, sd, valve.time, valve.is_open)

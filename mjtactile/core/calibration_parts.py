@@ -18,15 +18,16 @@ import numpy as np
 from mjtactile.core.config_fields import KPA, MM, entry, given, number, part, text
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.field_types import NumberArray, Table
+from mjtactile.core.renamed import old_keys
 from mjtactile.core.sensor_parts import Pinhole
 from mjtactile.core.toml import Section
-from mjtactile.core.types import Array, FiducialsSeen, Markers, Traction
+from mjtactile.core.types import Array, FiducialDetections, Markers, Traction
 
 _FAR = 1e9  # no number of a calibration is larger
 
 
 @dataclass(frozen=True)
-class Stamp:
+class CalibrationMetadata:
     """Where a part of a calibration comes from.
 
     Attributes:
@@ -42,14 +43,16 @@ class Stamp:
     residuals: Mapping[str, Any] = entry(Table(key="residuals"), default_factory=dict)
 
 
-def stamp(design: SensorDesign, versions: Mapping[str, str], residuals: Mapping[str, Any]) -> Stamp:
+def stamp(
+    design: SensorDesign, versions: Mapping[str, str], residuals: Mapping[str, Any]
+) -> CalibrationMetadata:
     """The stamp of a part that was measured now, on a sensor of this sensor file."""
-    return Stamp(now(), fingerprint(design), versions, residuals)
+    return CalibrationMetadata(now(), fingerprint(design), versions, residuals)
 
 
 def fingerprint(design: SensorDesign) -> str:
     """SHA-256 of all values of a sensor file; comments and layout do not count."""
-    values = asdict(replace(design, calibration=None))
+    values = old_keys(asdict(replace(design, calibration=None)))
     for added in ("fiducials", "relaxation"):  # fingerprints of files from before them stay
         if values[added] is None:
             del values[added]
@@ -60,7 +63,7 @@ def fingerprint(design: SensorDesign) -> str:
 
 
 @dataclass(frozen=True)
-class Lens(Pinhole):
+class LensCalibration(Pinhole):
     """The intrinsics of one camera, as measured.
 
     Attributes:
@@ -77,16 +80,16 @@ class Lens(Pinhole):
     of_sensor: ClassVar[bool] = False
     """Whether it is outdated when the sensor file has changed."""
 
-    stamp: Stamp = field(kw_only=True)
+    stamp: CalibrationMetadata = field(kw_only=True)
 
 
 @dataclass(frozen=True, eq=False)
 class RestMarkers:
-    """The membrane at rest: `markers` in S, the chamber's `pressure_gauge` Pa, and whether it was
+    """The membrane at rest: `markers` in S, the chamber's `gauge_pressure` Pa, and whether it was
     `sealed`."""
 
     markers: Markers
-    pressure_gauge: float
+    gauge_pressure: float
     sealed: bool
 
     def to_table(self) -> dict[str, Any]:
@@ -94,7 +97,7 @@ class RestMarkers:
         m = self.markers
         seen = m.fiducials
         return {
-            "pressure_kPa": self.pressure_gauge / KPA,
+            "pressure_kPa": self.gauge_pressure / KPA,
             "sealed": self.sealed,
             "ids": m.ids.tolist(),
             "p_SM_mm": (m.p_SM / MM).tolist(),
@@ -121,17 +124,17 @@ class RestMarkers:
         return cls(markers, pressure, section.flag("sealed", True))
 
 
-def _fiducials_table(seen: FiducialsSeen) -> dict[str, Any]:
+def _fiducials_table(seen: FiducialDetections) -> dict[str, Any]:
     return {name: np.asarray(value).tolist() for name, value in vars(seen).items()}
 
 
-def _fiducials_seen(section: Section | None) -> FiducialsSeen | None:
+def _fiducials_seen(section: Section | None) -> FiducialDetections | None:
     """What stands in the file of the fiducials; None: nothing does."""
     if section is None:
         return None
     ids = section.array("ids", (None,))
     n = len(ids)
-    seen = FiducialsSeen(
+    seen = FiducialDetections(
         ids.astype(np.int64),
         section.array("center_px", (n, 2)),
         section.array("radius_px", (n,)),
@@ -159,7 +162,7 @@ class FrameCalibration:
     scale: Array = entry(NumberArray(key="scale", shape=(None,)))
     residual_px: float = number("residual_px", 0, _FAR)
     scale_sd: float = number("scale_sd", 0, _FAR)
-    stamp: Stamp = given()
+    stamp: CalibrationMetadata = given()
     rest: RestMarkers | None = part("rest", RestMarkers, default=None)
     stiffness: float | None = number("stiffness", 0, _FAR, default=None)
 
@@ -175,7 +178,7 @@ class ValveZero:
 
     offset: float = number("offset_Pa", -_FAR, _FAR)
     noise_sd: float = number("noise_sd_Pa", 0, _FAR)
-    stamp: Stamp = given()
+    stamp: CalibrationMetadata = given()
 
 
 @dataclass(frozen=True)
@@ -190,7 +193,7 @@ class ForceScale:
     scale: float = number("scale", 0.1, 10)
     sd: float = number("scale_sd", 0, 10)
     largest: float = number("largest_N", 0, _FAR)
-    stamp: Stamp = given()
+    stamp: CalibrationMetadata = given()
 
     def apply(self, traction: Traction) -> Traction:
         """The traction times the scale, whose own uncertainty adds to the wrench's: cov' = k^2 cov
@@ -201,9 +204,9 @@ class ForceScale:
         return replace(traction, force=k * traction.force, wrench=k * wrench, wrench_cov=cov)
 
 
-Part = Lens | FrameCalibration | ValveZero | ForceScale
+Part = LensCalibration | FrameCalibration | ValveZero | ForceScale
 KINDS: dict[str, type[Part]] = {
-    part.kind: part for part in (Lens, FrameCalibration, ValveZero, ForceScale)
+    part.kind: part for part in (LensCalibration, FrameCalibration, ValveZero, ForceScale)
 }
 """The parts by name, in the order in which they are measured."""
 

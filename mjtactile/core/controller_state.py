@@ -11,10 +11,10 @@ import numpy as np
 MOST = 10_000  # numbers and letters in a cycle's line, which is then some 100 kB long
 DEEPEST = 16  # lists within lists; a list that contains itself is deeper
 _LARGEST = 2**63  # of whole numbers, as readers of JSON have them
-_NAMED_MOST = 20  # entries that are left out; after so many the rest is not looked at
+_NAMED_MAX = 20  # entries that are left out; after so many the rest is not looked at
 
 
-class _NotPlain(Exception):
+class _NotSerializable(Exception):
     """It is none of these, or too much of them."""
 
 
@@ -22,7 +22,7 @@ _NUMBERS = frozenset({float, bool, type(None)})
 """Of each exactly this type, most of a notebook is: they are kept as they are."""
 
 
-class _Room:
+class _SizeBudget:
     """How many more numbers and letters have room."""
 
     def __init__(self, left: int):
@@ -30,11 +30,11 @@ class _Room:
 
     def has(self, count: int) -> None:
         if count > self.left:
-            raise _NotPlain
+            raise _NotSerializable
 
     def spend(self, count: int) -> None:
         if count > self.left:
-            raise _NotPlain
+            raise _NotSerializable
         self.left -= count
 
 
@@ -50,7 +50,7 @@ def plain(memory: Mapping[Any, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
     """
     kept: dict[str, Any] = {}
     left_out: list[str] = []
-    room = _Room(MOST)
+    room = _SizeBudget(MOST)
     for key, value in memory.items():
         before = room.left
         try:
@@ -60,26 +60,26 @@ def plain(memory: Mapping[Any, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
             room.left = before
             name = key[:40] if isinstance(key, str) else "an entry"
             left_out.append(f"{name} ({type(value).__name__})")
-            if len(left_out) == _NAMED_MOST:
+            if len(left_out) == _NAMED_MAX:
                 break
     return kept, tuple(left_out)
 
 
-def _name(key: object, room: _Room) -> str:
+def _name(key: object, room: _SizeBudget) -> str:
     if not isinstance(key, (str, int)):
-        raise _NotPlain
+        raise _NotSerializable
     name = str(key)
     room.spend(len(name))
     return name
 
 
-def _copy(value: Any, room: _Room, depth: int) -> Any:
-    """A plain copy. Raises _NotPlain."""
+def _copy(value: Any, room: _SizeBudget, depth: int) -> Any:
+    """A plain copy. Raises _NotSerializable."""
     if type(value) in _NUMBERS:  # first: to ask what else it may be takes five times as long
         room.spend(1)
         return value
     if depth > DEEPEST:
-        raise _NotPlain
+        raise _NotSerializable
     if isinstance(value, (np.generic, np.ndarray)):
         room.has(value.size)
         value = value.tolist()
@@ -92,7 +92,7 @@ def _copy(value: Any, room: _Room, depth: int) -> Any:
     return _one(value, room)
 
 
-def _one(value: Any, room: _Room) -> Any:
+def _one(value: Any, room: _SizeBudget) -> Any:
     """A number or a text, without what an Enum adds to it: no other process knows that."""
     room.spend(1 + len(value) if isinstance(value, str) else 1)
     if value is None or isinstance(value, bool):
@@ -103,4 +103,4 @@ def _one(value: Any, room: _Room) -> Any:
         return float(value)
     if isinstance(value, str):
         return "".join(value)
-    raise _NotPlain
+    raise _NotSerializable

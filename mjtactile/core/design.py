@@ -27,7 +27,7 @@ from mjtactile.core.sensor_parts import (
 from mjtactile.core.toml import Section, read_toml
 
 _FEWEST_MARKERS = 9  # that an outline must leave
-_SPLINE_NUMBERS_MOST = 5776  # 73 x 73 markers: a quarter of a GiB for a matrix
+_SPLINE_NUMBERS_MAX = 5776  # 73 x 73 markers: a quarter of a GiB for a matrix
 
 
 @dataclass(frozen=True)
@@ -94,18 +94,18 @@ class SensorDesign:
             InputError: There are too many.
         """
         size = (self.markers.rows + 3) * (self.markers.columns + 3)
-        if size > _SPLINE_NUMBERS_MOST:
+        if size > _SPLINE_NUMBERS_MAX:
             gib = 8 * size**2 / 2**30
             raise InputError(
                 f"{self.markers.rows} x {self.markers.columns} markers can be simulated, but "
                 f"sensing needs {gib:.1f} GiB for each of its matrices; it takes as many as "
-                f"{_SPLINE_NUMBERS_MOST} = (rows + 3) (columns + 3)",
+                f"{_SPLINE_NUMBERS_MAX} = (rows + 3) (columns + 3)",
                 source=self.name,
                 field="markers.rows",
             )
 
     @property
-    def pane_thickness_apparent(self) -> float:
+    def apparent_glass_thickness(self) -> float:
         """Depth by which the glass brings the scene nearer on the camera's axis, t (1 - 1/n), m."""
         return self.glass.thickness * (1 - 1 / self.glass.refractive_index)
 

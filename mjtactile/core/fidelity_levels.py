@@ -13,12 +13,12 @@ LEFT_OUT: Mapping[str, str] = {
 """By the effect's name: what its absence means. A result that lacks it has the name with false."""
 
 
-def left_out_of(effects: Collection[str]) -> tuple[str, ...]:
+def disabled_effects(effects: Collection[str]) -> tuple[str, ...]:
     """Which of LEFT_OUT a simulation with `effects` leaves out."""
     return tuple(name for name in LEFT_OUT if name not in effects)
 
 
-def level_texts(result: Mapping[str, object]) -> dict[str, str]:
+def fidelity_notes(result: Mapping[str, object]) -> dict[str, str]:
     """What a result says that was left out, by name; without a chain there are no markers whose
     images could be."""
     gone = [name for name in LEFT_OUT if result.get(name) is False]

@@ -48,10 +48,10 @@ class Fiducials:
     surface: str = text("surface", SURFACES, about="what they are on")
     radius: float = number("radius_mm", 0.05, 50, MM, about="of each black circle")
     places: tuple[tuple[float, float], ...] = entry(
-        Pairs(key="places_mm", units=(MM, MM), about="[x, y] of each, in the sensor's frame")
+        Pairs(key="positions_mm", units=(MM, MM), about="[x, y] of each, in the sensor's frame")
     )
     ground: float = number(
-        "ground_mm", 0.05, 50, MM, default=0.5e-3, about="white around each, 8 px or more"
+        "quiet_zone_mm", 0.05, 50, MM, default=0.5e-3, about="white around each, 8 px or more"
     )
     lip: float = number(
         "lip_mm",
@@ -63,7 +63,7 @@ class Fiducials:
         only_if=("surface", ("rim",)),
     )
     step: float = number(
-        "step_mm",
+        "wall_setback_mm",
         0.5,
         50,
         MM,
@@ -132,21 +132,23 @@ class Fiducials:
         """
         if not FEWEST <= self.count <= _MOST:
             message = f"{self.count} circles; from {FEWEST} to {_MOST}"
-            raise section.fail("fiducials.places_mm", message)
+            raise section.fail("fiducials.positions_mm", message)
         if self.surface == "rim" and self.step + _WALL > design.frame.rim:
-            message = f"{self.step / MM:g} leaves no wall of frame.rim_mm {design.frame.rim / MM:g}"
-            raise section.fail("fiducials.step_mm", message)
+            message = (
+                f"{self.step / MM:g} leaves no wall of frame.wall_mm {design.frame.rim / MM:g}"
+            )
+            raise section.fail("fiducials.wall_setback_mm", message)
         if self.surface == "rim" and self.lip >= design.chamber.depth:
             raise section.fail("fiducials.lip_mm", f"{self.lip / MM:g} fills the chamber")
         xy = np.array(self.places)
         apart = np.linalg.norm(xy[:, None] - xy, axis=2) + np.diag(np.full(len(xy), np.inf))
         if apart.min() < 2 * self.radius + self.ground:
             message = f"circles {apart.min() / MM:.3g} mm apart leave no ground between them"
-            raise section.fail("fiducials.places_mm", message)
+            raise section.fail("fiducials.positions_mm", message)
         for place, why in zip(self.places, self._wrong(design), strict=True):
             if why:
                 message = f"[{place[0] / MM:g}, {place[1] / MM:g}] {why}"
-                raise section.fail("fiducials.places_mm", message)
+                raise section.fail("fiducials.positions_mm", message)
 
     def _wrong(self, design: SensorDesign) -> list[str]:
         """What is wrong with each place, "" where nothing is."""
@@ -154,7 +156,7 @@ class Fiducials:
         reach = self.radius + self.ground
         xy = np.abs(self.places)
         # at the opening, as the camera sees it past them
-        depth = design.camera.distance - design.pane_thickness_apparent
+        depth = design.camera.distance - design.apparent_glass_thickness
         here = depth + self.p_SF(design)[:, 2]
         grows = np.ones(len(xy)) if self.surface == "rim" else depth / here
         if design.frame.outline is None:
@@ -165,13 +167,13 @@ class Fiducials:
             hides = design.frame.inside(grows[:, None] * self.places) > -reach * grows
             beyond = design.frame.inside(np.array(self.places)) < reach - self.step
         beyond = beyond & (self.surface == "rim")
-        out = self._out_of_picture(design, xy, here)
+        out = self._outside_image(design, xy, here)
         words = {"rim": "is not on the lip, ground and all", "pane": "hides a part of the membrane"}
         found = np.where(out, "is out of the picture", "")
         found = np.where(beyond, words["rim"], found)
         return np.where(hides, words[self.surface], found).tolist()
 
-    def _out_of_picture(self, design: SensorDesign, xy: Array, depth: Array) -> Array:
+    def _outside_image(self, design: SensorDesign, xy: Array, depth: Array) -> Array:
         """Which (F,) reach out of the picture, or nearly; `depth` (F,) as the pane has it."""
         camera = design.camera
         r = (xy + self.radius) / depth[:, None]

@@ -36,13 +36,13 @@ def limited(most: int = MOST) -> Iterator[Callable[[], None]]:
         yield lambda: None
         return
 
-    has_begun = False
+    has_started = False
 
     def begin() -> None:
-        nonlocal has_begun
-        if has_begun:
+        nonlocal has_started
+        if has_started:
             return
-        has_begun = True
+        has_started = True
         used = _used()
         soft, hard = before
         if used is not None and (soft == resource.RLIM_INFINITY or used + most < soft):

@@ -93,9 +93,9 @@ class Camera(Pinhole):
         """
         if glass is None:
             return self
-        return self.behind_pane(glass.thickness, glass.refractive_index, glass.distance)
+        return self.behind_glass(glass.thickness, glass.refractive_index, glass.distance)
 
-    def behind_pane(self, thickness: float, refractive_index: float, distance: float) -> Camera:
+    def behind_glass(self, thickness: float, refractive_index: float, distance: float) -> Camera:
         """Put this camera behind a pane, in place of any other.
 
         Args:
@@ -150,7 +150,7 @@ class Camera(Pinhole):
         lens, pane = camera_file.read(Path(path))
         camera = cls(**lens)
         if pane is not None:
-            camera = camera.behind_pane(*pane)
+            camera = camera.behind_glass(*pane)
         return camera.behind(glass)
 
 
@@ -217,10 +217,10 @@ def glass_shift(camera: Camera, rays: ArrayLike) -> Array:
     x = ray[..., 0]
     y = ray[..., 1]
     z = ray[..., 2]
-    return pane_shift(camera, (x * x + y * y) / (z * z))
+    return glass_displacement(camera, (x * x + y * y) / (z * z))
 
 
-def pane_shift(camera: Camera, tan2: ArrayLike) -> Array:
+def glass_displacement(camera: Camera, tan2: ArrayLike) -> Array:
     """`glass_shift` (...) m for rays at an angle theta to the axis with tan(theta)^2 = `tan2`
     (...).
 

@@ -1,11 +1,10 @@
 """What a learned policy sees and does: the same numbers in a Gymnasium environment, in training,
 and in a controller on a rig.
 
-A policy is a function of one vector (`policy_vector`) that gives an action (3,) in [-1, 1]: speed
-of opening, force limit and speed of lifting (`policy_command`). Where a grasp is, from approach to
-release, follows from what is felt and reached, and is part of what the policy sees; so a policy
-without memory can lift, hold and set down.
-"""
+A policy is a function of one vector (`policy_observation`) that gives an action (3,) in [-1, 1]:
+speed of opening, force limit and speed of lifting (`command_from_action`). Where a grasp is, from
+approach to release, follows from what is felt and reached, and is part of what the policy sees; so
+a policy without memory can lift, hold and set down."""
 
 from __future__ import annotations
 
@@ -55,14 +54,14 @@ _RIG = (
 )
 
 
-def policy_names(fingers: int = 2) -> list[str]:
+def policy_observation_names(fingers: int = 2) -> list[str]:
     """Name the numbers of a policy's vector.
 
     Args:
         fingers: How many fingers the rig has.
 
     Returns:
-        (8 fingers + 14) names with their units, in the order of `policy_vector`.
+        (8 fingers + 14) names with their units, in the order of `policy_observation`.
     """
     return [f"finger{k}.{name}" for k in range(1, fingers + 1) for name, _ in _FINGER] + [
         name for name, _ in _RIG
@@ -81,14 +80,15 @@ def _bounds(fingers: int) -> Array:
     )
 
 
-def policy_vector(observation: Observation) -> Array:
+def policy_observation(observation: Observation) -> Array:
     """Make the vector that a policy sees.
 
     Args:
         observation: What a controller would see.
 
     Returns:
-        (8 fingers + 14,) float32, named by `policy_names`. A force that is unknown is 0 with
+        (8 fingers + 14,) float32, named by `policy_observation_names`. A force that is unknown is 0
+        with
             `known` 0; the force limit is 0 in the first cycle, before any was commanded.
     """
     command = observation.command
@@ -110,7 +110,7 @@ def policy_vector(observation: Observation) -> Array:
     return np.minimum(np.maximum(values, -most), most).astype(np.float32)
 
 
-def policy_command(observation: Observation, action: ArrayLike) -> Command:
+def command_from_action(observation: Observation, action: ArrayLike) -> Command:
     """Make the command of a policy's action.
 
     Args:
@@ -139,18 +139,18 @@ def policy_command(observation: Observation, action: ArrayLike) -> Command:
         phase,
         memory,
         last.reason,
-        last.pressure_gauge,
+        last.gauge_pressure,
     )
 
 
-def share_let_go(sent: Command) -> float:
+def fraction_released(sent: Command) -> float:
     """Of the way from a grip's goal, ahead of the jaws, to where what was held is let go of, what
-    a command of `policy_command` has come: 1 at the end."""
+    a command of `command_from_action` has come: 1 at the end."""
     grip = sent.memory.get("grip_opening", sent.opening)
     return (sent.opening - grip + _LEAD) / (_CLEAR + _LEAD)
 
 
-def policy_action(before: Command, after: Command, period: float) -> Array:
+def action_from_commands(before: Command, after: Command, period: float) -> Array:
     """Find the action that takes one command to the next: what a policy is to learn of a teacher.
 
     Args:
@@ -159,7 +159,7 @@ def policy_action(before: Command, after: Command, period: float) -> Array:
         period: s between them.
 
     Returns:
-        (3,) in [-1, 1], as `policy_command` takes it.
+        (3,) in [-1, 1], as `command_from_action` takes it.
 
     Raises:
         InputError: Neither command has a force limit.

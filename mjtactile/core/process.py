@@ -97,13 +97,13 @@ def how_it_ended(process: subprocess.Popen[str]) -> str:
     return f"by signal {-code}" if code < 0 else f"exit code {code}"
 
 
-def stop(process: subprocess.Popen[str], patience: float = 0.0) -> None:
+def stop(process: subprocess.Popen[str], disk_wait_time: float = 0.0) -> None:
     """End a child: its stdin closes, and what still runs `patience` s later is killed."""
     if process.stdin:
         with contextlib.suppress(OSError):
             process.stdin.close()
     try:
-        process.wait(patience)
+        process.wait(disk_wait_time)
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()

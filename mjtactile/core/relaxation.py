@@ -31,7 +31,7 @@ from mjtactile.core.field_types import Pairs
 from mjtactile.core.toml import Section
 from mjtactile.core.types import Array
 
-MOST_TERMS = 8
+MAX_TERMS = 8
 
 
 @dataclass(frozen=True)
@@ -53,14 +53,14 @@ class Relaxation:
         )
     )
     softening: float = number(
-        "softening_share",
+        "mullins_fraction",
         0,
         0.9,
         default=0.0,
         about="of the stress, that the first cycles take (Mullins)",
     )
     softening_energy: float = number(
-        "softening_kJ_m3",
+        "mullins_energy_kJ_m3",
         1e-3,
         1e4,
         KPA,
@@ -96,9 +96,9 @@ class Relaxation:
         Raises:
             InputError: Names the field and what is wrong with it.
         """
-        if len(self.terms) > MOST_TERMS:
+        if len(self.terms) > MAX_TERMS:
             raise section.fail(
-                "relaxation.terms_s", f"{len(self.terms)} terms are more than {MOST_TERMS}"
+                "relaxation.terms_s", f"{len(self.terms)} terms are more than {MAX_TERMS}"
             )
         for share, seconds in self.terms:
             if not (0 < share <= 2 and 1e-3 <= seconds <= 1e7):
@@ -109,7 +109,7 @@ class Relaxation:
                 raise section.fail("relaxation.terms_s", message)
         if not self.terms and not self.softening:
             raise section.fail(
-                "relaxation.terms_s", "neither terms_s nor softening_share says anything"
+                "relaxation.terms_s", "neither terms_s nor mullins_fraction says anything"
             )
 
 

@@ -39,13 +39,13 @@ _SMALL = 1e-6  # step of a difference
 
 
 def inflated_height(
-    design: SensorDesign, pressure_gauge: float, *, gravity: float = 0.0, degree: int | None = None
+    design: SensorDesign, gauge_pressure: float, *, gravity: float = 0.0, degree: int | None = None
 ) -> float:
     """Height of the middle of an inflated sheet.
 
     Args:
         design: Its frame and membrane, of any outline and law.
-        pressure_gauge: Pa.
+        gauge_pressure: Pa.
         gravity: m/s^2, into the chamber.
         degree: Of the polynomials in x^2 and y^2; 5, of polygons 3.
 
@@ -54,25 +54,25 @@ def inflated_height(
         four times as long as wide.
     """
     frame = replace(design.frame, shape="ellipse")  # where to begin: a bulge as long and as wide
-    first = analytical_solutions.bulge_height(replace(design, frame=frame), pressure_gauge)
+    first = analytical_solutions.bulge_height(replace(design, frame=frame), gauge_pressure)
     if not np.isfinite(first):
         return np.nan
     weight = gravity * design.membrane.density * design.membrane.thickness
     weight /= design.membrane.pre_stretch**2
     if degree is None:
         degree = _DEGREE_POLYGON if design.frame.shape == "polygon" else _DEGREE
-    sheet = _Sheet.of(design, degree)
+    sheet = _RitzMembrane.of(design, degree)
     unknown = np.zeros(3 * sheet.count)
     unknown[2 * sheet.count] = _STEPS[0] ** 0.5 * first / _SCALE
     for share in _STEPS:
-        found = _root(sheet, unknown, share * pressure_gauge, share * weight)
+        found = _root(sheet, unknown, share * gauge_pressure, share * weight)
         if found is None:
             return np.nan
         unknown = found
     return float(_SCALE * unknown[2 * sheet.count :] @ sheet.middle)
 
 
-def _root(sheet: _Sheet, unknown: Array, pressure: float, weight: float) -> Array | None:
+def _root(sheet: _RitzMembrane, unknown: Array, pressure: float, weight: float) -> Array | None:
     """Coefficients (3 k,), _SCALE m, of equilibrium, by Newton's method with differences; None
     where there is none to be found."""
     for _ in range(_NEWTON):
@@ -90,7 +90,7 @@ def _root(sheet: _Sheet, unknown: Array, pressure: float, weight: float) -> Arra
 
 
 @dataclass(frozen=True, eq=False)
-class _Sheet:
+class _RitzMembrane:
     """Values of the trial functions at the places where work is summed.
 
     Attributes:
@@ -108,7 +108,7 @@ class _Sheet:
     middle: Array
 
     @classmethod
-    def of(cls, design: SensorDesign, degree: int) -> _Sheet:
+    def of(cls, design: SensorDesign, degree: int) -> _RitzMembrane:
         frame = design.frame
         symmetric = frame.shape != "polygon"
         disc = frame.outline is not None

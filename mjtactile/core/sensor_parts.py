@@ -65,7 +65,7 @@ class Frame:
         "width_mm", 2, 500, MM, about="inner opening along y", only_if=("shape", _SIDED)
     )
     rim: float = number(
-        "rim_mm", 0, 100, MM, default=0.003, about="width of the wall around the opening"
+        "wall_mm", 0, 100, MM, default=0.003, about="width of the wall around the opening"
     )
     shape: str = FrameShape.RECTANGLE
     corner_radius: float = number(
@@ -236,8 +236,8 @@ class Chamber:
     depth: float = number(
         "depth_mm", 0.1, 500, MM, about="flat membrane to glass; no press can be deeper"
     )
-    heat_ratio: float = number(
-        "heat_ratio",
+    polytropic_exponent: float = number(
+        "polytropic_exponent",
         1,
         1.7,
         ONE,
@@ -246,7 +246,7 @@ class Chamber:
         "1.4 air that has no time to take the walls' temperature",
     )
     supply_gauge: float = number(
-        "supply_gauge_kPa",
+        "supply_pressure_kPa",
         -50,
         100,
         KPA,
@@ -258,7 +258,7 @@ class Chamber:
         "temperature_K", 200, 400, ONE, default=293.15, about="of gas and walls"
     )
     heat_exchange: float = number(
-        "heat_exchange_s",
+        "thermal_time_constant_s",
         1e-3,
         1e6,
         ONE,

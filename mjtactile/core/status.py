@@ -11,16 +11,16 @@ class StatusCode(StrEnum):
 
     OK = "ok"
     NO_IMAGE = "no image"  # the camera is blind, late or stale
-    NO_ANSWER = "no answer"  # what looks at the images does not answer, or failed
+    PERCEPTION_TIMEOUT = "no answer"  # what looks at the images does not answer, or failed
     TOO_FEW_MARKERS = "too few markers"
-    NO_SHAPE = "no shape"  # the markers fit no shape that the membrane can have
+    FIT_FAILED = "no shape"  # the markers fit no shape that the membrane can have
     OVERLOADED = "overloaded"  # and did not since they showed a large force
     # the rest is not what it was: temperature, a camera that moved
     REFERENCE_LOST = "reference lost"
-    AIR_MOVES = "air moves"  # the chamber's pressure changes too fast to be followed
-    TOO_WEAK = "too weak"  # too small a force to say it by
-    TOO_LITTLE_SEEN = "too little seen"  # the probe was not finished
-    UNDECIDED = "undecided"  # the evidence fits two answers
+    PRESSURE_CHANGING = "air moves"  # the chamber's pressure changes too fast to be followed
+    FORCE_TOO_LOW = "too weak"  # too small a force to say it by
+    INCOMPLETE_DATA = "too little seen"  # the probe was not finished
+    AMBIGUOUS = "undecided"  # the evidence fits two answers
     NOT_ESTIMATED = "not estimated"  # this method does not tell
     OTHER = "other"  # a text without a code: an older recording, a user's own
 

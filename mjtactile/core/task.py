@@ -1,7 +1,7 @@
 """`Task`: what is done with an object, what happens to it meanwhile, and what counts; a file.
 
 The seed draws from its ranges what the object weighs, how rough it is, what it stands, and each of
-the things that happen. The robot is told the `Orders` and nothing else. The format:
+the things that happen. The robot is told the `GoalSettings` and nothing else. The format:
 docs/reference/task_files.md.
 """
 
@@ -31,7 +31,7 @@ from mjtactile.core.config_fields import (
 )
 from mjtactile.core.field_types import Numbers
 from mjtactile.core.toml import Section, read_toml
-from mjtactile.core.types import Told
+from mjtactile.core.types import TaskGoal
 
 GRAVITY = 9.81  # m/s^2
 _SPAN = ("low", "high")
@@ -42,13 +42,14 @@ Range = tuple[float, float]
 def _range(
     key: str, low: float, high: float, unit: float = 1.0, *, of: str = "", about: str = ""
 ) -> Any:
-    """A field that is [low, high], from which the seed draws; of one kind of `Happening` alone."""
+    """A field that is [low, high], from which the seed draws; of one kind of `Disturbance`
+    alone."""
     only_if = ("kind", (of,)) if of else None
     return numbers(key, _SPAN, low, high, unit, default=None, only_if=only_if, about=about)
 
 
 @dataclass(frozen=True)
-class Orders:
+class GoalSettings:
     """What the robot is told."""
 
     lift_height: float = number(
@@ -58,48 +59,54 @@ class Orders:
     place_height: float = number(
         "place_height_mm", 0, 150, MM, default=0.0, about="of the place it sets down on"
     )
-    hand_over: bool = flag("hand_over", default=False, about="somebody will take it")
+    handover: bool = flag("handover", default=False, about="somebody will take it")
     push: float = number("push_N", 0, 20, default=0.0, about="somebody may push it so hard")
 
-    def told(self) -> Told:
+    def told(self) -> TaskGoal:
         """The value that controllers see."""
-        return Told(**{one.name: getattr(self, one.name) for one in fields(self)})
+        return TaskGoal(**{one.name: getattr(self, one.name) for one in fields(self)})
 
 
 @dataclass(frozen=True)
-class TaskObject:
+class ObjectRandomization:
     """How the object differs from its file; what is left out does not."""
 
     mass: Range | None = _range("mass_g", 0.1, 2000, 1e-3, about="evenly in its logarithm")
     friction: Range | None = _range("friction", 0.05, 3, about="coefficient, with the membranes")
-    need_most: float = number(
-        "need_most_N",
+    need_max: float = number(
+        "required_grip_max_N",
         0.01,
         20,
         default=math.inf,
         about="mass and friction that need more of a finger are drawn again",
     )
-    breaking_least: float = number(
-        "break_least_N", 0, 100, default=0.0, about="no thing breaks at less: what touching takes"
+    breaking_min: float = number(
+        "break_force_min_N",
+        0,
+        100,
+        default=0.0,
+        about="no thing breaks at less: what touching takes",
     )
     breaking: Range | None = _range(
-        "break_share_of_need", 1.05, 100, about="what it stands, over the least grip that holds"
+        "break_force_factor", 1.05, 100, about="what it stands, over the least grip that holds"
     )
 
     def validate(self, section: Section) -> None:
         _require_order(self, section)
         if self.breaking is not None and self.friction is None:
-            raise section.fail("break_share_of_need", "rests on friction, which is missing")
+            raise section.fail("break_force_factor", "rests on friction, which is missing")
 
 
 @dataclass(frozen=True)
-class Happening:
+class Disturbance:
     """One thing that happens, from `begin` s after the hand is up, for `last` s."""
 
     kind: str = text("kind", KINDS)
-    begin: Range = numbers("begin_s", _SPAN, 0, 600, about="after the hand is up")
-    last: Range = numbers("last_s", _SPAN, 0.001, 600)
-    mass: Range | None = _range("to_g", 0.1, 2000, 1e-3, of="fill", about="its mass in the end")
+    begin: Range = numbers("start_s", _SPAN, 0, 600, about="after the hand is up")
+    last: Range = numbers("duration_s", _SPAN, 0.001, 600)
+    mass: Range | None = _range(
+        "final_mass_g", 0.1, 2000, 1e-3, of="fill", about="its mass in the end"
+    )
     acceleration: Range | None = _range("acceleration_m_s2", 0, 20, of="shake", about="amplitude")
     rate: Range | None = _range("rate_Hz", 0.1, 20, of="shake")
     tilt: Range | None = _range("tilt_deg", 0, 90, DEGREE, of="shake", about="it also turns")
@@ -120,30 +127,30 @@ class Happening:
         _require_order(self, section)
         for name in wanted[self.kind]:
             if getattr(self, name) is None:
-                raise section.fail(entries(Happening)[name].key, "is missing")
+                raise section.fail(entries(Disturbance)[name].key, "is missing")
 
 
 @dataclass(frozen=True)
-class Counts:
+class SuccessCriteria:
     """What a success is, beside that the object is held and whole."""
 
     upright: float = number(
-        "upright_deg", 0, 180, DEGREE, default=math.inf, about="it stands, no more tilted"
+        "tilt_max_deg", 0, 180, DEGREE, default=math.inf, about="it stands, no more tilted"
     )
     let_go: float = number(
-        "let_go_within_s", 0, 60, default=math.inf, about="of a pull; and not before it"
+        "release_within_s", 0, 60, default=math.inf, about="of a pull; and not before it"
     )
     fall: float = number(
-        "fall_mm", 0.1, 200, MM, default=0.015, about="when it is let go of, and no further"
+        "drop_max_mm", 0.1, 200, MM, default=0.015, about="when it is let go of, and no further"
     )
     bump: float = number(
-        "bump_N_s", 0, 10, default=math.inf, about="with which it is set down, at most"
+        "impact_max_N_s", 0, 10, default=math.inf, about="with which it is set down, at most"
     )
 
 
 @dataclass(frozen=True)
-class DrawnHappening:
-    """A drawn `Happening`: SI values by the names of its fields, and a direction."""
+class SampledDisturbance:
+    """A drawn `Disturbance`: SI values by the names of its fields, and a direction."""
 
     kind: str
     begin: float
@@ -153,14 +160,14 @@ class DrawnHappening:
 
 
 @dataclass(frozen=True)
-class DrawnTask:
+class SampledTask:
     """What a seed has drawn: kg, the coefficient and N over the need, None where the task leaves
     them; `values` in the file's units, for results."""
 
     mass: float | None
     friction: float | None
     breaking: float | None
-    events: tuple[DrawnHappening, ...]
+    events: tuple[SampledDisturbance, ...]
     values: Mapping[str, float]
 
     def pulls(self) -> float:
@@ -186,20 +193,20 @@ class Task:
     """A task file."""
 
     name: str
-    happenings: tuple[Happening, ...] = parts("happens", Happening, 0, 20)
+    happenings: tuple[Disturbance, ...] = parts("happens", Disturbance, 0, 20)
     about: str = text("about", default="")
     version: str = text("version", default="")
     time_limit: float = number("time_limit_s", 0.1, 86400, default=60.0)
-    orders: Orders = part("told", Orders, default=Orders())
-    thing: TaskObject = part("object", TaskObject, default=TaskObject())
-    counts: Counts = part("counts", Counts, default=Counts())
+    orders: GoalSettings = part("told", GoalSettings, default=GoalSettings())
+    thing: ObjectRandomization = part("object", ObjectRandomization, default=ObjectRandomization())
+    counts: SuccessCriteria = part("counts", SuccessCriteria, default=SuccessCriteria())
 
     @property
     def is_plain(self) -> bool:
         """Whether nothing is drawn and nothing happens."""
-        return not self.happenings and self.thing == TaskObject()
+        return not self.happenings and self.thing == ObjectRandomization()
 
-    def draw(self, seed: int, fingers: int) -> DrawnTask:
+    def draw(self, seed: int, fingers: int) -> SampledTask:
         """The task of a seed, for a hand of so many fingers. A value depends on the seed and on
         its own name alone."""
         events = []
@@ -207,27 +214,31 @@ class Task:
         for number_, happening in enumerate(self.happenings, 1):
             drawn = {
                 name: _at(span, _share(seed, f"{number_}.{name}"))
-                for name in entries(Happening)
+                for name in entries(Disturbance)
                 if isinstance(span := getattr(happening, name), tuple)
             }
             values |= {
-                f"task.{happening.kind}{number_}.{_key(Happening, name)}": _written(
-                    Happening, name, value
+                f"task.{happening.kind}{number_}.{_key(Disturbance, name)}": _written(
+                    Disturbance, name, value
                 )
                 for name, value in drawn.items()
             }
             begin = drawn.pop("begin")
             last = drawn.pop("last")
             way = _direction(seed, f"{number_}.direction")
-            events.append(DrawnHappening(happening.kind, begin, last, drawn, way))
-        thing = self._draw_thing(seed, fingers, tuple(events))
+            events.append(SampledDisturbance(happening.kind, begin, last, drawn, way))
+        thing = self._sample_object(seed, fingers, tuple(events))
         for name in ("mass", "friction", "breaking"):
             value = getattr(thing, name)
             if value is not None:
-                values[f"task.{_key(TaskObject, name)}"] = _written(TaskObject, name, value)
-        return DrawnTask(thing.mass, thing.friction, thing.breaking, thing.events, values)
+                values[f"task.{_key(ObjectRandomization, name)}"] = _written(
+                    ObjectRandomization, name, value
+                )
+        return SampledTask(thing.mass, thing.friction, thing.breaking, thing.events, values)
 
-    def _draw_thing(self, seed: int, fingers: int, events: tuple[DrawnHappening, ...]) -> DrawnTask:
+    def _sample_object(
+        self, seed: int, fingers: int, events: tuple[SampledDisturbance, ...]
+    ) -> SampledTask:
         spans = self.thing
         breaking = None if spans.breaking is None else _at(spans.breaking, _share(seed, "breaking"))
         attempt = 0
@@ -235,11 +246,11 @@ class Task:
             shares = [_share(seed, f"{name}.{attempt}") for name in ("mass", "friction")]
             mass = None if spans.mass is None else _logarithmic(spans.mass, shares[0])
             friction = None if spans.friction is None else _at(spans.friction, shares[1])
-            drawn = DrawnTask(mass, friction, breaking, events, {})
+            drawn = SampledTask(mass, friction, breaking, events, {})
             attempt += 1
             if mass is None or friction is None or attempt > _ATTEMPTS:
                 return drawn
-            if drawn.need(mass, friction, fingers) <= spans.need_most:
+            if drawn.need(mass, friction, fingers) <= spans.need_max:
                 return drawn
 
 

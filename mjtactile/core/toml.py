@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.errors import InputError
+from mjtactile.core.renamed import KEYS, hint
 
 # bytes; no file that a person writes is larger, and a larger one would only be slow to refuse
 LARGEST = 8 << 20
@@ -257,11 +258,13 @@ class Section:
         for key in self._table:
             if key not in self._known:
                 what = "section" if isinstance(self._table[key], Mapping) else "field"
-                hint = self._similar_known(key)
+                hint = self._similar_key(key)
                 raise self.fail(key, f"unknown {what}{hint}", self._known)
 
-    def _similar_known(self, key: str) -> str:
+    def _similar_key(self, key: str) -> str:
         """Which known field may be meant by an unknown one."""
+        if key in KEYS:
+            return hint(key)
         stems = {_stem(known): known for known in self._known if "_" in known}
         if _stem(key) in stems:
             return f", wrong unit? write it as {stems[_stem(key)]!r}"
@@ -282,6 +285,8 @@ class Section:
     def _similar_unread(self, key: str) -> str:
         """What stands in the table and may be meant where `key` is missing."""
         rest = [other for other in self._table if other not in self._known]
+        if old := [other for other in rest if KEYS.get(other) == key]:
+            return hint(old[0])
         for other in rest:
             if "_" in key and _stem(other) == _stem(key):
                 return f"; there is {other!r}: wrong unit?"

@@ -14,7 +14,7 @@ from mjtactile.core.errors import InputError, MjtactileError
 from mjtactile.core.types import Array
 from mjtactile.design_study.score import Score, score
 from mjtactile.design_study.sensor_file_edit import rebuilt, scaled_lens, with_markers
-from mjtactile.design_study.virtual_bench import Stand
+from mjtactile.design_study.virtual_bench import VirtualBench
 
 # What is drawn, with its range: markers a millimetre along the longer side, their radius over their
 # pitch, the lens as a share of the longest, thickness and pressure times the file's (evenly in
@@ -32,14 +32,14 @@ _RANGES = np.array(
 _EDGE = 2.0e-3  # m from the frame to the outermost markers' rims
 _FEWEST_PX = 6.0
 """px, a marker's radius on the flat membrane: smaller ones are fitted by all their pixels."""
-_MOST_MARKERS = 400
+_MAX_MARKERS = 400
 _TRIES = 40  # designs drawn for one that can be built
 
 Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Wish:
+class Requirements:
     """What is wanted; None: whatever comes of it.
 
     Attributes:
@@ -70,7 +70,7 @@ class Wish:
 
 
 @dataclass(frozen=True)
-class Tried:
+class DesignCandidate:
     """A design, what it reaches, what it misses of the wish, and whether no other that misses as
     little is better in force, edge and markers at once."""
 
@@ -83,12 +83,12 @@ class Tried:
 def sweep(
     design: SensorDesign,
     force: float,
-    wish: Wish,
+    wish: Requirements,
     *,
     count: int = 48,
     seed: int = 0,
     say: Say = lambda _: None,
-) -> list[Tried]:
+) -> list[DesignCandidate]:
     """Draw designs, and predict what each reaches.
 
     Args:
@@ -107,7 +107,7 @@ def sweep(
     """
     # as scipy 1.14 calls it; newer ones take it, too
     drawn = qmc.Sobol(len(_RANGES), seed=seed)  # pyright: ignore[reportCallIssue]
-    tried: list[Tried] = []
+    tried: list[DesignCandidate] = []
     for _ in range(_TRIES * count):
         if len(tried) == count:
             break
@@ -126,17 +126,19 @@ def sweep(
     return with_front(tried)
 
 
-def _tried(design: SensorDesign, numbers: Array, force: float, wish: Wish) -> Tried | None:
+def _tried(
+    design: SensorDesign, numbers: Array, force: float, wish: Requirements
+) -> DesignCandidate | None:
     try:
         made = rebuilt(made_of(design, numbers))
-        if made.markers.count > _MOST_MARKERS or radius_px(made) < _FEWEST_PX:
+        if made.markers.count > _MAX_MARKERS or radius_px(made) < _FEWEST_PX:
             return None
-        reached = score(made, force, stand=Stand(made))
+        reached = score(made, force, stand=VirtualBench(made))
     except (InputError, MjtactileError):  # it cannot be built, or not be felt with
         return None
     if not math.isfinite(reached.force_sd):
         return None
-    return Tried(made, reached, tuple(wish.missed(reached)))
+    return DesignCandidate(made, reached, tuple(wish.missed(reached)))
 
 
 def made_of(design: SensorDesign, numbers: Array) -> SensorDesign:
@@ -176,7 +178,7 @@ def longest_lens(design: SensorDesign) -> float:
     markers = design.markers
     camera = design.camera
     reach = np.abs(markers.p_SM[:, :2]).max(axis=0) + markers.radius
-    depth = camera.distance - design.pane_thickness_apparent
+    depth = camera.distance - design.apparent_glass_thickness
     room = np.array(
         [
             min(camera.cx, camera.width - 1 - camera.cx) / camera.fx,
@@ -191,7 +193,7 @@ def radius_px(design: SensorDesign) -> float:
     return design.camera.fx * design.markers.radius / design.camera.distance
 
 
-def with_front(tried: Sequence[Tried]) -> list[Tried]:
+def with_front(tried: Sequence[DesignCandidate]) -> list[DesignCandidate]:
     """Mark those of the fewest missed wishes that no other of them beats in force sd, edge sd and
     number of markers at once.
 
@@ -214,7 +216,7 @@ def with_front(tried: Sequence[Tried]) -> list[Tried]:
     return marked
 
 
-def best(tried: Sequence[Tried], count: int) -> list[Tried]:
+def best(tried: Sequence[DesignCandidate], count: int) -> list[DesignCandidate]:
     """Some of the front, spread from the best force to the best edge.
 
     Args:

@@ -9,7 +9,7 @@ from typing import Any
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.design_study import predict_file, sensor_file_edit
-from mjtactile.design_study.design_sweep import Tried, Wish, best, sweep
+from mjtactile.design_study.design_sweep import DesignCandidate, Requirements, best, sweep
 from mjtactile.design_study.prediction_check import check, verdict
 from mjtactile.design_study.score import score
 
@@ -39,10 +39,10 @@ def of_file(
     return result
 
 
-def of_wish(
+def from_requirements(
     design: SensorDesign,
     force: float,
-    wish: Wish,
+    wish: Requirements,
     *,
     count: int,
     check: int = 0,
@@ -89,7 +89,7 @@ def of_wish(
     return result, texts
 
 
-def _row(one: Tried) -> dict[str, Any]:
+def _row(one: DesignCandidate) -> dict[str, Any]:
     design = one.design
     return {
         "reaches": one.score.table(),
@@ -102,11 +102,11 @@ def _row(one: Tried) -> dict[str, Any]:
         "fx_px": design.camera.fx,
         "thickness_mm": 1e3 * design.membrane.thickness,
         "pre_stretch": design.membrane.pre_stretch,
-        "supply_gauge_kPa": 1e-3 * design.chamber.supply_gauge,
+        "supply_pressure_kPa": 1e-3 * design.chamber.supply_gauge,
     }
 
 
-def _text(name: str, one: Tried, force: float) -> str:
+def _text(name: str, one: DesignCandidate, force: float) -> str:
     reached = one.score.table()
     head = (
         f"Written by `mjtactile design`. Predicted where {force:g} N press: sd of the force "

@@ -32,7 +32,7 @@ def number(value: float | None) -> str:
     return "-" if value is None or not np.isfinite(value) else f"{value:.3g}"
 
 
-def draw_face(figure: Any, given: Mapping[str, Any]) -> None:
+def plot_face(figure: Any, given: Mapping[str, Any]) -> None:
     """Maps of the face.
 
     Args:
@@ -75,7 +75,7 @@ def page(given: Mapping[str, Any], picture: bytes | None) -> str:
     body.append(html.table(("", "reached"), reached))
     if picture is not None:
         body.append(f'<img alt="maps of the face" src="{html.data_uri("image/png", picture)}">')
-    body.append(f"<p>{picture_words(given['picture'])}</p>")
+    body.append(f"<p>{image_quality_text(given['picture'])}</p>")
     body.append("<h2>What changes would buy</h2><p>Times what it reaches now.</p>")
     body.append(html.table(("change", *CHANGED.values()), change_rows(given)))
     return html.document(title, body)
@@ -111,7 +111,7 @@ def change_rows(given: Mapping[str, Any]) -> list[tuple[str, ...]]:
     return rows
 
 
-def picture_words(picture: Mapping[str, float]) -> str:
+def image_quality_text(picture: Mapping[str, float]) -> str:
     """How the camera's picture is used, in a sentence."""
     width = 100 * (1 - picture["width_used"])
     height = 100 * (1 - picture["height_used"])
@@ -125,7 +125,7 @@ def picture_words(picture: Mapping[str, float]) -> str:
     )
 
 
-def draw_front(figure: Any, swept: Mapping[str, Any]) -> None:
+def plot_front(figure: Any, swept: Mapping[str, Any]) -> None:
     """All designs of a sweep, and those that none is better than.
 
     Args:

@@ -13,18 +13,18 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError, MjtactileError
 from mjtactile.core.optics import Camera, project
 from mjtactile.core.types import Array
-from mjtactile.design_study.resolution import Reach, Reacher
+from mjtactile.design_study.resolution import Resolution, ResolutionPredictor
 from mjtactile.design_study.score import Score, score
 from mjtactile.design_study.sensor_file_edit import (
     extent_of,
-    radius_share,
+    radius_fraction,
     rebuilt,
     scaled_lens,
     scaled_pixels,
     with_markers,
 )
-from mjtactile.design_study.virtual_bench import Stand
-from mjtactile.sim.rendering.synthetic_ellipses import Sighter
+from mjtactile.design_study.virtual_bench import VirtualBench
+from mjtactile.sim.rendering.synthetic_ellipses import EllipseSampler
 
 _MARGIN = 5e-3  # m from the frame to the outermost places of the map
 _SPACING = 5e-3  # m between them, about
@@ -57,19 +57,19 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Given:
+class PredictionReport:
     """The study of a file: its `score` where `force` N presses, the map of its face, its picture,
     and changes."""
 
     design: SensorDesign
     force: float
     score: Score
-    face: tuple[Reach, ...]
+    face: tuple[Resolution, ...]
     picture: Picture
     changes: tuple[Change, ...]
 
 
-def study(design: SensorDesign, force: float, *, say: Say = lambda _: None) -> Given:
+def study(design: SensorDesign, force: float, *, say: Say = lambda _: None) -> PredictionReport:
     """Predict what a sensor file reaches.
 
     Args:
@@ -83,10 +83,10 @@ def study(design: SensorDesign, force: float, *, say: Say = lambda _: None) -> G
     Raises:
         InputError: The sheet finds no rest, or markers are out of the picture.
     """
-    stand = Stand(design)
+    stand = VirtualBench(design)
     say("what it reaches")
     own = score(design, force, stand=stand)
-    reacher = Reacher(stand)
+    reacher = ResolutionPredictor(stand)
     places = face_places(design)
     face = []
     for number, place in enumerate(places):
@@ -98,7 +98,7 @@ def study(design: SensorDesign, force: float, *, say: Say = lambda _: None) -> G
     for what, changed in variants(design, picture.longest_lens):
         say(f"what would it buy: {what}")
         changes.append(_changed(what, changed, force))
-    return Given(design, force, own, tuple(face), picture, tuple(changes))
+    return PredictionReport(design, force, own, tuple(face), picture, tuple(changes))
 
 
 def face_places(design: SensorDesign) -> list[Array]:
@@ -110,7 +110,7 @@ def face_places(design: SensorDesign) -> list[Array]:
     return [np.array([x, y]) for y in lines[1] for x in lines[0]]
 
 
-def picture_of(stand: Stand) -> Picture:
+def picture_of(stand: VirtualBench) -> Picture:
     """How the picture is used.
 
     Args:
@@ -134,13 +134,13 @@ def picture_of(stand: Stand) -> Picture:
     return Picture(float(used[0]), float(used[1]), _longest_lens(stand))
 
 
-def _longest_lens(stand: Stand) -> float:
+def _longest_lens(stand: VirtualBench) -> float:
     flat = np.zeros_like(stand.film.rest.x)
     low = 1.0
     high = _LONGEST
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
-        sighter = Sighter(scaled_lens(stand.design, middle))
+        sighter = EllipseSampler(scaled_lens(stand.design, middle))
         seen = [
             sighter.sight(*stand.poses(x), errors=False).ellipses for x in (flat, stand.film.rest.x)
         ]
@@ -173,7 +173,7 @@ def variants(design: SensorDesign, longest_lens: float) -> list[tuple[str, Senso
         ),
         (
             f"{columns} x {rows} markers (a quarter more each way, as much smaller)",
-            with_markers(design, rows, columns, extent_of(design), radius_share(design)),
+            with_markers(design, rows, columns, extent_of(design), radius_fraction(design)),
         ),
         (
             f"focal length {lens * camera.fx:.0f} px ({_percent(lens)}, what the picture has room "
@@ -213,7 +213,7 @@ def _percent(factor: float) -> str:
     return f"{100 * (factor - 1):+.0f} %"
 
 
-def as_table(given: Given) -> dict[str, Any]:
+def as_table(given: PredictionReport) -> dict[str, Any]:
     """The study as `mjtactile design --json` has it, lengths in mm, forces in N and mN.
 
     Args:

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjtactile.core.design import SensorDesign
-from mjtactile.design_study.resolution import BALL_RADIUS, Reacher
-from mjtactile.design_study.virtual_bench import Stand
-from mjtactile.experiments.indentation import PressPlan, press
+from mjtactile.design_study.resolution import BALL_RADIUS, ResolutionPredictor
+from mjtactile.design_study.virtual_bench import VirtualBench
+from mjtactile.experiments.indentation import IndentationPlan, press
 from mjtactile.sim.scenes.indentation import Indenter
 
 _SPACING = 1.7e-3  # m between the sheet's vertices: a coarser mesh is stiffer than rubber
@@ -34,19 +34,19 @@ class Checked:
     off: tuple[float, float]
     force_sd: float
     place_sd: float
-    said_sd: float
+    reported_sd: float
 
 
 @dataclass(frozen=True)
-class Verdict:
+class PredictionCheck:
     """Ratios of measured scatter to what was predicted, over `count` presses: the root mean square
     of error over predicted sd, of force and of place; and the measured root mean square errors, N
-    and m. `said_ratio` is that of the chain's own sd of each press."""
+    and m. `reported_ratio` is that of the chain's own sd of each press."""
 
     count: int
     force_ratio: float
     place_ratio: float
-    said_ratio: float
+    reported_ratio: float
     force_rms: float
     place_rms: float
 
@@ -72,7 +72,7 @@ def check(
         The presses that were felt and could be predicted.
     """
     rng = np.random.default_rng(seed)
-    reacher = Reacher(Stand(design))
+    reacher = ResolutionPredictor(VirtualBench(design))
     sides = np.array([design.frame.length, design.frame.width]) / 2 - _MARGIN
     mesh = mesh_of(design)
     found = []
@@ -81,7 +81,7 @@ def check(
         while design.frame.inside(at[None])[0] < _MARGIN - _SAME:
             at = rng.uniform(-sides, sides)
         into = np.sort(rng.uniform(*_DEPTHS, depths))
-        plan = PressPlan(
+        plan = IndentationPlan(
             Indenter("sphere", BALL_RADIUS), into.tolist(), (float(at[0]), float(at[1]))
         )
         result = press(design, plan, mesh=mesh, seed=int(rng.integers(2**31)))
@@ -99,7 +99,7 @@ def mesh_of(design: SensorDesign) -> tuple[int, int]:
     return columns, rows
 
 
-def _compared(reacher: Reacher, at: np.ndarray, step: dict) -> Checked | None:
+def _compared(reacher: ResolutionPredictor, at: np.ndarray, step: dict) -> Checked | None:
     true = -float(step["force_true_N"][2])
     wrench = step["wrench_estimated"]
     reach = reacher.at(at, true, edges=False)
@@ -119,7 +119,7 @@ def _compared(reacher: Reacher, at: np.ndarray, step: dict) -> Checked | None:
     )
 
 
-def verdict(presses: list[Checked]) -> Verdict:
+def verdict(presses: list[Checked]) -> PredictionCheck:
     """Measured scatter over what was predicted.
 
     Args:
@@ -132,9 +132,9 @@ def verdict(presses: list[Checked]) -> Verdict:
     off = np.array([one.off for one in presses])
     force_sd, place_sd, said = (
         np.array([getattr(one, name) for one in presses])
-        for name in ("force_sd", "place_sd", "said_sd")
+        for name in ("force_sd", "place_sd", "reported_sd")
     )
-    return Verdict(
+    return PredictionCheck(
         len(presses),
         _rms(error / force_sd),
         _rms(off / place_sd[:, None]),

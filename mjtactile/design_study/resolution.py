@@ -10,15 +10,15 @@ import numpy as np
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, Touch
-from mjtactile.design_study.virtual_bench import Coming, Stand
+from mjtactile.design_study.virtual_bench import Coming, VirtualBench
 from mjtactile.quasistatic import obstacle
 from mjtactile.sensing.contact_shape.fit_state import Data, Prior, begin
-from mjtactile.sensing.contact_shape.forward_model import Forward
+from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.gauss_newton import Fit
-from mjtactile.sensing.contact_shape.jacobian import find_slopes
-from mjtactile.sensing.contact_shape.primitives import Hint, room_in
-from mjtactile.sensing.contact_shape.shape_models import FAMILIES, Family
-from mjtactile.sensing.contact_shape.shape_result import said_cov
+from mjtactile.sensing.contact_shape.jacobian import exact_jacobian
+from mjtactile.sensing.contact_shape.primitives import InitialGuess, feasible_half_extents
+from mjtactile.sensing.contact_shape.shape_models import FAMILIES, ShapeModel
+from mjtactile.sensing.contact_shape.shape_result import reported_covariance
 
 EDGE_RADIUS = 2.5e-3
 """m: what an edge is rounded by; the sheet leaves what is sharper before its faces begin."""
@@ -29,7 +29,7 @@ _FRAME = 1.5e-3  # m from the frame, where bodies that go on end
 
 
 @dataclass(frozen=True)
-class Reach:
+class Resolution:
     """What is reached at one place; NaN: not to be said there.
 
     Attributes:
@@ -56,19 +56,19 @@ class Reach:
     height: float
 
 
-class Reacher:
+class ResolutionPredictor:
     """Says what a sensor on the `stand` reaches."""
 
-    def __init__(self, stand: Stand):
+    def __init__(self, stand: VirtualBench):
         self.stand = stand
         self._settings = stand.chain.settings
         rest = stand.reference.first
-        self._forward = Forward(stand.design, rest, self._settings.body.spacing)
+        self._forward = ForwardModel(stand.design, rest, self._settings.body.spacing)
         self._by_gas = self._forward.by_gas()
         self._frame = stand.design.frame
-        self._sides = room_in(self._frame, _FRAME)
+        self._sides = feasible_half_extents(self._frame, _FRAME)
 
-    def at(self, place: Array, force: float, *, edges: bool = True) -> Reach:
+    def at(self, place: Array, force: float, *, edges: bool = True) -> Resolution:
         """What is reached where a ball, or an edge, presses with a force.
 
         Args:
@@ -82,19 +82,19 @@ class Reacher:
         x, y = (float(v) for v in place)
         unknown = math.nan
         if self._frame.inside(place[None])[0] < _FRAME:  # of a map that is no rectangle
-            return Reach(x, y, force, *[unknown] * 6)
+            return Resolution(x, y, force, *[unknown] * 6)
         edge_sd = self.edge_sd(place, force) if edges else unknown
         pressed = self.stand.press(ball(place, BALL_RADIUS), force)
         felt = None if pressed is None else self.stand.feel(pressed.state)
         if pressed is None or felt is None or felt.touch.traction is None or not felt.ok:
-            return Reach(x, y, force, unknown, unknown, unknown, unknown, edge_sd, unknown)
+            return Resolution(x, y, force, unknown, unknown, unknown, unknown, edge_sd, unknown)
         wrench = felt.touch.traction.wrench
         cov = felt.touch.traction.wrench_cov
         noise = math.sqrt(self.stand.noise(felt)[2, 2])
         height = pressed.height
         acts = place_sd(wrench, cov, height)
         sd = math.sqrt(cov[2, 2])
-        return Reach(x, y, force, -float(wrench[2]), sd, noise, acts, edge_sd, height)
+        return Resolution(x, y, force, -float(wrench[2]), sd, noise, acts, edge_sd, height)
 
     def edge_sd(self, place: Array, force: float) -> float:
         """Sd, m, of the place of an edge across the face, the larger of those along x and along y.
@@ -131,7 +131,7 @@ class Reacher:
         return math.nan if cov is None else radius * math.sqrt(cov[3, 3])
 
     def _numbers_cov(
-        self, family: Family, theta: Array, place: Array, force: float
+        self, family: ShapeModel, theta: Array, place: Array, force: float
     ) -> Array | None:
         """Covariance (k, k) of the numbers of a body that presses with a force, as the chain says
         it of an image in which all fits: by how its markers' heights go with them
@@ -149,12 +149,12 @@ class Reacher:
             at = begin(self._forward, family, hint, theta, data, believed, pressed.state)
             if at is None:
                 return None
-            slopes = find_slopes(self._forward, family, hint, at)
+            slopes = exact_jacobian(self._forward, family, hint, at)
         except InputError:  # a step of a number goes to the rim
             return None
         J = slopes.seen(data)
         found = Fit(family, hint, at, believed, J.T @ J, slopes, force)
-        return said_cov(found, self._settings.body.noise_least, self._settings.body)
+        return reported_covariance(found, self._settings.body.noise_min, self._settings.body)
 
     def _data(self, touch: Touch) -> Data:
         inverse = self._settings.inverse
@@ -162,12 +162,14 @@ class Reacher:
         raised = np.zeros(self.stand.design.markers.count)
         return Data.of(touch, raised, self._by_gas, self._settings.body, drift)
 
-    def _hint(self, place: Array, force: float) -> Hint:
+    def _hint(self, place: Array, force: float) -> InitialGuess:
         """What a body's numbers count from, but for its height."""
         rounding = _ROUNDING * self._forward.spacing
         in_round = self._frame.outline is not None
         nodes = self._forward.nodes
-        return Hint(place, 0.0, 0.0, 0.0, self._sides, nodes, rounding, force, round=in_round)
+        return InitialGuess(
+            place, 0.0, 0.0, 0.0, self._sides, nodes, rounding, force, round=in_round
+        )
 
 
 def ball(at: Array, radius: float) -> Coming:

@@ -10,11 +10,11 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
-from mjtactile.design_study.resolution import Reacher, ball
-from mjtactile.design_study.virtual_bench import Stand
+from mjtactile.design_study.resolution import ResolutionPredictor, ball
+from mjtactile.design_study.virtual_bench import VirtualBench
 
 RADII = (2e-3, 3e-3, 4e-3, 6e-3, 8e-3, 12e-3, 16e-3)  # m, that are tried
-TOLD = 0.25
+DEFAULT_GOAL = 0.25
 """Of a radius, its sd at most where it counts as told."""
 RANGE_RADIUS = 10e-3
 """m, of the ball that presses as hard as the sensor carries."""
@@ -57,7 +57,7 @@ class Score:
         }
 
 
-def score(design: SensorDesign, force: float, *, stand: Stand | None = None) -> Score:
+def score(design: SensorDesign, force: float, *, stand: VirtualBench | None = None) -> Score:
     """Predict what a sensor reaches.
 
     Args:
@@ -71,15 +71,15 @@ def score(design: SensorDesign, force: float, *, stand: Stand | None = None) -> 
     Raises:
         InputError: The sheet finds no rest, or markers are out of the picture.
     """
-    stand = stand or Stand(design)
-    reacher = Reacher(stand)
+    stand = stand or VirtualBench(design)
+    reacher = ResolutionPredictor(stand)
     half = np.array([design.frame.length, design.frame.width]) / 2
     places = [half * share for share in _PLACES]
     reaches = [reacher.at(place, force) for place in places]
     zero = stand.chain.settings.zero
     seen = zero.touch_sd * stand.level_noise()
     return Score(
-        touch=max(zero.touch_least, seen),
+        touch=max(zero.touch_min, seen),
         seen=seen,
         force_sd=_rms([one.force_sd for one in reaches]),
         noise=_rms([one.noise for one in reaches]),
@@ -90,32 +90,32 @@ def score(design: SensorDesign, force: float, *, stand: Stand | None = None) -> 
     )
 
 
-def smallest_radius(reacher: Reacher, places: list[Array], force: float) -> float:
+def smallest_radius(reacher: ResolutionPredictor, places: list[Array], force: float) -> float:
     """The smallest radius, m, from which on all that are tried are told; NaN: none is."""
     smallest = math.nan
     for radius in reversed(RADII):
         sd = _rms([reacher.radius_sd(radius, place, force) for place in places])
-        if not sd <= TOLD:
+        if not sd <= DEFAULT_GOAL:
             break
         smallest = radius
     return smallest
 
 
-def largest_force(stand: Stand) -> float:
+def largest_force(stand: VirtualBench) -> float:
     """The largest force, N, of a ball in the middle that the film carries and the chain feels
     within a tenth, in steps of a quarter; NaN: not even a quarter of a newton."""
     held = -1
     lost = _STEPS
     while lost - held > 1:
         middle = (held + lost) // 2
-        if _felt_right(stand, _LEAST * _MORE**middle):
+        if _within_tolerance(stand, _LEAST * _MORE**middle):
             held = middle
         else:
             lost = middle
     return math.nan if held < 0 else _LEAST * _MORE**held
 
 
-def _felt_right(stand: Stand, force: float) -> bool:
+def _within_tolerance(stand: VirtualBench, force: float) -> bool:
     pressed = stand.press(ball(np.zeros(2), RANGE_RADIUS), force)
     if pressed is None:
         return False

@@ -80,7 +80,7 @@ def extent_of(design: SensorDesign) -> tuple[float, float]:
     return (markers.columns - 1) * markers.pitch_x, (markers.rows - 1) * markers.pitch_y
 
 
-def radius_share(design: SensorDesign) -> float:
+def radius_fraction(design: SensorDesign) -> float:
     """A marker's radius as a share of the smaller pitch."""
     return design.markers.radius / min(design.markers.pitch_x, design.markers.pitch_y)
 
@@ -130,7 +130,7 @@ def with_frame(design: SensorDesign, length: float, width: float) -> SensorDesig
     if min(wanted) <= 0:
         raise InputError("leaves no room for the markers", source=design.name, field="--frame-mm")
     changed = replace(design, frame=replace(frame, length=length, width=width))
-    return with_markers(changed, rows, columns, wanted, radius_share(design))
+    return with_markers(changed, rows, columns, wanted, radius_fraction(design))
 
 
 def with_picture(design: SensorDesign, width: int, height: int) -> SensorDesign:

@@ -12,14 +12,14 @@ from scipy.linalg import block_diag, cho_solve
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.status import OK
-from mjtactile.core.types import Array, Markers, Sighting, Touch
-from mjtactile.quasistatic import Film, FilmState, Obstacle
-from mjtactile.quasistatic.interpolation import carried_with_slopes
+from mjtactile.core.types import Array, Markers, SyntheticEllipses, Touch
+from mjtactile.quasistatic import MembraneSolution, Obstacle, QuasistaticMembrane
+from mjtactile.quasistatic.interpolation import interpolation_matrix_with_gradient
 from mjtactile.sensing.force.inverse_fem import InverseMembrane
 from mjtactile.sensing.force.linearization import Shape
-from mjtactile.sensing.pipeline import Chain
-from mjtactile.sensing.pipeline_state import ChainState, Reference
-from mjtactile.sim.rendering.synthetic_ellipses import Sighter
+from mjtactile.sensing.pipeline import SensingPipeline
+from mjtactile.sensing.pipeline_state import PipelineState, Reference
+from mjtactile.sim.rendering.synthetic_ellipses import EllipseSampler
 
 _SPACING = 1.3e-3  # m between the film's nodes, as the shape's films have
 _STEP = 2.5e-4  # m by which a body comes down until it presses with the force asked for
@@ -31,10 +31,10 @@ _IMAGE = 1 / 30  # s
 
 
 @dataclass(frozen=True, eq=False)
-class PressedFilm:
+class IndentedMembrane:
     """A film `state` at rest on a body, and the `height` m of the body's place."""
 
-    state: FilmState
+    state: MembraneSolution
     height: float
 
 
@@ -43,12 +43,12 @@ Coming = Callable[[float], Obstacle]
 
 
 @dataclass(frozen=True, eq=False)
-class FilmTouch:
+class PredictedTouch:
     """What the chain makes of a film: the `touch` of an image of what is at rest, and the `state`
     of the chain after it."""
 
     touch: Touch
-    state: ChainState
+    state: PipelineState
 
     @property
     def shape(self) -> Shape:
@@ -62,7 +62,7 @@ class FilmTouch:
         return self.touch.status == OK and self.touch.traction is not None
 
 
-class Stand:
+class VirtualBench:
     """One sensor at rest, with exact references.
 
     Args:
@@ -77,19 +77,19 @@ class Stand:
         self.design = design
         sides = (design.frame.length, design.frame.width)
         columns, rows = (max(round(side / _SPACING) + 1, 9) for side in sides)
-        self.film = Film(design, (columns, rows))
-        self.chain = Chain(design)
+        self.film = QuasistaticMembrane(design, (columns, rows))
+        self.chain = SensingPipeline(design)
         material = design.markers.p_SM
-        self._by_node = carried_with_slopes(self.film, material[:, :2])
-        self._sighter = Sighter(design)
+        self._by_node = interpolation_matrix_with_gradient(self.film, material[:, :2])
+        self._sighter = EllipseSampler(design)
         flat = self._sighter.sight(*self.poses(np.zeros_like(self.film.rest.x)), errors=False)
         self._require_all(flat, "flat")
         rest = self.sight(self.film.rest)
         self._require_all(rest, "inflated")
-        state = self.chain.take_flat(self.chain.begin(), [flat])
-        self.state = self.chain.take_rest(state, [rest], self.film.pressure_gauge)
+        state = self.chain.measure_flat_reference(self.chain.begin(), [flat])
+        self.state = self.chain.measure_rest_reference(state, [rest], self.film.gauge_pressure)
 
-    def _require_all(self, seen: Sighting, how: str) -> None:
+    def _require_all(self, seen: SyntheticEllipses, how: str) -> None:
         """Raise InputError where not all markers are in the picture."""
         found = 0 if seen.ellipses is None else len(seen.ellipses)
         if found < self.circles:
@@ -115,7 +115,7 @@ class Stand:
     # -- what presses
     # --------------------------------------------------------------------------------
 
-    def press(self, body: Coming, force: float) -> PressedFilm | None:
+    def press(self, body: Coming, force: float) -> IndentedMembrane | None:
         """Let a body come down until it presses with a force.
 
         Args:
@@ -153,9 +153,9 @@ class Stand:
                 low = middle
                 state = found
         off = abs(state.force_normal - force)
-        return PressedFilm(state, low) if off < _OFF * force else None
+        return IndentedMembrane(state, low) if off < _OFF * force else None
 
-    def _solve(self, body: Obstacle, start: FilmState | None) -> FilmState | None:
+    def _solve(self, body: Obstacle, start: MembraneSolution | None) -> MembraneSolution | None:
         """The film on a body, from a state near it, without what it did on the way there, or from
         rest; None: it finds no rest there."""
         starts = [start] if start is None else [start, replace(start, trend=None), None]
@@ -172,7 +172,7 @@ class Stand:
         """How high, m, its place is when it touches the sheet at rest."""
         x, y = np.meshgrid(self.film.x, self.film.y, indexing="ij")
         places = np.column_stack([x.ravel(), y.ravel()])
-        under = self.film.heights_of(body(0.0), places)
+        under = self.film.obstacle_heights(body(0.0), places)
         return float((self.film.rest.heights.ravel() - under).max())
 
     # -- what is seen and felt of it
@@ -190,15 +190,15 @@ class Stand:
         """How high (n, N) m the markers stand, of films displaced by `x` (n, 3, nx, ny)."""
         return x[:, 2].reshape(len(x), -1) @ self._by_node[0].T
 
-    def sight(self, film: FilmState, time: float = 0.0) -> Sighting:
+    def sight(self, film: MembraneSolution, time: float = 0.0) -> SyntheticEllipses:
         """The exact ellipses that the camera would see of a film."""
         return self._sighter.sight(*self.poses(film.x), time, errors=False)
 
-    def see(self, film: FilmState) -> Markers:
+    def see(self, film: MembraneSolution) -> Markers:
         """The markers that the chain would find, with their covariance."""
         return self.chain.see(self.state, self.sight(film))[0]
 
-    def feel(self, film: FilmState) -> FilmTouch:
+    def feel(self, film: MembraneSolution) -> PredictedTouch:
         """What the chain says of a film at rest: of a second image, since what has just come is
         doubted.
 
@@ -212,9 +212,9 @@ class Stand:
         for number in (1, 2):
             time = number * _IMAGE
             touch, state = self.chain.step(state, self.sight(film, time), time)
-        return FilmTouch(touch, state)  # pyright: ignore[reportPossiblyUnboundVariable] the loop runs
+        return PredictedTouch(touch, state)  # pyright: ignore[reportPossiblyUnboundVariable] the loop runs
 
-    def noise(self, felt: FilmTouch) -> Array:
+    def noise(self, felt: PredictedTouch) -> Array:
         """Covariance (3, 3) N^2 of the felt force by the pixels' noise alone, from image to image.
 
         The chain's tractions are linear in the whitened markers, traction = P^(1/2) half^T

@@ -15,7 +15,7 @@ from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.devices.dynamixel.gripper import DynamixelGripper
 from mjtactile.devices.shutdown import close_all
 from mjtactile.devices.valve.driver import ValveBoard, connect_valves
-from mjtactile.rig.command_limits import Limits
+from mjtactile.rig.command_limits import CommandLimits
 from mjtactile.rig.file import CameraConfig, RigFile
 from mjtactile.rig.finger import Rig, make_fingers
 from mjtactile.rig.gripper_calibration import calibrated_gripper
@@ -96,7 +96,7 @@ def build_device_rig(
             finger_calibration(*pair) for pair in zip(rig_file.cameras, designs, strict=True)
         )
         for camera, own in zip(rig_file.cameras, designs, strict=True):
-            _check_picture(camera, own, rig_file)
+            _check_image(camera, own, rig_file)
         cameras: list[CameraDevice] = []
         for camera in rig_file.cameras:
             signals.check()
@@ -114,7 +114,7 @@ def build_device_rig(
         with contextlib.suppress(DeviceError):  # the first trouble is the one to report
             close_all(closers)
         raise
-    limits = Limits(
+    limits = CommandLimits(
         opening=config.opening,
         speed=config.speed_max,
         force=config.force_max,
@@ -157,7 +157,7 @@ def build(request: RigRequest) -> Rig:
     return build_device_rig(file, request.design, name=file.name)
 
 
-def _check_picture(camera: CameraConfig, design: SensorDesign, rig_file: RigFile) -> None:
+def _check_image(camera: CameraConfig, design: SensorDesign, rig_file: RigFile) -> None:
     if (camera.width, camera.height) != (design.camera.width, design.camera.height):
         raise InputError(
             f"{camera.width} x {camera.height} pixels, but sensor {design.name!r} has "

@@ -19,7 +19,7 @@ def close_all(closers: list[Callable[[], None]]) -> None:
     When another exception is on its way out already, the failures are only logged.
     """
     failures = []
-    on_its_way = sys.exc_info()[0] is not None
+    in_transit = sys.exc_info()[0] is not None
     with deferred():
         while closers:
             try:
@@ -27,5 +27,5 @@ def close_all(closers: list[Callable[[], None]]) -> None:
             except Exception as error:  # noqa: BLE001  # every device must get its turn
                 failures.append(str(error))
                 _log.error("%s", error)
-    if failures and not on_its_way:
+    if failures and not in_transit:
         raise DeviceError("; ".join(failures))

@@ -84,7 +84,7 @@ class EmulatedHardware:
             model,
             angle=angle,
             baud=self._rig_file.bus.baud,
-            torque_share=emulator.torque_share,
+            torque_fraction=emulator.torque_fraction,
             firmware=emulator.servo_firmware,
             trip=emulator.watchdog,
         )

@@ -27,7 +27,7 @@ _AMBIENT = 25.0
 _HEATING = 45.0
 _COOLING_TIME = 60.0
 # of the largest current, for so long: latches
-_OVERLOAD_SHARE = 0.6
+_OVERLOAD_FRACTION = 0.6
 _OVERLOAD_TIME = 3.0
 TRIPS = ("brake", "limp")
 """What a tripped watchdog does. The manual says that the servo "will stop" (Bus Watchdog(98));
@@ -37,8 +37,8 @@ _FREE_MODES = (0, 16)
 
 
 class EmulatedServo(ServoRegisters):
-    """`angle` rad it wakes up at; `torque_share` more torque per ampere than the data sheet says;
-    `firmware` None: the newest; `trip` one of `TRIPS`. Times are monotonic s. Thread-safe."""
+    """`angle` rad it wakes up at; `torque_fraction` more torque per ampere than the data sheet
+    says; `firmware` None: the newest; `trip` one of `TRIPS`. Times are monotonic s. Thread-safe."""
 
     def __init__(
         self,
@@ -47,13 +47,13 @@ class EmulatedServo(ServoRegisters):
         *,
         angle: float = 0.0,
         baud: int = 1_000_000,
-        torque_share: float = 0.0,
+        torque_fraction: float = 0.0,
         firmware: int | None = None,
         trip: str = "brake",
     ):
         super().__init__(model, angle, firmware)
         self._current_max = self._table.fields["Current Limit"].default * self.model.ampere_per_unit
-        self._torque_per_A = (1 + torque_share) * self.model.torque_per_A  # N m/A, really
+        self._torque_per_A = (1 + torque_fraction) * self.model.torque_per_A  # N m/A, really
         self._trip = trip
         self._temperature = _AMBIENT
         self._overload_time = 0.0
@@ -271,7 +271,7 @@ class EmulatedServo(ServoRegisters):
         share = abs(self.current) / self._current_max
         final = _AMBIENT + _HEATING * share**2
         self._temperature += (final - self._temperature) * min(1.0, period / _COOLING_TIME)
-        self._overload_time = self._overload_time + period if share > _OVERLOAD_SHARE else 0.0
+        self._overload_time = self._overload_time + period if share > _OVERLOAD_FRACTION else 0.0
         if self._overload_time > _OVERLOAD_TIME:
             self.raise_error(_OVERLOAD)
         if self._temperature > self.get("Temperature Limit"):

@@ -24,7 +24,7 @@ _TERMIOS_BAUD = {
 _CLEAR = bytes((0x01, 0x44, 0x58, 0x4C, 0x22))  # "Clear", fixed values
 _BACKUP = bytes((0x43, 0x54, 0x52, 0x4C))  # "Control Table Backup", fixed values
 # the "Status Return Level" from which an instruction is answered; others: 2
-_SAID_AT = {p2.PING: 0, p2.READ: 1}
+_REPORTED_AT = {p2.PING: 0, p2.READ: 1}
 
 
 class ServoBus:
@@ -103,7 +103,7 @@ class ServoBus:
         asked = servo.id
         level = servo.get("Status Return Level")
         error, data = _do(servo, packet, now) if packet.intact else (CRC_ERROR, b"")
-        if level < _SAID_AT.get(packet.code, 2):
+        if level < _REPORTED_AT.get(packet.code, 2):
             return b""
         return self._status(servo, error, data, asked)
 
@@ -170,7 +170,7 @@ class ServoBus:
         return b""
 
     def _sync_write(self, parameters: bytes, awake: Sequence[EmulatedServo]) -> bytes:
-        address, size = _two_words(parameters[:4])
+        address, size = _two_registers(parameters[:4])
         for start in range(4, len(parameters) - size, size + 1):
             for servo in awake:
                 if servo.id == parameters[start]:
@@ -180,7 +180,7 @@ class ServoBus:
     def _bulk_write(self, parameters: bytes, awake: Sequence[EmulatedServo]) -> bytes:
         place = 0
         while place + 5 <= len(parameters):
-            address, size = _two_words(parameters[place + 1 : place + 5])
+            address, size = _two_registers(parameters[place + 1 : place + 5])
             for servo in awake:
                 if servo.id == parameters[place]:
                     servo.write(address, parameters[place + 5 : place + 5 + size])
@@ -237,7 +237,7 @@ def _ping(servo: EmulatedServo, parameters: bytes, now: float) -> tuple[int, byt
 
 def _read(servo: EmulatedServo, parameters: bytes, now: float) -> tuple[int, bytes]:
     if len(parameters) == 4:
-        return servo.read(*_two_words(parameters))
+        return servo.read(*_two_registers(parameters))
     return (LENGTH_ERROR, b"")
 
 
@@ -280,16 +280,16 @@ def _write_block(parameters: bytes) -> tuple[int, bytes]:
 
 
 def _same_block(parameters: bytes) -> list[tuple[int, int, int]]:
-    address, size = _two_words(parameters[:4])
+    address, size = _two_registers(parameters[:4])
     return [(servo, address, size) for servo in parameters[4:]]
 
 
 def _own_blocks(parameters: bytes) -> list[tuple[int, int, int]]:
     return [
-        (parameters[i], *_two_words(parameters[i + 1 : i + 5]))
+        (parameters[i], *_two_registers(parameters[i + 1 : i + 5]))
         for i in range(0, len(parameters) - 4, 5)
     ]
 
 
-def _two_words(parameters: bytes) -> tuple[int, int]:
+def _two_registers(parameters: bytes) -> tuple[int, int]:
     return int.from_bytes(parameters[:2], "little"), int.from_bytes(parameters[2:4], "little")

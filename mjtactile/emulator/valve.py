@@ -239,8 +239,8 @@ class ValveFirmware:
     ) -> str | None:
         """An answer of its own, None for the command again."""
         if word == "state":
-            is_known = self._sensors and not self._faults.get("valve_sensor")
-            pressure = str(round(self._pressure(number))) if is_known else "-"
+            is_finite_value = self._sensors and not self._faults.get("valve_sensor")
+            pressure = str(round(self._pressure(number))) if is_finite_value else "-"
             return f"state {number} {channel.state} {pressure} {channel.fault}"
         if word == "vent":
             channel.vent()

@@ -32,7 +32,7 @@ from mjtactile.rig.domain_randomization import Drawn
 from mjtactile.rig.file import EmulatorConfig, load_sim_rig
 from mjtactile.sim import ground_truth
 from mjtactile.sim.mujoco_log import route_warnings
-from mjtactile.sim.rendering.image_faults import TroubledPicture
+from mjtactile.sim.rendering.image_faults import FaultyImage
 from mjtactile.sim.rendering.renderer import Effects, Renderer
 from mjtactile.sim.rig import build_sim_rig
 
@@ -75,9 +75,9 @@ class EmulatedWorld:
         self._rest_opening: float | None = None
         joint = int(self.scene.model.body("object/object").jntadr[0])  # none of a soft body
         self._object_joint = None if joint < 0 else self.scene.data.joint(joint)
-        self._kept_pose: Any = None
-        self._picture_period = 1 / options.rig_file.cameras[0].rate
-        self._next_picture = 0.0
+        self._cached_pose: Any = None
+        self._image_period = 1 / options.rig_file.cameras[0].rate
+        self._next_frame = 0.0
         self._flagged: set[str] = set()
         self._stop = scaled_clock.Event()
         self._thread = threading.Thread(target=self._run, name="world", daemon=True)
@@ -122,18 +122,18 @@ class EmulatedWorld:
                 scene.close_valve(number - 1)
         leaking = scene.sensors[0]
         if shared["puncture"] and not leaking.valve_is_open:
-            leaking.open_valve(leaking.pressure_gauge * (1 - scene.timestep / _LEAK_TIME))
+            leaking.open_valve(leaking.gauge_pressure * (1 - scene.timestep / _LEAK_TIME))
             leaking.close_valve()
         scene.step()
         self._keep_object()
         self._publish()
-        if scene.time >= self._next_picture:
-            self._next_picture += self._picture_period
-            self._say_flags()
+        if scene.time >= self._next_frame:
+            self._next_frame += self._image_period
+            self._report_flags()
             self._publish_forces()
             self._cameras.expose([scene.marker_poses(i) for i in range(len(scene.sensors))])
 
-    def _say_flags(self) -> None:
+    def _report_flags(self) -> None:
         """Say once what makes this world's numbers worse than usual: no device can."""
         for kind in self.scene.flags.keys() - self._flagged:
             print(
@@ -163,11 +163,11 @@ class EmulatedWorld:
         )
         joint = self._object_joint
         if joint is None or not is_left_alone or np.abs(joint.qvel).max() > _STILL_SPEED:
-            self._kept_pose = None
+            self._cached_pose = None
             return
-        if self._kept_pose is None:
-            self._kept_pose = joint.qpos.copy()
-        joint.qpos[:] = self._kept_pose
+        if self._cached_pose is None:
+            self._cached_pose = joint.qpos.copy()
+        joint.qpos[:] = self._cached_pose
         joint.qvel[:] = 0.0
 
     def _lift(self, goal: float) -> None:
@@ -189,7 +189,7 @@ class EmulatedWorld:
         shared["lift_height"] = scene.lift_height
         shared["object_height"] = scene.data.body("object/object").xpos[2]
         for number, sensor in enumerate(scene.sensors, 1):
-            shared[f"pressure_{number}"] = sensor.pressure_gauge
+            shared[f"pressure_{number}"] = sensor.gauge_pressure
 
     def _publish_forces(self) -> None:
         """What load cells behind the membranes would show; as often as pictures are taken."""
@@ -221,7 +221,7 @@ class Cameras:
             for s, (design, own) in zip(seeds, fingers, strict=True)
         ]
         self._suffered = {
-            own.finger: TroubledPicture(own.camera, int(s))
+            own.finger: FaultyImage(own.camera, int(s))
             for s, (_, own) in zip(seeds, fingers, strict=True)
         }
         self._period = 1 / options.rig_file.cameras[0].rate

@@ -37,7 +37,7 @@ _LETTERS = {
 }
 _NONE = "."
 _ROUND = 5  # episodes of a task before the next one's turn
-_MEASURES = ("margin", "slip_mm", "bump_N_s", "let_go_s")
+_MEASURES = ("margin", "slip_mm", "impact_N_s", "release_delay_s")
 
 
 @dataclass(frozen=True)
@@ -203,8 +203,8 @@ def read(suite: Suite, folder: Path, task: str) -> list[dict[str, Any]]:
         raise InputError(f"is not of {suite.name}'s {task}", source=own / store.MANIFEST)
     changed = [
         name
-        for name, known_hash in suite.files.items()
-        if known["files"].get(name, known_hash) != known_hash
+        for name, expected_hash in suite.files.items()
+        if known["files"].get(name, expected_hash) != expected_hash
     ]
     if changed:
         raise InputError(f"was run with another {', '.join(changed)}", source=own / store.MANIFEST)

@@ -34,7 +34,7 @@ from mjtactile.runtime.session import Session
 from mjtactile.sim.devices import SimClock
 from mjtactile.sim.scenes.objects import load_object
 from mjtactile.sim.scenes.random_objects import object_text as object_text
-from mjtactile.sim.scenes.random_objects import random_thing, seed_of
+from mjtactile.sim.scenes.random_objects import random_object, seed_of
 
 STOPPED = ("unsafe", "hung", "raised")
 """Failures of who controls that end a run before its end: the supervisor brought the hand to its
@@ -48,9 +48,9 @@ JUDGED = (
     "margin_true",
     "margin_above_2_true",
     "margin_ready_true",
-    "bump_N_s_true",
+    "impact_N_s_true",
     "tilt_deg_true",
-    "let_go_s_true",
+    "release_delay_s_true",
 )
 """What a task measures by truth; null where it has none of it."""
 _KEPT = (
@@ -171,7 +171,7 @@ def run_episode(
     return line | {
         "break_force_N": facts.break_force,
         "flags": dict(facts.flags),
-        "varied": _drawn_values(scenario),
+        "varied": _sampled_values(scenario),
         "again": scenario.command(),
     }
 
@@ -182,10 +182,10 @@ def _set_aside() -> None:
     gc.freeze()
 
 
-def _drawn_values(scenario: Scenario) -> dict[str, Any]:
+def _sampled_values(scenario: Scenario) -> dict[str, Any]:
     """What the seed has drawn: of a random object, and from the variation."""
     seed = seed_of(scenario.object)
-    thing = {} if seed is None else random_thing(seed).values
+    thing = {} if seed is None else random_object(seed).values
     if emulated.check(scenario):
         return dict(thing)
     file = load_sim_rig(scenario.rig)

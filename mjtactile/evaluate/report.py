@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.core.fidelity_levels import level_texts
+from mjtactile.core.fidelity_levels import fidelity_notes
 from mjtactile.evaluate import svg
 from mjtactile.evaluate.episodes import OUTCOMES
 from mjtactile.evaluate.parameter_sensitivity import measures
@@ -70,7 +70,7 @@ def _head(manifest: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
         f"<p>{escape(said)}<br>{escape(versions)}</p>"
         + "".join(
             f"<p>{name.capitalize()}: {escape(text)}.</p>"
-            for name, text in level_texts(summary).items()
+            for name, text in fidelity_notes(summary).items()
         )
     )
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from mjtactile.core.fidelity_levels import LEFT_OUT, level_texts
+from mjtactile.core.fidelity_levels import LEFT_OUT, fidelity_notes
 from mjtactile.evaluate.episodes import JUDGED, OUTCOMES, STOPPED
 from mjtactile.evaluate.parameter_sensitivity import MEASURES, against, measures
 from mjtactile.evaluate.wilson import Line, wilson
@@ -199,7 +199,7 @@ def table(summary: Mapping[str, Any]) -> str:
     for name, mine in summary["controllers"].items():
         if mine["flags"]:
             lines += ["", f"{name}: {_flags_text(mine)}."]
-    for name, text in level_texts(summary).items():
+    for name, text in fidelity_notes(summary).items():
         lines += ["", f"{name.capitalize()}: {text}."]
     return "\n".join(lines) + "\n"
 

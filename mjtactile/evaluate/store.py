@@ -93,7 +93,7 @@ class Store:
             _same(known, what)
             self.lines = read_lines(folder)
         else:
-            _refuse_what_is_not_known(folder)
+            _refuse_unknown_files(folder)
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
             known.write_text(json.dumps(what, indent=1) + "\n", encoding="utf-8")
@@ -158,7 +158,7 @@ def _line(text: str, source: Path, number: int) -> dict[str, Any]:
     raise InputError("is no episode", source=source, field=f"line {number}")
 
 
-def _refuse_what_is_not_known(folder: Path) -> None:
+def _refuse_unknown_files(folder: Path) -> None:
     there = next((name for name in RESULTS if (folder / name).exists()), None)
     if there is not None:
         raise InputError(

@@ -12,9 +12,9 @@ from mjtactile.core.errors import MjtactileError
 from mjtactile.evaluate.episodes import OUTCOMES, Episode
 from mjtactile.evaluate.parameter_sensitivity import measures
 from mjtactile.evaluate.wilson import Line
-from mjtactile.recording.decimated_history import Strip
+from mjtactile.recording.decimated_history import DecimatedHistory
 from mjtactile.recording.writer import Recorder
-from mjtactile.report.summary import write_pictures
+from mjtactile.report.summary import write_plots
 from mjtactile.runtime.grasp import run_grasp
 
 _RANKS = dict.fromkeys(OUTCOMES, 2) | {"error": 1, "held": 0}
@@ -68,7 +68,7 @@ def draw(episode: Episode, folder: Path) -> Path | None:
     summary: dict[str, Any] = scenario.names() | {"outcome": "error"}
     try:
         with Recorder(folder / "recording", scenario.header(), frames=0) as recorder:
-            recorder.strip = Strip()
+            recorder.strip = DecimatedHistory()
             try:
                 summary = run_grasp(scenario, [recorder], workers=0).summary()
             except MjtactileError as error:
@@ -76,7 +76,7 @@ def draw(episode: Episode, folder: Path) -> Path | None:
             recorder.close(outcome=summary["outcome"])
         if not recorder.cycles:
             return None
-        write_pictures(folder, recorder, summary)
+        write_plots(folder, recorder, summary)
     except (MjtactileError, OSError):
         return None  # no room
     return picture if picture.exists() else None  # no matplotlib: a report without pictures

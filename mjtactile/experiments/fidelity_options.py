@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 from mjtactile.core.design import SensorDesign
-from mjtactile.sim.effects.catalog import choose, film_serves, parse
+from mjtactile.sim.effects.catalog import choose, parse, quasistatic_is_valid
 from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR, Fidelity
 from mjtactile.sim.scenes.objects import load_object
 from mjtactile.sim.sensor.effect_switches import set_design
@@ -18,7 +18,7 @@ def effects_of(
     """The object's name, the force error asked for, N, and a row for each effect. Raises
     InputError."""
     grasped = load_object(object_name)
-    films = bool(accuracy) and film_serves(design, grasped, overrides)
+    films = bool(accuracy) and quasistatic_is_valid(design, grasped, overrides)
     fidelity = _fidelity(accuracy, films)
     wanted = _force_error(fidelity)
     if fidelity is None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.ritz_bulge import GRAVITY, inflated_height
-from mjtactile.core.types import FeltShape, Touch
+from mjtactile.core.types import ContactShape, Touch
 from mjtactile.experiments.test_bench import View, take_references
 from mjtactile.runtime.discretization_error import press_errors
 from mjtactile.sim import ground_truth
@@ -59,7 +59,7 @@ def inflate(
 
 
 @dataclass(frozen=True)
-class PressPlan:
+class IndentationPlan:
     """Where and how the indenter goes: `at` m in S, `depths` m below first touch, `tilt` rad,
     `shear` m along x after each depth, chamber sealed or with its valve open to the supply."""
 
@@ -73,7 +73,7 @@ class PressPlan:
 
 def press(
     design: SensorDesign,
-    plan: PressPlan,
+    plan: IndentationPlan,
     *,
     mesh: tuple[int, int] | None = None,
     seed: int = 0,
@@ -120,7 +120,7 @@ def press(
     return {"sensor": design.name, "steps": steps, "shape": shape, "flags": flags}
 
 
-def shape_report(shape: FeltShape) -> dict[str, Any]:
+def shape_report(shape: ContactShape) -> dict[str, Any]:
     """A shape as JSON has it, in mm and degrees; None where a number is not known.
 
     Args:
@@ -174,7 +174,7 @@ def _coarse(world: PressWorld) -> dict[str, str]:
 
 
 def _bare_steps(
-    design: SensorDesign, plan: PressPlan, mesh: tuple[int, int], simulation: dict[str, Any]
+    design: SensorDesign, plan: IndentationPlan, mesh: tuple[int, int], simulation: dict[str, Any]
 ) -> list[dict[str, Any]]:
     """The true forces of the same plan on another mesh, without a camera."""
     world = _world(design, plan.indenter, at=plan.at, tilt=plan.tilt, mesh=mesh, **simulation)
@@ -206,7 +206,7 @@ def _step(world: PressWorld, touch: Touch, converged: bool) -> dict[str, Any]:
         "contact_area_mm2": 1e6 * area,
         "contact_area_true_mm2": 1e6 * ground_truth.contact_area(world, 0),
         "penetration_mm": 1e3 * ground_truth.penetration(world, 0),
-        "pressure_kPa": 1e-3 * sensor.pressure_gauge,
+        "pressure_kPa": 1e-3 * sensor.gauge_pressure,
         "volume_mL": 1e6 * sensor.volume,
         "converged": converged,
         "status": touch.status,

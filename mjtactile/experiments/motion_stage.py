@@ -30,7 +30,7 @@ _LARGEST_STEP = 4e-3  # s
 # readings of the load cell at the end of a hold
 _REFERENCE_IMAGES = 10
 _LOADS = 10
-_NOT_FELT = Status(StatusCode.NOT_ESTIMATED, "recorded on a stage without a sensing chain")
+_NOT_DETECTED = Status(StatusCode.NOT_ESTIMATED, "recorded on a stage without a sensing chain")
 _NO_GRIPPER = GripperState(math.nan, math.nan, math.nan, math.nan)
 _NO_COMMAND = Command(0.0, 0.0)
 
@@ -67,15 +67,15 @@ class StageWorld:
         self._renderer = Renderer(specimen, seed=seed)
         self._rng = np.random.default_rng(seed)
 
-    def inflate(self, pressure_gauge: float, *, seal: bool) -> None:
-        self.world.inflate(pressure_gauge, seal=seal)
+    def inflate(self, gauge_pressure: float, *, seal: bool) -> None:
+        self.world.inflate(gauge_pressure, seal=seal)
 
     def image(self) -> Image:
         return self._renderer.render(*self.world.marker_poses(0), self.world.time)
 
     def pressure(self) -> float:
         """What the pressure sensor shows, Pa."""
-        return self.world.sensors[0].pressure_gauge + float(self._rng.normal(0.0, PRESSURE_NOISE))
+        return self.world.sensors[0].gauge_pressure + float(self._rng.normal(0.0, PRESSURE_NOISE))
 
     def load(self) -> float:
         """What the load cell shows, N, positive for a press."""
@@ -86,7 +86,7 @@ class StageWorld:
         image = self.image()
         time = self.world.time
         valve = ValveState(self.world.sensors[0].valve_is_open, self.pressure(), time, 0.0)
-        touch = Touch(time, 0.0, math.nan, math.nan, False, status=_NOT_FELT)
+        touch = Touch(time, 0.0, math.nan, math.nan, False, status=_NOT_DETECTED)
         return _Cycle(time, (image,), (valve,), (touch,))
 
 

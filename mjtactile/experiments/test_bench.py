@@ -1,5 +1,5 @@
 """A simulated sensor on a stand, what its camera and its sensing chain see of it (`View`), and a
-drive with a load cell over it (`Station`)."""
+drive with a load cell over it (`TestBench`)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Image, Touch
-from mjtactile.sensing.stateful_pipeline import Perception
+from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 from mjtactile.sensing.touch.squeeze import contact_face
 from mjtactile.sim import ground_truth
 from mjtactile.sim.rendering.renderer import Renderer
@@ -28,7 +28,7 @@ class View:
     ):
         self.world = world
         self.renderer = Renderer(design, seed=seed, shadows=shadows)
-        self.perception = Perception.of(design)
+        self.perception = StatefulPipeline.of(design)
 
     def image(self) -> Image:
         """What the camera sees now."""
@@ -44,19 +44,19 @@ class View:
 
 
 def take_references(
-    world: PressWorld, views: Sequence[View], pressure_gauge: float, *, sealed: bool = True
+    world: PressWorld, views: Sequence[View], gauge_pressure: float, *, sealed: bool = True
 ) -> None:
-    """Flat with the valve open to the air, then inflated to `pressure_gauge` Pa and settled, sealed
+    """Flat with the valve open to the air, then inflated to `gauge_pressure` Pa and settled, sealed
     or not: what a session does with a rig, in a world that has no clock to wait for."""
     world.inflate(0.0, seal=False)
     for view in views:
-        view.perception.take_flat(view.images())
-    world.inflate(pressure_gauge, seal=sealed)
+        view.perception.measure_flat_reference(view.images())
+    world.inflate(gauge_pressure, seal=sealed)
     for view in views:
-        view.perception.take_rest(view.images(), pressure_gauge, sealed=sealed)
+        view.perception.measure_rest_reference(view.images(), gauge_pressure, sealed=sealed)
 
 
-class Station:
+class TestBench:
     """One press experiment. `placing` goes to `PressWorld` (at, tilt, mesh)."""
 
     def __init__(self, design: SensorDesign, indenter: Indenter, *, seed: int = 0, **placing: Any):

@@ -15,11 +15,11 @@ from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.explore.compliance_map import ComplianceMap
 from mjtactile.explore.meshing import mesh_of
 from mjtactile.explore.next_best_touch import Aim, Mesh, next_aim
-from mjtactile.explore.object_size import Sizes, news_of_size, rivals, sizes
-from mjtactile.explore.patch_from_touch import Pressed, patch_of
+from mjtactile.explore.object_size import Sizes, rivals, size_information_gain, sizes
+from mjtactile.explore.patch_from_touch import Pressed, patch_from_press
 from mjtactile.explore.surface_fusion import fuse, shares
 from mjtactile.explore.surface_patch import Patch
-from mjtactile.explore.surface_posterior import BelievedSurface
+from mjtactile.explore.surface_posterior import SurfacePosterior
 from mjtactile.recording.files import to_json
 
 _PLAN_EDGE = 1.5e-3  # m, of triangles while it goes on
@@ -48,7 +48,7 @@ class Bench(Protocol):
 
 
 @dataclass(frozen=True)
-class Wanted:
+class ExplorationGoal:
     """When to stop: after so many `touches`, or when the surface is as sure as `accuracy` m (root
     mean square of its own standard deviation); `force` N is what a touch presses with."""
 
@@ -58,12 +58,12 @@ class Wanted:
 
 
 @dataclass(frozen=True, eq=False)
-class Explored:
+class ExplorationResult:
     """What was found. `outcome`: "accurate", "touches" (as many as were asked), "nothing left",
     "nothing there" or "interrupted". `families` has the probability of each kind of body."""
 
     patches: tuple[Patch, ...]
-    surface: BelievedSurface
+    surface: SurfacePosterior
     families: Mapping[str, float]
     mesh: Mesh
     sizes: Sizes
@@ -114,14 +114,14 @@ def volume(mesh: Mesh) -> float:
 
 def explore(
     bench: Bench,
-    wanted: Wanted,
+    wanted: ExplorationGoal,
     *,
     known: Sequence[Patch] = (),
     begun: int = 0,
     say: Say = lambda _: None,
     keep: Callable[[Patch], None] = lambda _: None,
     stopped: Callable[[], bool] = lambda: False,
-) -> Explored:
+) -> ExplorationResult:
     """Explore an object.
 
     Args:
@@ -137,7 +137,7 @@ def explore(
         What was found, also when it was stopped.
     """
     patches = list(known)
-    believed: Sequence[BelievedSurface] = fuse(patches)
+    believed: Sequence[SurfacePosterior] = fuse(patches)
     tried: list[Aim] = []
     failures: list[str] = []
     vain = 0
@@ -152,7 +152,9 @@ def explore(
             outcome = "interrupted"
         if outcome != "touches":
             break
-        aim = next_aim(mesh, patches, tried, bench.reaches, news_of_size(mesh, believed[0]))
+        aim = next_aim(
+            mesh, patches, tried, bench.reaches, size_information_gain(mesh, believed[0])
+        )
         if aim is None:
             outcome = "nothing left"
             break
@@ -162,7 +164,7 @@ def explore(
         except SimulationError as error:
             failures.append(str(error))
             felt = ()
-        new = [patch for one in felt if (patch := patch_of(one, bench.design)) is not None]
+        new = [patch for one in felt if (patch := patch_from_press(one, bench.design)) is not None]
         for patch in new:
             keep(patch)
         patches += new
@@ -175,8 +177,8 @@ def explore(
 
 
 def _with(
-    new: Sequence[Patch], patches: Sequence[Patch], before: Sequence[BelievedSurface]
-) -> Sequence[BelievedSurface]:
+    new: Sequence[Patch], patches: Sequence[Patch], before: Sequence[SurfacePosterior]
+) -> Sequence[SurfacePosterior]:
     """What is believed now."""
     return fuse(patches, before) if new else before
 
@@ -187,13 +189,13 @@ def explored(
     tried: int,
     flags: Mapping[str, str],
     failures: Sequence[str] = (),
-) -> Explored:
+) -> ExplorationResult:
     """Patches as a result."""
     believed = fuse(patches)
     counting = rivals(believed)
     meshes = [mesh_of(one, _PLAN_EDGE if number else _EDGE) for number, one in enumerate(counting)]
     mesh = meshes[0]
-    return Explored(
+    return ExplorationResult(
         tuple(patches),
         believed[0],
         {
@@ -210,7 +212,7 @@ def explored(
     )
 
 
-def _line(number: int, new: Sequence[Patch], surface: BelievedSurface) -> str:
+def _line(number: int, new: Sequence[Patch], surface: SurfacePosterior) -> str:
     felt = ", ".join(f"{patch.kind} at {patch.force:.2f} N" for patch in new) or "nothing felt"
     doubt = f"surface known to {1e3 * mesh_of(surface, _PLAN_EDGE).error():.2f} mm"
     return f"touch {number}: {felt}; {surface.family.name}, {doubt}"

@@ -14,13 +14,13 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Array
 from mjtactile.explore.grip_scan import GripCycle, grips_of, patches_of_grip
-from mjtactile.explore.patch_from_touch import Pressed, patch_of
+from mjtactile.explore.patch_from_touch import Pressed, patch_from_press
 from mjtactile.explore.surface_patch import Patch
 from mjtactile.recording.reader import Recording
 from mjtactile.recording.stage_protocol import Move, stage_from_note
 from mjtactile.rig.registry import build_rig
 from mjtactile.runtime.session import Session
-from mjtactile.sensing.stateful_pipeline import Perception
+from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
 _SEEN = 0.08  # N, from which on images tell of the body
 _MOST = 8  # images of a press, its whole way
@@ -54,7 +54,7 @@ def patches_of_recording(recording: Recording, group: int, yaw: float = 0.0) -> 
     rig = build_rig(Scenario(rig=f"replay:{recording.folder}", sensor=sensor))
     session = Session(rig)
     session.take_references()
-    moments = _felt_again(recording, session)
+    moments = _re_estimate(recording, session)
     if len(rig.fingers) != 2 or not any(math.isfinite(one.opening) for one in moments):
         raise InputError(
             "is neither a grip of two fingers nor a press on a stage", source=recording.folder
@@ -66,7 +66,7 @@ def patches_of_recording(recording: Recording, group: int, yaw: float = 0.0) -> 
     return patches
 
 
-def _felt_again(recording: Recording, session: Session) -> list[GripCycle]:
+def _re_estimate(recording: Recording, session: Session) -> list[GripCycle]:
     """What every cycle's images say, with where the jaws and the hand were."""
     moments = []
     for cycle, images in enumerate(recording.images()):
@@ -101,7 +101,7 @@ def _of_presses(recording: Recording) -> list[Patch]:
     felt = np.where(np.isfinite(forces) & np.isfinite(depths), forces, 0.0)
     if not len(felt) or felt.max() < _SEEN:
         return []
-    way = _way_to_firmest(felt)
+    way = _direction_to_stiffest(felt)
     rest = perception.state.reference.surface
     row = int(np.abs(rest.y - stage.at[1]).argmin())
     column = int(np.abs(rest.x - stage.at[0]).argmin())
@@ -111,11 +111,11 @@ def _of_presses(recording: Recording) -> list[Patch]:
     )
     touches = tuple(seen[cycle] for cycle in way)
     pressed = Pressed(touches, np.eye(3), p_SH, perception.shape(touches))
-    patch = patch_of(pressed, design)
+    patch = patch_from_press(pressed, design)
     return [] if patch is None else [patch]
 
 
-def _way_to_firmest(felt: Array) -> NDArray[np.int64]:
+def _direction_to_stiffest(felt: Array) -> NDArray[np.int64]:
     """Cycles from where something is felt for good to the firmest hold, at most `_MOST` and that
     one, of the forces `felt` (k,) N."""
     firmest = int(felt.argmax())
@@ -130,22 +130,22 @@ def _way_to_firmest(felt: Array) -> NDArray[np.int64]:
     return way
 
 
-def _zeroed(recording: Recording, finger: int, design: SensorDesign) -> Perception:
+def _zeroed(recording: Recording, finger: int, design: SensorDesign) -> StatefulPipeline:
     """A chain with the references of one recorded finger."""
     tables = recording.notes.get("calibration", {})
     name = recording.fingers[finger]
     calibration = None
     if name in tables:
         calibration = calibration_from_table(tables[name], str(recording.folder))
-    perception = Perception.of(design, calibration)
+    perception = StatefulPipeline.of(design, calibration)
     flat, rest = recording.references
-    perception.take_flat(list(flat.images(finger)))
-    gauge = rest.pressure_gauge[finger] if finger < len(rest.pressure_gauge) else None
+    perception.measure_flat_reference(list(flat.images(finger)))
+    gauge = rest.gauge_pressure[finger] if finger < len(rest.gauge_pressure) else None
     if gauge is None or math.isnan(gauge):
         gauge = design.chamber.supply_gauge
     elif calibration is not None:
         gauge = calibration.pressure(gauge)
-    perception.take_rest(list(rest.images(finger)), gauge)
+    perception.measure_rest_reference(list(rest.images(finger)), gauge)
     return perception
 
 

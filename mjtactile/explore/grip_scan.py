@@ -13,12 +13,12 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Command, Observation, Touch
-from mjtactile.explore.patch_from_touch import Pressed, patch_of
+from mjtactile.explore.patch_from_touch import Pressed, patch_from_press
 from mjtactile.explore.surface_patch import Patch
 from mjtactile.recording.observer import Observer
 from mjtactile.runtime.cycle import Cycle
 from mjtactile.runtime.perception_threads import Perceiver
-from mjtactile.sensing.stateful_pipeline import Perception
+from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
 LOOSE = 1e-3
 """m, sd: so far a grip may have pushed the object aside, both of its patches alike."""
@@ -31,7 +31,7 @@ _PRESS_SPEED = 0.003
 _OPEN_SPEED = 0.030
 _CLEAR = 0.012  # m to open beyond the grip
 _STILL_TIME = 0.3  # s that the jaws stand before the last image
-_LEAST_OPENING = 1e-3  # m
+_MIN_OPENING = 1e-3  # m
 _LIFTED = 1e-3  # m that a hand goes up with what it grips, which then is where it no longer stood
 _TOO_STRONG = 1.5  # of the wanted force, on one finger alone
 # of the first finger and of the second: axes of S in the hand's, x along the closing, z up
@@ -88,7 +88,7 @@ class GripController:
 
     def _close(self, command: Command, felt: Sequence[float], period: float) -> Command:
         met = min(felt) >= self.force or max(felt) >= _TOO_STRONG * self.force
-        if met or command.opening <= _LEAST_OPENING:
+        if met or command.opening <= _MIN_OPENING:
             opened = {"opened": command.opening + _CLEAR, "since": 0.0}
             memory = {**command.memory, **opened}
             return replace(command, phase="hold", memory=memory)
@@ -190,7 +190,7 @@ def patches_of_grip(
             for moment in moments[: end + 1]
             if (force := moment.touch[finger].force_normal) == force and force > _SEEN
         ]
-        if not felt or not isinstance(perception, Perception):
+        if not felt or not isinstance(perception, StatefulPipeline):
             continue
         felt = felt[-1 : -1 - len(felt) : -max(len(felt) // 6, 1)][::-1]
         R_SG = _FACING[finger]
@@ -201,7 +201,7 @@ def patches_of_grip(
         ]
         touches = tuple(one.touch[finger] for one in felt)
         shape = perception.shape(touches)
-        patch = patch_of(Pressed(touches, R_SG @ R_GH, np.array(places), shape), design)
+        patch = patch_from_press(Pressed(touches, R_SG @ R_GH, np.array(places), shape), design)
         if patch is not None:
             patches.append(replace(patch, group=group, loose=LOOSE))
     return patches

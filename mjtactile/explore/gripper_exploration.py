@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mjtactile.core.errors import InputError, Interrupted
 from mjtactile.core.scenario import Scenario
-from mjtactile.explore.exploration import Explored, Wanted, explored
+from mjtactile.explore.exploration import ExplorationGoal, ExplorationResult, explored
 from mjtactile.explore.grip_scan import (
     HEIGHTS,
     GripController,
@@ -38,16 +38,16 @@ def is_simulated(scenario: Scenario) -> bool:
     return scenario.rig == "sim" or isinstance(read_rig_file(scenario.rig), SimRigFile)
 
 
-def explore_in_hand(
+def explore_by_gripper(
     scenario: Scenario,
-    wanted: Wanted,
+    wanted: ExplorationGoal,
     *,
     yaw: float = 0.0,
     known: Sequence[Patch] = (),
     say: Callable[[str], None] = lambda _: None,
     keep: Callable[[Patch], None] = lambda _: None,
     observer: Observer | None = None,
-) -> Explored:
+) -> ExplorationResult:
     """Grip an object where it stands, at one height after the other, in one run.
 
     Args:

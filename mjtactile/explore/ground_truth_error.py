@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mjtactile.core.types import Array
-from mjtactile.explore.exploration import Explored
+from mjtactile.explore.exploration import ExplorationResult
 from mjtactile.explore.next_best_touch import Mesh
 from mjtactile.explore.object_size import principal_sizes
 from mjtactile.sim.true_surface import TrueSurface
@@ -20,7 +20,7 @@ _APART = (
 )
 
 
-def score(found: Explored, true: TrueSurface, p_HO: Array, R_HO: Array) -> dict[str, Any]:
+def score(found: ExplorationResult, true: TrueSurface, p_HO: Array, R_HO: Array) -> dict[str, Any]:
     """Compare with the truth.
 
     Args:
@@ -56,7 +56,7 @@ def score(found: Explored, true: TrueSurface, p_HO: Array, R_HO: Array) -> dict[
     }
 
 
-def _sizes_within(found: Explored, surface: TrueSurface, R_HO: Array) -> dict[str, float]:
+def _sizes_within(found: ExplorationResult, surface: TrueSurface, R_HO: Array) -> dict[str, float]:
     """Share of the sizes along the believed axes that are within their intervals, and within twice
     their sd; one that is known to less than the triangles' own 0.05 mm is given these."""
     _, axes = principal_sizes(found.mesh)

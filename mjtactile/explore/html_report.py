@@ -14,7 +14,7 @@ import numpy as np
 
 from mjtactile.core.types import Array
 from mjtactile.explore.compliance_map import ComplianceMap
-from mjtactile.explore.exploration import Explored
+from mjtactile.explore.exploration import ExplorationResult
 from mjtactile.explore.meshing import mesh_of
 from mjtactile.explore.next_best_touch import Mesh
 from mjtactile.explore.object_size import principal_sizes
@@ -51,7 +51,7 @@ _FACTS = (
 )
 
 
-def write_page(path: Path, found: Explored, summary: Mapping[str, Any]) -> None:
+def write_page(path: Path, found: ExplorationResult, summary: Mapping[str, Any]) -> None:
     """Write the page of an exploration.
 
     Args:
@@ -96,7 +96,7 @@ def _body(data: Mapping[str, Any], summary: Mapping[str, Any]) -> Iterator[str]:
     rows = [
         [escape(label), escape(_words(summary[key], unit))]
         for key, label, unit in _FACTS
-        if _is_known(summary.get(key))
+        if _is_known_kind(summary.get(key))
     ]
     told = zip(summary["size_mm"], summary["size_sd_mm"], strict=True)
     size = " x ".join(f"{value:.1f} \u00b1 {sd:.1f}" for value, sd in told)
@@ -117,7 +117,7 @@ def _body(data: Mapping[str, Any], summary: Mapping[str, Any]) -> Iterator[str]:
     yield f"<script>{script}</script>"
 
 
-def _is_known(value: Any) -> bool:
+def _is_known_kind(value: Any) -> bool:
     return value not in (None, "") and not (isinstance(value, float) and math.isnan(value))
 
 
@@ -128,7 +128,7 @@ def _words(value: Any, unit: str) -> str:
     return f"{said} {unit}".strip()
 
 
-def draw(figure: Any, found: Explored) -> None:
+def draw(figure: Any, found: ExplorationResult) -> None:
     """Draw the surface, its longest axis up: stiffness, and how well it is known, with the
     touches."""
     mesh = mesh_of(found.surface, _EDGE)
@@ -141,7 +141,7 @@ def draw(figure: Any, found: Explored) -> None:
         axes.set_title(title, fontsize=10)
 
 
-def _paint(axes: Any, mesh: Mesh, colour: Array, found: Explored) -> None:
+def _paint(axes: Any, mesh: Mesh, colour: Array, found: ExplorationResult) -> None:
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     _, own = principal_sizes(mesh)

@@ -9,14 +9,14 @@ import numpy as np
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.explore.next_best_touch import Mesh
-from mjtactile.explore.surface_posterior import BelievedSurface
+from mjtactile.explore.surface_posterior import SurfacePosterior
 
 _MARGIN = 4e-3  # m around what was touched and believed
 _ACROSS = 90  # triangles along its longest side, at most
 _SLOPE_STEP = 5e-5  # m
 
 
-def mesh_of(surface: BelievedSurface, edge: float = 1e-3) -> Mesh:
+def mesh_of(surface: SurfacePosterior, edge: float = 1e-3) -> Mesh:
     """Triangles of a surface.
 
     Args:
@@ -44,7 +44,7 @@ def mesh_of(surface: BelievedSurface, edge: float = 1e-3) -> Mesh:
     inside = _between(outside.tolist(), counts.tolist(), low.tolist(), edge)
     bounds = [*(low + edge), *(high - edge)]
     found = Manifold.level_set(inside, bounds, edge).to_mesh()
-    return with_doubt(surface, np.array(found.vert_properties[:, :3], float), found.tri_verts)
+    return with_uncertainty(surface, np.array(found.vert_properties[:, :3], float), found.tri_verts)
 
 
 def _between(
@@ -80,7 +80,7 @@ def _between(
     return inside
 
 
-def with_doubt(surface: BelievedSurface, vertices: Array, triangles: Array) -> Mesh:
+def with_uncertainty(surface: SurfacePosterior, vertices: Array, triangles: Array) -> Mesh:
     """A mesh with its normals and standard deviations."""
     risen = [
         surface.distance(vertices + step) - surface.distance(vertices - step)
@@ -94,7 +94,7 @@ def with_doubt(surface: BelievedSurface, vertices: Array, triangles: Array) -> M
     return Mesh(vertices, np.asarray(triangles, int), normals, sd)
 
 
-def _box(surface: BelievedSurface) -> tuple[Array, Array]:
+def _box(surface: SurfacePosterior) -> tuple[Array, Array]:
     """Corners, m, around all of it."""
     reach = 1e-3 * float(np.linalg.norm(np.exp(surface.theta[6:9])))
     middle = 1e-3 * surface.theta[:3]

@@ -12,12 +12,12 @@ from mjtactile.core.types import Array
 from mjtactile.explore.next_best_touch import Mesh
 from mjtactile.explore.surface_fusion import shares
 from mjtactile.explore.surface_patch import Patch
-from mjtactile.explore.surface_posterior import ALIKE, BelievedSurface
+from mjtactile.explore.surface_posterior import ALIKE, SurfacePosterior
 
 _END = 5e-4  # m from the outermost point: what counts as an end
 _FACING = 0.8  # cosine of an end's normal with the axis
 _SAMPLES = 24  # places of an end
-_SEEN_SD = 5e-5  # m, of what a touch says
+_OBSERVED_SD = 5e-5  # m, of what a touch says
 _BEYOND = 0.15  # of the way beyond `_NEAR` from what was touched, that an end may be off, as sd
 _NEAR = 5e-3  # m, that a touch reaches
 _UNEXPLAINED = 0.4  # of the field that a body needs, that its ends may be off, as sd
@@ -45,7 +45,7 @@ def principal_sizes(mesh: Mesh) -> tuple[Array, Array]:
 
 
 def sizes(
-    meshes: Sequence[Mesh], surfaces: Sequence[BelievedSurface], patches: Sequence[Patch]
+    meshes: Sequence[Mesh], surfaces: Sequence[SurfacePosterior], patches: Sequence[Patch]
 ) -> Sizes:
     """How large it is.
 
@@ -73,16 +73,16 @@ def sizes(
     return Sizes(mean, sd, np.column_stack([mean - sd, high]))
 
 
-def rivals(surfaces: Sequence[BelievedSurface]) -> list[BelievedSurface]:
+def rivals(surfaces: Sequence[SurfacePosterior]) -> list[SurfacePosterior]:
     """Those that may be meant, the likeliest first."""
     return [one for one, share in zip(surfaces, shares(surfaces), strict=True) if share > _RIVAL]
 
 
-def news_of_size(mesh: Mesh, surface: BelievedSurface) -> Array:
+def size_information_gain(mesh: Mesh, surface: SurfacePosterior) -> Array:
     """By how much a touch at each vertex would make the three sizes better known, (V,) m: root of
     what it takes off their variances."""
     _, axes = principal_sizes(mesh)
-    doubt = mesh.sd**2 + _SEEN_SD**2
+    doubt = mesh.sd**2 + _OBSERVED_SD**2
     told = np.zeros(len(mesh.vertices))
     for axis in axes.T:
         ends = _ends(mesh, axis)
@@ -104,7 +104,7 @@ def _ends(mesh: Mesh, axis: Array) -> list[Array]:
     return found
 
 
-def _variance(surface: BelievedSurface, ends: Sequence[Array], touched: Array) -> float:
+def _variance(surface: SurfacePosterior, ends: Sequence[Array], touched: Array) -> float:
     """m^2, of the distance between two ends: of body and field, and of what these leave: of an end
     that nobody came near, of a body that explains little by itself, and of touches that are all off
     alike."""

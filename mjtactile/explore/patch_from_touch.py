@@ -9,7 +9,7 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.types import Array, FeltShape, Surface, Touch
+from mjtactile.core.types import Array, ContactShape, Surface, Touch
 from mjtactile.explore.surface_patch import Patch
 
 _RINGS = (0.45, 0.85)  # of the way from a patch's middle to its border, where points are taken
@@ -43,12 +43,12 @@ class Pressed:
     touches: tuple[Touch, ...]
     R_SH: Array
     p_SH: Array
-    shape: FeltShape
+    shape: ContactShape
     group: int = 0
     loose: float = 0.0
 
 
-def patch_of(pressed: Pressed, design: SensorDesign) -> Patch | None:
+def patch_from_press(pressed: Pressed, design: SensorDesign) -> Patch | None:
     """What a press says of the surface.
 
     Args:
@@ -125,7 +125,7 @@ _Told = tuple[Array, Array, tuple[float, float, float, float]]
 """Points (N, 3) m in S, the outward normal, and spreads as `Patch` has them."""
 
 
-def _of_body(shape: FeltShape, touch: Touch, design: SensorDesign) -> _Told | None:
+def _of_body(shape: ContactShape, touch: Touch, design: SensorDesign) -> _Told | None:
     """Points of the believed body inside its outline; None where the sheet is not on it, since then
     it is the wrong body."""
     middle = shape.outline.mean(axis=0)
@@ -146,7 +146,7 @@ def _of_body(shape: FeltShape, touch: Touch, design: SensorDesign) -> _Told | No
     return points[on], normal / np.linalg.norm(normal), _spread(shape)
 
 
-def _heights(shape: FeltShape, x: Array, y: Array) -> tuple[Array, Array]:
+def _heights(shape: ContactShape, x: Array, y: Array) -> tuple[Array, Array]:
     """Of a body over its own point that is nearest the sensor, and its slope (2,) in the middle of
     these places."""
     if shape.kind == "face" or shape.family == "cylinder":
@@ -159,11 +159,11 @@ def _heights(shape: FeltShape, x: Array, y: Array) -> tuple[Array, Array]:
     c, s = math.cos(angle), math.sin(angle)
     along, across = c * x + s * y, c * y - s * x
     z = plane[0] * x + plane[1] * y + _bent(least, along) + _bent(most, across)
-    middle_along, middle_across = along.mean(), across.mean()
+    center_along, center_across = along.mean(), across.mean()
     slope = plane + np.array(
         [
-            least * middle_along * c - most * middle_across * s,
-            least * middle_along * s + most * middle_across * c,
+            least * center_along * c - most * center_across * s,
+            least * center_along * s + most * center_across * c,
         ]
     )
     return z, slope
@@ -190,7 +190,7 @@ def _inside(outline: Array, middle: Array, shrink: float) -> Array:
     return np.concatenate([[middle], *(middle + share * reach[:, None] * rays for share in _RINGS)])
 
 
-def _along(shape: FeltShape, middle: Array) -> Array:
+def _along(shape: ContactShape, middle: Array) -> Array:
     """Places along an edge, as far as it touches."""
     ray = np.array([math.cos(shape.direction), math.sin(shape.direction)])
     across = np.array([-ray[1], ray[0]])
@@ -199,7 +199,7 @@ def _along(shape: FeltShape, middle: Array) -> Array:
     return on + np.linspace(0.8 * ways.min(), 0.8 * ways.max(), _LINE)[:, None] * ray
 
 
-def _spread(shape: FeltShape) -> tuple[float, float, float, float]:
+def _spread(shape: ContactShape) -> tuple[float, float, float, float]:
     """What is not known of the body's place, tilt and curvatures."""
     variance = np.nan_to_num(np.diag(shape.pose_cov))
     height = math.hypot(math.sqrt(max(variance[2], 0.0)), _STAGE)

@@ -21,7 +21,7 @@ HALF = 15.0
 _PLACE_SD = 15.0  # mm
 _SIZE_SD = 0.6  # of the logarithm of all sizes together
 _ASPECT_SD = 0.4  # and of each alone
-_TURN_SD = 2.0  # rad
+_ROTATION_SD = 2.0  # rad
 _TIED = 0.01  # sd of what a family fixes: exponents, tapers, sizes that are alike
 _ALIKE = 3e-3  # sd of the logarithm of sizes that a family has alike
 _SMALL_FIELDS = ((0.0, 10.0), (0.05, 8.0), (0.15, 8.0))
@@ -58,7 +58,7 @@ def _family(
     across: tuple[float, float],
     *,
     taper: float = _TIED,
-    tapers_alike: bool = True,
+    equal_tapers: bool = True,
     round_across: bool = False,
     cut: bool = False,
     starts: tuple[tuple[float, float], ...] = (),
@@ -70,7 +70,7 @@ def _family(
     mean = np.array([0.0] * 6 + [np.log(HALF)] * 3 + [along[0], across[0]] + [0.0] * 2 + [end])
     cov = np.diag(
         [_PLACE_SD**2] * 3
-        + [_TURN_SD**2] * 3
+        + [_ROTATION_SD**2] * 3
         + [0.0] * 3
         + [along[1] ** 2, across[1] ** 2]
         + [taper**2] * 2
@@ -79,7 +79,7 @@ def _family(
     cov[6:9, 6:9] = _SIZE_SD**2 + _ASPECT_SD**2 * np.eye(3)
     if round_across:
         cov[6:8, 6:8] = _SIZE_SD**2 + _ASPECT_SD**2 + _ALIKE**2 * np.eye(2)
-    if tapers_alike:
+    if equal_tapers:
         cov[11:13, 11:13] = taper**2 + _TIED**2 * np.eye(2)
     root = np.linalg.inv(np.linalg.cholesky(cov))
     return ObjectFamily(name, mean, cov, root, starts or ((along[0], across[0]),), fields, cut)
@@ -94,7 +94,7 @@ FREE = _family(
     (0.8, 0.5),
     (0.8, 0.5),
     taper=0.15,
-    tapers_alike=False,
+    equal_tapers=False,
     starts=((1.0, 1.0), (0.25, 1.0), (0.25, 0.25)),
     fields=_FIELDS,
 )

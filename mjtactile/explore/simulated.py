@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Array
-from mjtactile.explore.exploration import Explored, Wanted, explore, explored
+from mjtactile.explore.exploration import ExplorationGoal, ExplorationResult, explore, explored
 from mjtactile.explore.grip_scan import HEIGHTS, GripController, Log, patches_of_grip, require_two
 from mjtactile.explore.ground_truth_error import score
 from mjtactile.explore.meshing import mesh_of
@@ -38,8 +38,8 @@ _GENTLE = 0.5  # of the force that breaks it, at most
 
 
 def explore_on_stage(
-    scenario: Scenario, wanted: Wanted, *, known: Sequence[Patch] = (), **told: Any
-) -> tuple[Explored, dict[str, Any]]:
+    scenario: Scenario, wanted: ExplorationGoal, *, known: Sequence[Patch] = (), **told: Any
+) -> tuple[ExplorationResult, dict[str, Any]]:
     """Explore a simulated object.
 
     Args:
@@ -63,7 +63,7 @@ def explore_on_stage(
     return found, score(found, TrueSurface.of(model), p_HO, R_HO)
 
 
-def _checked(scenario: Scenario, wanted: Wanted) -> ObjectModel:
+def _checked(scenario: Scenario, wanted: ExplorationGoal) -> ObjectModel:
     """The object, where the force cannot break it."""
     model = load_object(scenario.object)
     if wanted.force > _GENTLE * model.break_force:
@@ -83,13 +83,13 @@ def placed(seed: int) -> tuple[Array, Array]:
 
 def explore_in_gripper(
     scenario: Scenario,
-    wanted: Wanted,
+    wanted: ExplorationGoal,
     *,
     known: Sequence[Patch] = (),
     say: Callable[[str], None] = lambda _: None,
     keep: Callable[[Patch], None] = lambda _: None,
     stopped: Callable[[], bool] = lambda: False,
-) -> tuple[Explored, dict[str, Any]]:
+) -> tuple[ExplorationResult, dict[str, Any]]:
     """Grip a simulated object at other heights and turns.
 
     Args:

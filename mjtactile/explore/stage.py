@@ -12,11 +12,11 @@ from collections.abc import Callable
 import numpy as np
 
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.types import Array, FeltShape, Touch
+from mjtactile.core.types import Array, ContactShape, Touch
 from mjtactile.experiments.test_bench import View, take_references
 from mjtactile.explore.next_best_touch import Aim
 from mjtactile.explore.patch_from_touch import Pressed
-from mjtactile.sim.scenes.object_on_stage import Mounted, MountedWorld
+from mjtactile.sim.scenes.object_on_stage import ObjectOnStage, ObjectOnStageWorld
 from mjtactile.sim.scenes.objects import ObjectModel
 
 MESH = (25, 21)
@@ -54,7 +54,9 @@ class SimulatedStage:
         **world,
     ):
         self.design = design
-        self.world = MountedWorld(design, Mounted(model, p_HO, R_HO), mesh=mesh, **world)
+        self.world = ObjectOnStageWorld(
+            design, ObjectOnStage(model, p_HO, R_HO), mesh=mesh, **world
+        )
         # how the object sits when it was put in the other way up, which nobody knows
         self._seat = _SEAT_SD * np.random.default_rng([seed, 32]).normal(size=3)
         self._view = View(self.world, design, seed=seed)
@@ -83,7 +85,7 @@ class SimulatedStage:
         R_SH = aim.R_SH()
         is_over = aim.n_H[2] < -math.cos(_HOLDER)
         seat = R_SH @ self._seat if is_over else np.zeros(3)
-        p_H = self._over_the_middle(R_SH, aim.p_H)
+        p_H = self._above_center(R_SH, aim.p_H)
         self.world.turn(R_SH, p_H)
         touches: list[Touch] = []
         places: list[Array] = []
@@ -101,11 +103,11 @@ class SimulatedStage:
         self.world.lift_off()
         if not touches:
             return ()
-        shape: FeltShape = self._view.perception.shape(touches)
+        shape: ContactShape = self._view.perception.shape(touches)
         group, loose = (_OVER, _SEAT_SD) if is_over else (0, 0.0)
         return (Pressed(tuple(touches), R_SH, np.array(places), shape, group, loose),)
 
-    def _over_the_middle(self, R_SH: Array, p_H: Array) -> Array:
+    def _above_center(self, R_SH: Array, p_H: Array) -> Array:
         """Feel lightly where the object is first met, and have that over the sensor's middle."""
         for _ in range(_LOOKS):
             self.world.turn(R_SH, p_H)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.explore.exploration import Explored
+from mjtactile.explore.exploration import ExplorationResult
 
 SOFT = 4e-3
 """m/N: what gives way so much has the colour of the softest."""
@@ -24,7 +24,7 @@ def colours(compliance: Array) -> Array:
     return np.where(known, mixed, _UNKNOWN_COLOUR).round().astype(np.uint8)
 
 
-def write_ply(path: Path, found: Explored) -> None:
+def write_ply(path: Path, found: ExplorationResult) -> None:
     """Write the surface in mm, binary: vertices with normals, `sd` mm, `compliance` mm/N and
     colours, and triangles."""
     mesh = found.mesh
@@ -57,7 +57,7 @@ def write_ply(path: Path, found: Explored) -> None:
     path.write_bytes("\n".join([*head, ""]).encode("ascii") + rows.tobytes() + faces.tobytes())
 
 
-def write_stl(path: Path, found: Explored) -> None:
+def write_stl(path: Path, found: ExplorationResult) -> None:
     """Write the surface in mm, binary."""
     corners = 1e3 * found.mesh.vertices[found.mesh.triangles]
     rows = np.zeros(len(corners), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("_", "<u2")])

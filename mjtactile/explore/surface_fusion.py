@@ -17,20 +17,20 @@ from mjtactile.core.types import Array
 from mjtactile.explore import superquadric
 from mjtactile.explore.shape_models import FAMILIES, HALF, ObjectFamily
 from mjtactile.explore.surface_patch import Patch, between
-from mjtactile.explore.surface_posterior import BelievedSurface, kernel, unknown
+from mjtactile.explore.surface_posterior import SurfacePosterior, kernel, unknown
 from mjtactile.explore.variance_inflation import excess
 
 _MM = 1e3
 _FIRST_FIELD = (0.05, 8.0)  # mm: with more, bumps take up what is of doubtful patches
 _FREE_SD = 0.5  # mm: how sharply what was free is outside; neighbours tell the same
-_FREE_MOST = 1.0  # mm: no further does one such point pull
+_FREE_MAX = 1.0  # mm: no further does one such point pull
 _FREE_OUT = 0.3  # mm: what was free is so far outside, give or take the same
 _FREE_APART = 2.5  # mm between such points
 _WIDE = 3.0  # sd beyond which a point pulls less and less
 _ALLOWED = 0.1  # mm that a patch of the right kind may be off a body
 _DOUBT = 4.0  # sd, from which on a whole patch may be elsewhere: an edge taken for a face
-_DOUBT_SD = (1.0, 0.2)  # mm and rad by which it then may
-_DOUBT_ODDS = np.log(0.1)
+_FLAG_SD = (1.0, 0.2)  # mm and rad by which it then may
+_FLAG_ODDS = np.log(0.1)
 _STRAY = 4.5  # sd, from which on a point does not belong
 _STRAY_SD = 1.0  # mm by which it then may be off
 _STRAY_ODDS = np.log(0.05)
@@ -44,7 +44,9 @@ _PLACES = 3  # from which it is tried again where a body is known
 _SCALE = np.array([1.0] * 3 + [0.1] * 3 + [0.05] * 3 + [0.1] * 2 + [0.05] * 3)
 
 
-def fuse(patches: Sequence[Patch], before: Sequence[BelievedSurface] = ()) -> list[BelievedSurface]:
+def fuse(
+    patches: Sequence[Patch], before: Sequence[SurfacePosterior] = ()
+) -> list[SurfacePosterior]:
     """The surfaces that patches may lie on.
 
     Args:
@@ -63,7 +65,7 @@ def fuse(patches: Sequence[Patch], before: Sequence[BelievedSurface] = ()) -> li
     return sorted(found, key=lambda one: -one.log_evidence)
 
 
-def shares(surfaces: Sequence[BelievedSurface]) -> Array:
+def shares(surfaces: Sequence[SurfacePosterior]) -> Array:
     """Probability of each, (N,), all families alike beforehand."""
     told = np.array([one.log_evidence for one in surfaces])
     weight = np.exp(told - told.max())
@@ -72,7 +74,7 @@ def shares(surfaces: Sequence[BelievedSurface]) -> Array:
 
 def _of_family(
     data: _Data, family: ObjectFamily, places: Sequence[Array], known: Array | None
-) -> BelievedSurface:
+) -> SurfacePosterior:
     """The likeliest body of a family, and field."""
     starts = []
     if known is not None:
@@ -85,7 +87,7 @@ def _of_family(
     tried = sorted((_robust(data, family, one, _FIRST_ROUNDS) for one in starts), key=_cost)
     theta = min((_robust(data, family, one.x, _ROUNDS) for one in tried[:_STARTS]), key=_cost).x
     said = data.noise
-    data = data.with_doubt(theta).with_free(theta)
+    data = data.with_uncertainty(theta).with_free(theta)
     theta = _solve(data, family, _FIRST_FIELD, theta).x
     fields = [_with_field(data, family, theta, field) for field in family.fields]
     likeliest = max(fields, key=lambda one: one.log_evidence)
@@ -143,7 +145,7 @@ class _Data:
         """What a body leaves unexplained at the points, mm."""
         return self.outside - superquadric.distance(theta, self.points)
 
-    def with_doubt(self, theta: Array) -> _Data:
+    def with_uncertainty(self, theta: Array) -> _Data:
         """With less belief in patches, and then in points, that a body says are elsewhere: where an
         edge was taken for a face, a patch to be wider than it is. What is doubted costs odds."""
         left = self.left(theta)
@@ -153,9 +155,9 @@ class _Data:
             own = np.sqrt(noise[part, part].diagonal().min() + _ALLOWED**2)
             if np.median(np.abs(left[part])) < _DOUBT * own:
                 continue
-            odds += _DOUBT_ODDS
+            odds += _FLAG_ODDS
             off = self.points[part] - self.points[part].mean(axis=0)
-            height, tilt = _DOUBT_SD
+            height, tilt = _FLAG_SD
             noise[part, part] += height**2 + tilt**2 * off @ off.T
         field = kernel(self.points, self.points, *_FIRST_FIELD)
         for _ in range(int(_STRAYS * len(left))):
@@ -192,11 +194,11 @@ def _thinned(places: Array) -> Array:
     return places[np.unique(cells, axis=0, return_index=True)[1]]
 
 
-Told = Callable[[Array], Array]
+TaskGoal = Callable[[Array], Array]
 """Of the body's numbers: what is left, (N,), or its derivatives (N, 14)."""
 
 
-def _least_squares(left: Told, slopes: Any, start: Array, rounds: int) -> OptimizeResult:
+def _least_squares(left: TaskGoal, slopes: Any, start: Array, rounds: int) -> OptimizeResult:
     start = np.clip(start, superquadric.LOW + 1e-6, superquadric.HIGH - 1e-6)
     return least_squares(
         left,
@@ -209,14 +211,14 @@ def _least_squares(left: Told, slopes: Any, start: Array, rounds: int) -> Optimi
 
 
 def _free_and_prior(data: _Data, family: ObjectFamily, theta: Array) -> list[Array]:
-    free = np.clip(superquadric.distance(theta, data.free), -_FREE_MOST, 0.0) / _FREE_SD
+    free = np.clip(superquadric.distance(theta, data.free), -_FREE_MAX, 0.0) / _FREE_SD
     return [free, family.root @ (theta - family.mean)]
 
 
 def _slopes(data: _Data, family: ObjectFamily, theta: Array) -> tuple[Array, list[Array]]:
     """By the body's numbers: of its distances at the points, and of what is free and the prior."""
     inside = superquadric.distance(theta, data.free)
-    pulls = np.flatnonzero((inside < 0) & (inside > -_FREE_MOST))
+    pulls = np.flatnonzero((inside < 0) & (inside > -_FREE_MAX))
     rows = superquadric.by_numbers(theta, np.concatenate([data.points, data.free[pulls]]))
     count = len(data.points)
     free = np.zeros((len(data.free), superquadric.COUNT))
@@ -273,7 +275,7 @@ def _expected(data: _Data, family: ObjectFamily, theta: Array) -> Array:
 
 def _with_field(
     data: _Data, family: ObjectFamily, theta: Array, field: tuple[float, float]
-) -> BelievedSurface:
+) -> SurfacePosterior:
     """The field and the body's numbers about `theta`, from what was touched (Eq. E3), and how
     likely all of it is (Eq. E5)."""
     rows = superquadric.by_numbers(theta, data.points)
@@ -288,7 +290,7 @@ def _with_field(
     evidence += data.odds - 0.5 * float(free @ free)
     # at the likeliest body its own share of what is left over is nothing
     weights = cho_solve(cho_factor(own, lower=True), data.left(theta))
-    return BelievedSurface(family, theta, field, data.points, weights, factor, evidence)
+    return SurfacePosterior(family, theta, field, data.points, weights, factor, evidence)
 
 
 def _starts(patches: Sequence[Patch]) -> list[Array]:

@@ -33,7 +33,7 @@ class Patch:
         points: (N, 3) m, on the surface.
         free: (M, 3) m, where the sheet was and touched nothing: outside of the object.
         normal: (3,) outward, of the patch.
-        kind: What touched (`FeltShape.kind`); "unknown": points are the sheet's own heights.
+        kind: What touched (`ContactShape.kind`); "unknown": points are the sheet's own heights.
         force: N, at which the points were seen.
         compliance: m/N by which the object gave way under the touch; NaN: unknown.
         compliance_sd: m/N.

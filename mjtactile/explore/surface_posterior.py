@@ -20,7 +20,7 @@ can say of another. Of the shipped sensors, from sizes of eggs, vials and random
 
 
 @dataclass(frozen=True, eq=False)
-class BelievedSurface:
+class SurfacePosterior:
     """What is believed of an object's surface.
 
     Attributes:
@@ -82,10 +82,10 @@ def kernel(p: Array, q: Array, sd: float, length: float) -> Array:
     return sd**2 * (1 + r + r**2 / 3) * np.exp(-r)
 
 
-def unknown() -> BelievedSurface:
+def unknown() -> SurfacePosterior:
     """Before the first touch: a ball about the holder's origin, half of it give or take."""
     none = np.zeros((0, 3))
     empty = (np.zeros((0, 0)), True)
     theta = FREE.mean.copy()
     theta[9:11] = 1.0
-    return BelievedSurface(FREE, theta, (0.3, 8.0), none, np.zeros(0), empty, 0.0)
+    return SurfacePosterior(FREE, theta, (0.3, 8.0), none, np.zeros(0), empty, 0.0)

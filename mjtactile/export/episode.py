@@ -26,7 +26,7 @@ from mjtactile.recording.files import LOG, RECORDINGS, to_json
 from mjtactile.recording.log_schema import SENSED, TRUE
 from mjtactile.recording.reader import Recording, load_recording
 from mjtactile.report.overlay import followed
-from mjtactile.sensing.stateful_pipeline import Perception
+from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
 NOT_OF_A_FINGER = ("object_position_true", "object_quaternion_true")
 """Columns of several numbers that are not one set a finger."""
@@ -74,7 +74,7 @@ class RecordedEpisode:
         if not len(self.recording):
             raise InputError("has no cycles to export", source=folder)
         self.design = _design(self.recording)
-        self.felt_apart = math.nan
+        self.estimate_difference = math.nan
         """The most, N, by which normal forces felt again differ from those recorded, of the cycles
         that were asked for so far."""
         tables = self.recording.notes.get("calibration", {})
@@ -88,7 +88,7 @@ class RecordedEpisode:
         return self.recording.fingers
 
     @property
-    def felt_again(self) -> bool:
+    def re_estimate(self) -> bool:
         """Whether the chain sees this recording's images again."""
         return bool(self._perceptions)
 
@@ -124,8 +124,8 @@ class RecordedEpisode:
                 "problems": recording.problems,
                 "fingers": self.fingers,
                 "cycles": len(recording),
-                "felt_again": self.felt_again,
-                "felt_again_difference_N": self.felt_apart,
+                "re_estimate": self.re_estimate,
+                "felt_again_difference_N": self.estimate_difference,
                 "camera_in_sensor": {
                     name: {"R_SC": R.tolist(), "p_SC_m": p.tolist()}
                     for name, (R, p) in self.camera_poses.items()
@@ -184,7 +184,7 @@ class RecordedEpisode:
         return np.eye(3), self.design.camera.p_SC
 
     @cached_property
-    def _perceptions(self) -> tuple[Perception, ...]:
+    def _perceptions(self) -> tuple[StatefulPipeline, ...]:
         """A chain for each finger with the references of this recording; () where it has not all of
         its images."""
         recording = self.recording
@@ -198,15 +198,15 @@ class RecordedEpisode:
         except (DeviceError, InputError):  # a cut-off reference; the log is exported all the same
             return ()
 
-    def _perception(self, number: int, finger: str, flat: Any, rest: Any) -> Perception:
-        perception = Perception.of(self.design, calibration := self.calibrations[finger])
-        perception.take_flat(list(flat.images(number)))
-        gauge = rest.pressure_gauge[number] if number < len(rest.pressure_gauge) else None
+    def _perception(self, number: int, finger: str, flat: Any, rest: Any) -> StatefulPipeline:
+        perception = StatefulPipeline.of(self.design, calibration := self.calibrations[finger])
+        perception.measure_flat_reference(list(flat.images(number)))
+        gauge = rest.gauge_pressure[number] if number < len(rest.gauge_pressure) else None
         if gauge is None or math.isnan(gauge):
             gauge = self.design.chamber.supply_gauge
         elif calibration is not None:
             gauge = calibration.pressure(gauge)
-        perception.take_rest(list(rest.images(number)), gauge)
+        perception.measure_rest_reference(list(rest.images(number)), gauge)
         perception.shapes = self.recording.has_shapes
         return perception
 
@@ -235,7 +235,9 @@ class RecordedEpisode:
             else:
                 touch = ()
             for again, was in zip(touch, row["force_normal"], strict=False):
-                self.felt_apart = float(np.fmax(self.felt_apart, abs(again.force_normal - was)))
+                self.estimate_difference = float(
+                    np.fmax(self.estimate_difference, abs(again.force_normal - was))
+                )
             files = tuple(folder / name for name in columns["images"][k])
             ellipses = tuple(
                 followed(image, chain.state.tracks)

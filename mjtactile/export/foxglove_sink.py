@@ -17,7 +17,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.export import messages
 from mjtactile.export.episode import meanings
-from mjtactile.export.viewer_entities import FLAGGED, TRUSTED, Arrows, DrawnMesh, ImageCurves
+from mjtactile.export.viewer_entities import FLAGGED, TRUSTED, Arrows, ImageCurves, RenderedMesh
 from mjtactile.recording.files import to_json
 
 PORT = 8765
@@ -166,7 +166,7 @@ def _curves(item: messages.Message) -> Any:
 def _mesh(item: messages.Message) -> Any:
     from foxglove.messages import Color, Point3, TriangleListPrimitive
 
-    mesh: DrawnMesh = item.value
+    mesh: RenderedMesh = item.value
     surface = TriangleListPrimitive(
         pose=_pose(np.eye(3), np.zeros(3)),
         points=[Point3(x=x, y=y, z=z) for x, y, z in mesh.points.tolist()],

@@ -92,7 +92,7 @@ class LiveView(Observer):
             session: The `Session`.
         """
         self._session = session
-        self._patience = session.patience
+        self._patience = session.disk_wait_time
         source = _Running(session)
         self._sink = self._open(source.fingers, pictured=session.rig.scene is not None)
         self.where = self._sink.where

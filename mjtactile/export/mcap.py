@@ -10,7 +10,7 @@ from typing import Any
 from mjtactile.export import messages
 from mjtactile.export.episode import RecordedEpisode
 from mjtactile.export.foxglove_sink import FoxgloveFile
-from mjtactile.export.viewer_entities import drawn_items
+from mjtactile.export.viewer_entities import rendered_items
 
 
 def write(
@@ -28,7 +28,7 @@ def write(
 def _write_one(episode: RecordedEpisode, path: Path) -> None:
     sink = FoxgloveFile(path)
     try:
-        for item in drawn_items(episode):
+        for item in rendered_items(episode):
             sink.log(item)
         _attach(episode, sink.writer)
     finally:

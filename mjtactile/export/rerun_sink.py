@@ -17,7 +17,7 @@ import numpy as np
 
 from mjtactile.core.errors import InputError
 from mjtactile.export import messages
-from mjtactile.export.viewer_entities import FLAGGED, TRUSTED, Arrows, DrawnMesh, ImageCurves
+from mjtactile.export.viewer_entities import FLAGGED, TRUSTED, Arrows, ImageCurves, RenderedMesh
 
 PORT = 9876
 _ARROW_RADIUS = 3e-4  # m
@@ -106,7 +106,7 @@ class RerunSink:
         self._send(self._in_frame(item), self._rr.LineStrips2D(curves.points, colors=colours))
 
     def _mesh(self, item: messages.Message) -> None:
-        mesh: DrawnMesh = item.value
+        mesh: RenderedMesh = item.value
         drawn = self._rr.Mesh3D(
             vertex_positions=mesh.points,
             triangle_indices=mesh.triangles,
@@ -161,8 +161,8 @@ class RerunSink:
     def _touch(self, item: messages.Message) -> None:
         finger = item.topic.split("/")[1]
         self._number(f"force/{finger}", item.value["force_normal"])
-        if "pressure_gauge" in item.value:
-            self._number(f"pressure/{finger}", item.value["pressure_gauge"])
+        if "gauge_pressure" in item.value:
+            self._number(f"pressure/{finger}", item.value["gauge_pressure"])
         if item.value["status_code"] != "ok":
             self._send(f"log/{finger}", self._rr.TextLog(str(item.value["status"]), level="WARN"))
 
@@ -221,7 +221,7 @@ def _rgba(rgba: Sequence[float]) -> np.ndarray:
     return np.round(255 * np.asarray(rgba)).astype(np.uint8)
 
 
-def _normals(mesh: DrawnMesh) -> np.ndarray:
+def _normals(mesh: RenderedMesh) -> np.ndarray:
     """At each point (n, 3), the mean of its triangles', by area."""
     corners = mesh.points[mesh.triangles]
     face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

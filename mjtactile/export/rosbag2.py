@@ -49,7 +49,7 @@ float64[2] shape_sliding    # m/s over the rubber
 float64 shape_spinning      # rad/s about z
 float64 marker_count
 bool valve_open             # false where the finger has none
-float64 pressure_gauge      # Pa
+float64 gauge_pressure      # Pa
 """,
     "Command": """\
 # What was sent to the gripper.

@@ -8,7 +8,7 @@ from typing import Any
 
 from mjtactile.export.episode import RecordedEpisode
 from mjtactile.export.rerun_sink import RerunSink, to_file
-from mjtactile.export.viewer_entities import drawn_items
+from mjtactile.export.viewer_entities import rendered_items
 
 
 def write(
@@ -20,7 +20,7 @@ def write(
         say(f"{k + 1} of {len(episodes)}: {episode.recording.folder}")
         sink = RerunSink(episode.fingers, pictured=False)
         to_file(sink, out / f"episode_{k:06d}.rrd")
-        for item in drawn_items(episode):
+        for item in rendered_items(episode):
             sink.log(item)
         sink.close()
         frames += len(episode.recording)

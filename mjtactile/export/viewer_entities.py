@@ -33,7 +33,7 @@ class ImageCurves:
 
 
 @dataclass(frozen=True, eq=False)
-class DrawnMesh:
+class RenderedMesh:
     """A surface in its frame: points (n, 3) m, triangles (m, 3), colour from 0 to 1."""
 
     points: Array
@@ -90,19 +90,19 @@ class Drawing:
             pose = np.append(solid.R_WG.ravel(), solid.p_WG)
             before = self._placed.get(frame)
             if before is None:
-                mesh = DrawnMesh(solid.points, solid.faces, tuple(map(float, solid.rgba)))
+                mesh = RenderedMesh(solid.points, solid.faces, tuple(map(float, solid.rgba)))
                 yield Message(f"/{frame}", "mesh", seen.time, frame, mesh)
             if before is None or not np.array_equal(before, pose):
                 moved.append(Transform("world", frame, solid.R_WG, solid.p_WG))
                 self._placed[frame] = pose
         for name, points, faces, rgba in seen.view.soft_bodies():
-            mesh = DrawnMesh(points, faces, tuple(map(float, rgba)))
+            mesh = RenderedMesh(points, faces, tuple(map(float, rgba)))
             yield Message(f"/soft/{name}", "mesh", seen.time, "world", mesh)
         if moved:
             yield Message("/tf_scene", "frames", seen.time, "", moved)
 
 
-def drawn_items(episode: RecordedEpisode) -> Iterator[Message]:
+def rendered_items(episode: RecordedEpisode) -> Iterator[Message]:
     """All messages of a recording, and what is drawn of each cycle."""
     drawing = Drawing(episode)
     yield cameras(episode, float(episode.recording.columns["time"][0]))
@@ -118,7 +118,7 @@ def curves_of(ellipses: Ellipses) -> ImageCurves:
     return ImageCurves(np.concatenate([points, points[:, :1]], axis=1), ellipses.status == "ok")
 
 
-def surface_mesh(surface: Surface) -> DrawnMesh:
+def surface_mesh(surface: Surface) -> RenderedMesh:
     """A membrane's shape as triangles, two between four neighbours of its grid."""
     x, y = np.meshgrid(surface.x, surface.y)
     rows, columns = x.shape
@@ -129,7 +129,7 @@ def surface_mesh(surface: Surface) -> DrawnMesh:
     d = corner[1:, :-1].ravel()
     triangles = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
     points = np.column_stack([x.ravel(), y.ravel(), surface.z.ravel()])
-    return DrawnMesh(points, triangles, MEMBRANE)
+    return RenderedMesh(points, triangles, MEMBRANE)
 
 
 def traction_arrows(traction: Traction, surface: Surface) -> Arrows:

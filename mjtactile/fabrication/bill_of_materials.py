@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from mjtactile.fabrication.camera_check import Optics
 from mjtactile.fabrication.housing_layout import Layout
 from mjtactile.fabrication.manufacturability import MM
-from mjtactile.fabrication.print_templates import sheet_size
+from mjtactile.fabrication.print_templates import page_size
 
 _FORCE = 2.5  # N, the most of the paper's measurements
 _FORCE_STEP = 0.004  # N: a tenth of the paper's error, for the pressure sensor's resolution
@@ -50,7 +50,7 @@ def _mechanics(layout: Layout) -> list[Item]:
     bolt = layout.bolt
     count = len(layout.bolts)
     sheet = design.membrane
-    half_x, half_y = sheet_size(layout)
+    half_x, half_y = page_size(layout)
     ink = layout.hardware.markers == "ink"
     return [
         Item(

@@ -17,7 +17,7 @@ from mjtactile.fabrication.camera_check import Optics, plan_camera
 from mjtactile.fabrication.drawing_pages import write_pdf, write_png, write_svg
 from mjtactile.fabrication.housing_layout import Layout
 from mjtactile.fabrication.layered_solid import Contour, Part, circle, crossing, plate
-from mjtactile.fabrication.marker_positions import SheetState, press_depth, simulate
+from mjtactile.fabrication.marker_positions import MembraneState, press_depth, simulate
 from mjtactile.fabrication.parts import PEG, make_parts, pegs
 from mjtactile.fabrication.purchased_parts import Hardware
 from mjtactile.fabrication.step_file import write_step
@@ -42,7 +42,7 @@ def build(
     source: str,
     text: str,
     say: Callable[[str], None] = lambda _: None,
-    states_of: Callable[..., list[SheetState]] = simulate,
+    states_of: Callable[..., list[MembraneState]] = simulate,
 ) -> Build:
     """All files for `design`, read from `source` with the given `text`. Raises InputError for what
     cannot be built."""
@@ -156,7 +156,7 @@ def _pictures(layout: Layout, optics: Optics, parts: dict[str, Part]) -> dict[st
                 bodies, f"{step.picture}.png", **step.view
             )
     found["camera_view"] = _camera_view(layout.design, optics)
-    half = print_templates.sheet_size(layout)
+    half = print_templates.page_size(layout)
     found["print"] = write_png(print_templates.marker_pages(layout)[0], half[0] + 2, half[1] + 2)
     fiducials = print_templates.fiducial_page(layout)
     if fiducials is not None:

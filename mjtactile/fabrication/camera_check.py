@@ -30,7 +30,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.fabrication import purchased_parts as hw
 from mjtactile.fabrication.manufacturability import Limit
-from mjtactile.fabrication.marker_positions import SheetState
+from mjtactile.fabrication.marker_positions import MembraneState
 from mjtactile.fabrication.purchased_parts import Hardware
 
 _AROUND = 24  # points of a marker's edge
@@ -66,7 +66,7 @@ class Optics:
 
 
 def plan_camera(
-    design: SensorDesign, hardware: Hardware, states: Sequence[SheetState], source: str
+    design: SensorDesign, hardware: Hardware, states: Sequence[MembraneState], source: str
 ) -> Optics:
     """Raises InputError naming the number that is wrong, and its limit."""
     margin, worst = _margins(design, states, source)
@@ -100,7 +100,7 @@ def plan_camera(
     )
 
 
-def marker_edges(design: SensorDesign, state: SheetState) -> Array:
+def marker_edges(design: SensorDesign, state: MembraneState) -> Array:
     """Points (N, k, 2) of the markers' edges in the picture, px, through pane and lens."""
     camera = optics.Camera.from_design(design.camera, design.glass)
     across = np.cross(
@@ -115,7 +115,9 @@ def marker_edges(design: SensorDesign, state: SheetState) -> Array:
     return optics.project(camera, edge - design.camera.p_SC)
 
 
-def _margins(design: SensorDesign, states: Sequence[SheetState], source: str) -> tuple[float, str]:
+def _margins(
+    design: SensorDesign, states: Sequence[MembraneState], source: str
+) -> tuple[float, str]:
     """The least distance px of a marker's edge band from the picture's edge, and in which state."""
     # the edge profiles that the fit needs
     camera = design.camera
@@ -150,11 +152,11 @@ def _margins(design: SensorDesign, states: Sequence[SheetState], source: str) ->
     return least, worst
 
 
-def _range(design: SensorDesign, states: Sequence[SheetState]) -> tuple[float, float]:
+def _range(design: SensorDesign, states: Sequence[MembraneState]) -> tuple[float, float]:
     """Nearest and farthest marker, mm from the pupil, as the pane makes them seem."""
     z = np.concatenate([state.p_SM[:, 2] for state in states])
     shown = 1e3 * (
-        design.camera.distance - design.pane_thickness_apparent + np.array([z.min(), z.max()])
+        design.camera.distance - design.apparent_glass_thickness + np.array([z.min(), z.max()])
     )
     return float(shown[0]), float(shown[1])
 
@@ -244,7 +246,7 @@ def led_mirrors(design: SensorDesign) -> Array:
     return optics.project(bare, p)
 
 
-def mirrored_in_picture(design: SensorDesign, mirrors: Array) -> int:
+def mirrored_in_image(design: SensorDesign, mirrors: Array) -> int:
     """How many of them are in the picture."""
     inside = (mirrors > -0.5) & (mirrors < (design.camera.width - 0.5, design.camera.height - 0.5))
     return int(inside.all(axis=1).sum())

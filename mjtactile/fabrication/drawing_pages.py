@@ -31,7 +31,7 @@ _STYLES = {
 
 
 @dataclass(frozen=True)
-class DrawnShape:
+class DrawingShape:
     """A `contour`, a polyline through `points`, or a `text` at the first of them, in a `style`, of
     a `group` with a name."""
 
@@ -44,31 +44,31 @@ class DrawnShape:
 
 
 @dataclass(frozen=True)
-class PrintedSheet:
+class PrintedPage:
     """A page of `width` x `height` mm."""
 
     title: str
     width: float
     height: float
-    shapes: tuple[DrawnShape, ...]
+    shapes: tuple[DrawingShape, ...]
 
 
-def line(group: str, *points: tuple[float, float], style: str = "mark") -> DrawnShape:
-    return DrawnShape(style, group, points=points)
+def line(group: str, *points: tuple[float, float], style: str = "mark") -> DrawingShape:
+    return DrawingShape(style, group, points=points)
 
 
-def cross(group: str, x: float, y: float, half: float = 2.0) -> list[DrawnShape]:
+def cross(group: str, x: float, y: float, half: float = 2.0) -> list[DrawingShape]:
     """A register mark."""
     return [line(group, (x - half, y), (x + half, y)), line(group, (x, y - half), (x, y + half))]
 
 
 def page(
     title: str,
-    shapes: Sequence[DrawnShape],
+    shapes: Sequence[DrawingShape],
     half_x: float,
     half_y: float,
     notes: Sequence[str] = (),
-) -> PrintedSheet:
+) -> PrintedPage:
     """The smallest paper that holds `shapes` (within the half sizes) about its middle, with a
     title, notes and a scale bar."""
     need = 2 * (half_x + _BORDER), 2 * (half_y + max(HEAD, FOOT))
@@ -80,15 +80,15 @@ def page(
     left = _BORDER - width / 2
     top = 8 - height / 2
     head = [
-        DrawnShape(
+        DrawingShape(
             "black", "text", points=((left, top + 5.0 * k),), text=text, size=4.5 if k == 0 else 3.2
         )
         for k, text in enumerate((title, *notes), 0)
     ]
-    return PrintedSheet(title, width, height, (*shapes, *head, *_scale_bars(width, height)))
+    return PrintedPage(title, width, height, (*shapes, *head, *_scale_bars(width, height)))
 
 
-def _scale_bars(width: float, height: float) -> list[DrawnShape]:
+def _scale_bars(width: float, height: float) -> list[DrawingShape]:
     """Bars along both sides, since printers differ in the two: ticks each 10 mm."""
     found = []
     for axis, room in ((0, width - 2 * _BORDER), (1, height - HEAD - FOOT)):
@@ -110,7 +110,7 @@ def _scale_bars(width: float, height: float) -> list[DrawnShape]:
         else:
             text = f"{length:g} mm"
         found.append(
-            DrawnShape(
+            DrawingShape(
                 "black",
                 "scale",
                 points=(
@@ -123,7 +123,7 @@ def _scale_bars(width: float, height: float) -> list[DrawnShape]:
     return found
 
 
-def write_svg(sheet: PrintedSheet) -> str:
+def write_svg(sheet: PrintedPage) -> str:
     """The page as SVG: one user unit is a millimetre, the origin the page's middle, each round
     contour a `<circle>`."""
     groups: dict[str, list[str]] = {}
@@ -140,7 +140,7 @@ def write_svg(sheet: PrintedSheet) -> str:
     )
 
 
-def _svg(shape: DrawnShape) -> str:
+def _svg(shape: DrawingShape) -> str:
     fill, stroke, width = _STYLES[shape.style]
     paint = f'fill="{fill or "none"}"' + (
         f' stroke="{stroke}" stroke-width="{width}"' if stroke else ""
@@ -172,7 +172,7 @@ def _n(value: float) -> str:
     return f"{round(value, 5) + 0.0:.5f}".rstrip("0").rstrip(".")
 
 
-def write_pdf(sheets: Sequence[PrintedSheet]) -> bytes:
+def write_pdf(sheets: Sequence[PrintedPage]) -> bytes:
     """The pages as a PDF, vectors at 1:1."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_pdf import PdfPages
@@ -187,17 +187,15 @@ def write_pdf(sheets: Sequence[PrintedSheet]) -> bytes:
     return out.getvalue()
 
 
-def write_png(
-    sheet: PrintedSheet, half_x: float, half_y: float, dots_per_mm: float = 10.0
-) -> bytes:
+def write_png(sheet: PrintedPage, half_x: float, half_y: float, dots_per_mm: float = 10.0) -> bytes:
     """What is within the half sizes, mm, about the page's middle, as a picture."""
     out = io.BytesIO()
-    figure = _figure(PrintedSheet(sheet.title, 2 * half_x, 2 * half_y, sheet.shapes))
+    figure = _figure(PrintedPage(sheet.title, 2 * half_x, 2 * half_y, sheet.shapes))
     figure.savefig(out, format="png", dpi=25.4 * dots_per_mm, metadata={"Software": None})
     return out.getvalue()
 
 
-def _figure(sheet: PrintedSheet) -> Any:
+def _figure(sheet: PrintedPage) -> Any:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(sheet.width / 25.4, sheet.height / 25.4))
@@ -209,7 +207,7 @@ def _figure(sheet: PrintedSheet) -> Any:
     return figure
 
 
-def _draw(axes: Any, shape: DrawnShape) -> None:
+def _draw(axes: Any, shape: DrawingShape) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Circle, FancyBboxPatch, Polygon, Rectangle
 

@@ -56,7 +56,7 @@ class Layout:
             near + self.z_plate + 0.5 - (self.z_ring[1] - self.bolt_length),
         )
         yield Limit(
-            "chamber.supply_gauge_kPa",
+            "chamber.supply_pressure_kPa",
             1e-3 * abs(chamber.supply_gauge),
             f"pulls at each of {len(self.bolts)} bolts with more than {hw.BOLT_LOAD:g} N",
             high=1e-3 * hw.BOLT_LOAD * len(self.bolts) / self.design.frame.area,
@@ -209,14 +209,14 @@ class Layout:
         return self.z_glass + hw.GASKET
 
     @property
-    def z_pane(self) -> float:
+    def z_glass_plane(self) -> float:
         """Of the pane's back."""
         return self.z_glass - MM * self.design.glass.thickness
 
     @property
     def z_seat(self) -> float:
         """Of the glass seat's back."""
-        return self.z_pane - hw.SEAT
+        return self.z_glass_plane - hw.SEAT
 
     @property
     def z_mount(self) -> float:

@@ -9,13 +9,13 @@ from typing import Any
 
 from mjtactile.fabrication import purchased_parts as hw
 from mjtactile.fabrication.bill_of_materials import hose_volume
-from mjtactile.fabrication.camera_check import Optics, mirrored_in_picture
+from mjtactile.fabrication.camera_check import Optics, mirrored_in_image
 from mjtactile.fabrication.housing_layout import Layout
 from mjtactile.fabrication.layered_solid import Part
 from mjtactile.fabrication.manufacturability import MM, glass_stress, opening_margins
-from mjtactile.fabrication.marker_positions import SheetState, growth
+from mjtactile.fabrication.marker_positions import MembraneState, growth
 from mjtactile.fabrication.part_renderings import FRONT, SIDE
-from mjtactile.fabrication.print_templates import board_of, sheet_size
+from mjtactile.fabrication.print_templates import board_of, page_size
 from mjtactile.sim.sensor.validity_checks import STRETCHED
 
 
@@ -149,7 +149,7 @@ STEPS = (
         "my_gripper.toml\n    mjtactile calibrate valve --rig my_gripper.toml --finger left\n    "
         "mjtactile calibrate frame --rig my_gripper.toml --finger left\n    mjtactile calibrate "
         "force --rig my_gripper.toml --finger left\n    mjtactile record --rig my_gripper.toml "
-        "--out runs/by_hand\n\n`calibrate frame` measures what has come out differently: where "
+        "--out runs/manually\n\n`calibrate frame` measures what has come out differently: where "
         "the camera sits, how large the markers really are, how stiff the rubber is. `mjtactile "
         "fit` writes the sensor file of what was built. The hose and the port hold {hose:.2f} mL: "
         "write that into `chamber.extra_volume_mL`.",
@@ -192,8 +192,8 @@ def steps_of(layout: Layout) -> tuple[ManualStep, ...]:
 def facts(layout: Layout, optics: Optics) -> dict[str, Any]:
     """What the steps' texts say."""
     design = layout.design
-    half = sheet_size(layout)
-    seen = mirrored_in_picture(design, optics.mirrors)
+    half = page_size(layout)
+    seen = mirrored_in_image(design, optics.mirrors)
     first = optics.mirrors[0]
     if layout.hardware.markers == "ink":
         ink = (
@@ -307,7 +307,7 @@ frame, so that they open in place |
 
 
 def checks(
-    layout: Layout, optics: Optics, press: float, states: Sequence[SheetState], gap: float
+    layout: Layout, optics: Optics, press: float, states: Sequence[MembraneState], gap: float
 ) -> dict[str, str]:
     """What was checked, for people."""
     design = layout.design

@@ -78,11 +78,11 @@ def limits_of(design: SensorDesign, hardware: Hardware) -> Iterator[Limit]:
 
 
 def _housing(design: SensorDesign) -> Iterator[Limit]:
-    yield Limit("frame.rim_mm", MM * design.frame.rim, "is too thin a wall", hw.PRINT_WALL)
+    yield Limit("frame.wall_mm", MM * design.frame.rim, "is too thin a wall", hw.PRINT_WALL)
     fiducials = design.fiducials
     if fiducials is not None and fiducials.surface == "rim":
         yield Limit(
-            "fiducials.step_mm",
+            "fiducials.wall_setback_mm",
             MM * fiducials.step,
             f"leaves too thin a wall of the rim's {MM * design.frame.rim:g}",
             high=MM * design.frame.rim - hw.PRINT_WALL,

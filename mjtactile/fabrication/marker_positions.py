@@ -24,7 +24,7 @@ _REACH = 0.45  # of a side of the frame: the farthest that the ball's middle goe
 
 
 @dataclass(frozen=True, eq=False)
-class SheetState:
+class MembraneState:
     """Marker centres (N, 3) m and outward normals (N, 3) in S; `name` says when; `stretch` is the
     sheet's largest."""
 
@@ -35,7 +35,7 @@ class SheetState:
     height: float
 
 
-def growth(design: SensorDesign, states: Sequence[SheetState]) -> float:
+def growth(design: SensorDesign, states: Sequence[MembraneState]) -> float:
     """Largest mean growth, over the states, of the distances between neighbouring markers: what
     elastic markers grow by."""
     markers = design.markers
@@ -72,13 +72,13 @@ def simulate(
     source: str,
     say: Callable[[str], None],
     places: Mapping[str, tuple[int, int]] = PLACES,
-) -> list[SheetState]:
+) -> list[MembraneState]:
     """All states. Raises InputError where the membrane does not hold the supply's pressure, or is
     pressed against the glass."""
     supply = design.chamber.supply_gauge
     depth = press_depth(design, hardware)
     frame = design.frame
-    flat = SheetState(
+    flat = MembraneState(
         "flat",
         design.markers.p_SM,
         np.tile([0.0, 0, 1], (design.markers.count, 1)),
@@ -91,7 +91,7 @@ def simulate(
         and not np.isnan(analytical_solutions.bulge_height(design, 1.0))
     ):
         Limit(
-            "chamber.supply_gauge_kPa",
+            "chamber.supply_pressure_kPa",
             1e-3 * supply,
             "is more than this sheet holds: it goes on growing",
             high=1e-3 * _pressure_limit(design),
@@ -122,14 +122,14 @@ def simulate(
             f"the membrane does not do what is asked of it at {1e-3 * supply:g} kPa and a press of "
             f"{1e3 * depth:.2g} mm: {error.reason}",
             source=source,
-            field="chamber.supply_gauge_kPa",
+            field="chamber.supply_pressure_kPa",
         ) from error
     return states
 
 
-def _state(world: PressWorld, name: str) -> SheetState:
+def _state(world: PressWorld, name: str) -> MembraneState:
     sensor = world.sensors[0]
-    return SheetState(
+    return MembraneState(
         name, *world.marker_poses(0), sensor.stretch_and_area()[0], sensor.height_at(0.0, 0.0)
     )
 

@@ -185,7 +185,7 @@ def _gasket(layout: Layout) -> Part:
 def _glass(layout: Layout) -> Part:
     return Part(
         "glass",
-        (plate(layout.z_pane, layout.z_glass, Contour(layout.glass_x, layout.glass_y)),),
+        (plate(layout.z_glass_plane, layout.z_glass, Contour(layout.glass_x, layout.glass_y)),),
         (0.72, 0.88, 0.92),
         make=False,
         what="flat pane",
@@ -199,8 +199,8 @@ def _glass_seat(layout: Layout) -> Part:
     return Part(
         "glass_seat",
         (
-            plate(layout.z_seat, layout.z_pane, flange(layout), [window, *holes]),
-            plate(layout.z_pane, layout.z_glass, flange(layout), [pocket, *holes]),
+            plate(layout.z_seat, layout.z_glass_plane, flange(layout), [window, *holes]),
+            plate(layout.z_glass_plane, layout.z_glass, flange(layout), [pocket, *holes]),
         ),
         _LIGHT,
         what="presses the pane against gasket and frame",

@@ -13,7 +13,7 @@ import math
 
 from mjtactile.calibrate.camera import Board
 from mjtactile.core.design import SensorDesign
-from mjtactile.fabrication.drawing_pages import DrawnShape, PrintedSheet, cross, line, page
+from mjtactile.fabrication.drawing_pages import DrawingShape, PrintedPage, cross, line, page
 from mjtactile.fabrication.housing_layout import Layout
 from mjtactile.fabrication.layered_solid import Contour, circle
 from mjtactile.fabrication.manufacturability import MM, marker_shrink
@@ -29,7 +29,7 @@ from mjtactile.fabrication.parts import (
 )
 
 _SHEET_EDGE = 6.0  # mm of rubber beyond the pegs, mounted
-_FILM_PLAY = 0.1  # mm of the fiducials' film to the groove's walls
+_QS_PLAY = 0.1  # mm of the fiducials' film to the groove's walls
 _BOARD_CELLS = 8  # across a square: Board's marker is 3/4 of it, six cells
 _COLUMNS = 9
 _ROWS = 7
@@ -50,7 +50,7 @@ def markers(layout: Layout, *, mounted: bool = False) -> list[Contour]:
     ]
 
 
-def sheet_size(layout: Layout) -> tuple[float, float]:
+def page_size(layout: Layout) -> tuple[float, float]:
     """Half sizes, mm, of the rubber to cut, unstretched."""
     stretch = layout.design.membrane.pre_stretch
     return (layout.outer_x + 6 + _SHEET_EDGE) / stretch, (
@@ -58,12 +58,12 @@ def sheet_size(layout: Layout) -> tuple[float, float]:
     ) / stretch
 
 
-def marker_pages(layout: Layout) -> list[PrintedSheet]:
+def marker_pages(layout: Layout) -> list[PrintedPage]:
     """Transfer print and stencil for the unstretched sheet, and the pattern as mounted, to lay it
     on and check."""
     design = layout.design
     stretch = layout.design.membrane.pre_stretch
-    half_x, half_y = sheet_size(layout)
+    half_x, half_y = page_size(layout)
     if stretch != 1:
         scaled = f"at 1/{stretch:g} of the mounted size: the rubber is printed unstretched"
     else:
@@ -75,16 +75,16 @@ def marker_pages(layout: Layout) -> list[PrintedSheet]:
     )
     around = [
         *_register(layout, 1 / stretch),
-        DrawnShape("mark", "sheet", contour=Contour(half_x, half_y)),
+        DrawingShape("mark", "sheet", contour=Contour(half_x, half_y)),
     ]
     holes = [mark for x, y in pegs(layout) for mark in cross("pegs", x / stretch, y / stretch, PEG)]
-    black = [DrawnShape("black", "markers", contour=disc) for disc in markers(layout)]
-    cut = [DrawnShape("cut", "markers", contour=disc) for disc in markers(layout)]
+    black = [DrawingShape("black", "markers", contour=disc) for disc in markers(layout)]
+    cut = [DrawingShape("cut", "markers", contour=disc) for disc in markers(layout)]
     check = [
-        *(DrawnShape("mark", "markers", contour=disc) for disc in markers(layout, mounted=True)),
+        *(DrawingShape("mark", "markers", contour=disc) for disc in markers(layout, mounted=True)),
         *_register(layout, 1.0),
-        DrawnShape("mark", "frame", contour=mouth(layout)),
-        DrawnShape("faint", "flange", contour=flange(layout)),
+        DrawingShape("mark", "frame", contour=mouth(layout)),
+        DrawingShape("faint", "flange", contour=flange(layout)),
     ]
     name = design.name
     return [
@@ -119,7 +119,7 @@ def marker_pages(layout: Layout) -> list[PrintedSheet]:
     ]
 
 
-def _register(layout: Layout, scale: float) -> list[DrawnShape]:
+def _register(layout: Layout, scale: float) -> list[DrawingShape]:
     """Marks on the axes and the corners of the flange, for a jig or a second print; an arrow to +x,
     where air comes in."""
     x = layout.outer_x * scale
@@ -133,11 +133,11 @@ def _register(layout: Layout, scale: float) -> list[DrawnShape]:
     return [
         *marks,
         line("registration", (tip - 3, 1.0), (tip, 0), (tip - 3, -1.0)),
-        DrawnShape("black", "text", points=((tip - 3, 4.0),), text="+x", size=2.5),
+        DrawingShape("black", "text", points=((tip - 3, 4.0),), text="+x", size=2.5),
     ]
 
 
-def fiducial_page(layout: Layout) -> PrintedSheet | None:
+def fiducial_page(layout: Layout) -> PrintedPage | None:
     """The circles that do not move, as the camera sees them: on the lip's inner face, cut out and
     glued there, or on the pane, as a transfer print; None: there are none."""
     fiducials = layout.design.fiducials
@@ -145,7 +145,7 @@ def fiducial_page(layout: Layout) -> PrintedSheet | None:
         return None
     radius = MM * fiducials.radius
     black = [
-        DrawnShape("black", "fiducials", contour=circle(radius, MM * x, MM * y))
+        DrawingShape("black", "fiducials", contour=circle(radius, MM * x, MM * y))
         for x, y in fiducials.places
     ]
     groove = layout.groove
@@ -153,15 +153,17 @@ def fiducial_page(layout: Layout) -> PrintedSheet | None:
         note = "white under the black; register the marks with the pane's edges"
         ground = MM * (fiducials.radius + fiducials.ground)
         outlines = [
-            DrawnShape("faint", "ground", contour=circle(ground, MM * x, MM * y))
+            DrawingShape("faint", "ground", contour=circle(ground, MM * x, MM * y))
             for x, y in fiducials.places
         ]
-        outlines.append(DrawnShape("mark", "pane", contour=Contour(layout.glass_x, layout.glass_y)))
+        outlines.append(
+            DrawingShape("mark", "pane", contour=Contour(layout.glass_x, layout.glass_y))
+        )
     else:
         note = "white matte film: cut along red, in strips, glue to the rim's inner face"
         outlines = [
-            DrawnShape("cut", "lip", contour=groove_outline(layout, groove[2] - _FILM_PLAY)),
-            DrawnShape("cut", "lip", contour=mouth(layout)),
+            DrawingShape("cut", "lip", contour=groove_outline(layout, groove[2] - _QS_PLAY)),
+            DrawingShape("cut", "lip", contour=mouth(layout)),
         ]
     return page(
         f"{layout.design.name}: fiducials",
@@ -172,10 +174,10 @@ def fiducial_page(layout: Layout) -> PrintedSheet | None:
     )
 
 
-def cut_page(layout: Layout) -> PrintedSheet:
+def cut_page(layout: Layout) -> PrintedPage:
     """The gasket."""
     shapes = [
-        DrawnShape("cut", "gasket", contour=contour)
+        DrawingShape("cut", "gasket", contour=contour)
         for contour in (flange(layout), opening(layout), *bolt_holes(layout))
     ]
     return page(
@@ -187,11 +189,11 @@ def cut_page(layout: Layout) -> PrintedSheet:
     )
 
 
-def led_page(layout: Layout) -> PrintedSheet:
+def led_page(layout: Layout) -> PrintedPage:
     """The LED ring: outline, LEDs with their numbers, the way to the wires."""
     shapes = [
-        DrawnShape("cut", "board", contour=circle(layout.led_outer)),
-        DrawnShape("cut", "board", contour=circle(layout.led_inner)),
+        DrawingShape("cut", "board", contour=circle(layout.led_outer)),
+        DrawingShape("cut", "board", contour=circle(layout.led_inner)),
     ]
     notes = [
         "circuit board 1.6 mm; LEDs (2835) on the membrane's side,",
@@ -201,9 +203,9 @@ def led_page(layout: Layout) -> PrintedSheet:
     for number, (x, y) in enumerate(led_places(layout), 1):
         out = (layout.led_outer + 4) / math.hypot(x, y)
         shapes += [
-            DrawnShape("mark", "leds", contour=circle(1.4, x, y)),
+            DrawingShape("mark", "leds", contour=circle(1.4, x, y)),
             *cross("leds", x, y, 2.2),
-            DrawnShape(
+            DrawingShape(
                 "black",
                 "text",
                 points=((out * x - (15 if x < 0 else 0), out * y + 1),),
@@ -214,7 +216,7 @@ def led_page(layout: Layout) -> PrintedSheet:
     wires = layout.led_outer - 1.5
     shapes += [
         line("leds", (wires, -1), (wires, 1)),
-        DrawnShape("black", "text", points=((wires + 3, 1),), text="wires, +x", size=2.5),
+        DrawingShape("black", "text", points=((wires + 3, 1),), text="wires, +x", size=2.5),
     ]
     return page(
         f"{layout.design.name}: LED ring",
@@ -235,7 +237,7 @@ def board_of(design: SensorDesign) -> Board:
     return Board(_COLUMNS, _ROWS, square, 0.75 * square)
 
 
-def board_page(design: SensorDesign) -> PrintedSheet:
+def board_page(design: SensorDesign) -> PrintedPage:
     """The board as vectors: its bitmap with a pixel a cell, each run of black pixels a
     rectangle."""
     board = board_of(design)
@@ -250,7 +252,7 @@ def board_page(design: SensorDesign) -> PrintedSheet:
             x = (start + end - columns) / 2 * cell
             y = (v + 0.5 - rows / 2) * cell
             shapes.append(
-                DrawnShape(
+                DrawingShape(
                     "black", "board", contour=Contour((end - start) * cell / 2, cell / 2, 0.0, x, y)
                 )
             )

@@ -26,7 +26,7 @@ SHIFT_SD = 5.0  # Pa: what a run's pressures may be off by together
 SHARED = 5.0  # neighbouring pressures that are wrong alike, by the volume's errors
 PRIOR = 0.1  # 1/sd of the scaled numbers before anything was seen
 _ML = 1e-6
-NAMES = ("extra_volume", "heat_ratio", "heat_exchange", "leak_conductance")
+NAMES = ("extra_volume", "polytropic_exponent", "heat_exchange", "leak_conductance")
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,11 +101,11 @@ def predict(design: SensorDesign, run: Sealed) -> Array:
     gas = ChamberGas(design.chamber)
     flat = design.chamber_volume_flat
     gas.seal(flat + float(run.volume[0]), float(np.median(run.pressure[:10])))
-    pressures = [gas.pressure_gauge]
+    pressures = [gas.gauge_pressure]
     before = float(run.time[0])
     for time, volume in zip(run.time[1:].tolist(), run.volume[1:].tolist(), strict=True):
         gas.advance(flat + volume, time - before)
-        pressures.append(gas.pressure_gauge)
+        pressures.append(gas.gauge_pressure)
         before = time
     return np.array(pressures)
 
@@ -132,10 +132,11 @@ def fit_gas(
     names = tuple(
         name
         for name in NAMES
-        if name not in known and not (name == "heat_exchange" and known.get("heat_ratio") == 1)
+        if name not in known
+        and not (name == "heat_exchange" and known.get("polytropic_exponent") == 1)
     )
     begin = {
-        "heat_ratio": max(chamber.heat_ratio, 1.2),
+        "polytropic_exponent": max(chamber.polytropic_exponent, 1.2),
         "heat_exchange": min(chamber.heat_exchange, 1.0),
     }
     chamber = replace(chamber, **{name: value for name, value in begin.items() if name in names})
@@ -169,7 +170,7 @@ class _Problem:
         empty = design.chamber_volume_flat - design.chamber.extra_volume
         scales = {
             "extra_volume": Scale(-0.95 * empty, 1e3 * empty, 0.1 * empty, 0.1),
-            "heat_ratio": Scale(1.0, 1.7, 0.2, 0.05),
+            "polytropic_exponent": Scale(1.0, 1.7, 0.2, 0.05),
             "heat_exchange": Scale(0.02, 100.0, step=0.05),
             "leak_conductance": Scale(0.0, 1e-6, 1e-11, 0.1),
         }

@@ -17,10 +17,10 @@ from mjtactile.core.design import SensorDesign, load_sensor, sensor_from_table
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.fit.gas import GasFit, fit_gas, predict, sealed_runs
-from mjtactile.fit.image_noise import fit_picture
+from mjtactile.fit.image_noise import fit_image_noise
 from mjtactile.fit.measurements import Evidence, read_evidence
-from mjtactile.fit.membrane_fit import SheetFit, fit_sheet, replay, simulate
-from mjtactile.fit.parameter_info import ABOUT, GAS_SHARE, correlations
+from mjtactile.fit.membrane_fit import MembraneFit, fit_membrane, replay, simulate
+from mjtactile.fit.parameter_info import ABOUT, GAS_FRACTION, correlations
 from mjtactile.fit.result import FIELD, SI, FitResult, HeldOut, covariance_of, numbers_of
 from mjtactile.fit.rewrite_sensor_file import rewrite
 from mjtactile.recording.reader import load_recording
@@ -54,11 +54,11 @@ def fit_recordings(
     begin = wall.monotonic()
     known = dict(known or {})
     text, nominal = _sensor(recordings, sensor)
-    design, by_hand = _with_known(nominal, known)
+    design, manually = _with_fixed_values(nominal, known)
     evidence = [read_evidence(path, design, finger, say) for path in recordings]
-    picture = fit_picture(design, evidence[0].flat)
-    free, sheet = _sheet(design, evidence, by_hand["membrane"], touch_sd, mesh, say)
-    gas = _gas(sheet, evidence, by_hand["chamber"], mesh, say)
+    picture = fit_image_noise(design, evidence[0].flat)
+    free, sheet = _sheet(design, evidence, manually["membrane"], touch_sd, mesh, say)
+    gas = _gas(sheet, evidence, manually["chamber"], mesh, say)
     numbers = tuple(numbers_of(nominal, known, evidence, sheet, gas, picture))
     names, cov = covariance_of(free, gas, "membrane.thickness_mm" in known)
     sentences = correlations(names, cov, {number.field: number.state for number in numbers})
@@ -101,7 +101,7 @@ def _sensor(recordings: Sequence[Path], sensor: Path | None) -> tuple[str, Senso
     )
 
 
-def _with_known(
+def _with_fixed_values(
     design: SensorDesign, known: Mapping[str, float]
 ) -> tuple[SensorDesign, dict[str, dict[str, float]]]:
     """The design with the values that are known, and these by section and attribute, SI."""
@@ -128,17 +128,19 @@ def _sheet(
     touch_sd: float,
     mesh: tuple[int, int] | None,
     say: Say,
-) -> tuple[SheetFit, SheetFit]:
+) -> tuple[MembraneFit, MembraneFit]:
     """The fit of all that is not known, and the one in which what cannot be told has the file's
     value: what goes together with it must be right beside that value."""
-    free = sheet = fit_sheet(design, evidence, known=known, touch_sd=touch_sd, mesh=mesh, say=say)
+    free = sheet = fit_membrane(
+        design, evidence, known=known, touch_sd=touch_sd, mesh=mesh, say=say
+    )
     held = dict(known)
     while (
         name := _untold(sheet.names, sheet.values, sheet.cov, "membrane", _HELD_FIRST)
     ) is not None:
         held[name] = getattr(design.membrane, name)
         say(f"membrane: {name} is not in these recordings and keeps the file's value")
-        sheet = fit_sheet(design, evidence, known=held, touch_sd=touch_sd, mesh=mesh, say=say)
+        sheet = fit_membrane(design, evidence, known=held, touch_sd=touch_sd, mesh=mesh, say=say)
     return free, sheet
 
 
@@ -155,13 +157,13 @@ def _untold(
             continue
         field = FIELD[section, name]
         sd = math.sqrt(cov[names.index(name)][names.index(name)])
-        if not ABOUT[field].is_known(values[name] / SI[field][2], sd / SI[field][2]):
+        if not ABOUT[field].is_finite_value(values[name] / SI[field][2], sd / SI[field][2]):
             return name
     return None
 
 
 def _gas(
-    sheet: SheetFit,
+    sheet: MembraneFit,
     evidence: Sequence[Evidence],
     known: Mapping[str, float],
     mesh: tuple[int, int] | None,
@@ -180,22 +182,28 @@ def _gas(
     found = fit_gas(sheet.design, runs, known=known)
     held = dict(known)
     if (
-        _untold(found.names, found.values, found.cov, "chamber", ("heat_exchange", "heat_ratio"))
+        _untold(
+            found.names,
+            found.values,
+            found.cov,
+            "chamber",
+            ("heat_exchange", "polytropic_exponent"),
+        )
         is not None
     ):
         held |= {
             name: getattr(sheet.design.chamber, name)
-            for name in ("heat_exchange", "heat_ratio")
+            for name in ("heat_exchange", "polytropic_exponent")
             if name not in known
         }
         found = fit_gas(sheet.design, runs, known=held)
     if (
         "extra_volume" in found.names
-        and math.sqrt(found.cov[0][0]) > GAS_SHARE * sheet.design.chamber_volume_flat
+        and math.sqrt(found.cov[0][0]) > GAS_FRACTION * sheet.design.chamber_volume_flat
     ):
         held |= {"extra_volume": sheet.design.chamber.extra_volume}
         found = fit_gas(sheet.design, runs, known=held)
-    say(_say_gas(found))
+    say(_report_gas(found))
     start = replace(sheet.design, chamber=replace(sheet.design.chamber, **found.values))
     models = [
         _replayed(evidence[i], sheet.offsets[i], mesh) if _can_replay(evidence[i]) else predict
@@ -203,11 +211,11 @@ def _gas(
     ]
     modes = [_touch_mode(start, evidence[i], sheet, sheet.offsets[i], mesh) for i in with_pressure]
     found = fit_gas(start, runs, known=held, models=models, modes=modes, iterations=2)
-    say(_say_gas(found))
+    say(_report_gas(found))
     return found
 
 
-def _say_gas(found: GasFit) -> str:
+def _report_gas(found: GasFit) -> str:
     return f"gas: {', '.join(f'{name} {value:.4g}' for name, value in found.values.items())}"
 
 
@@ -223,7 +231,7 @@ def _can_replay(evidence: Evidence) -> bool:
 def _touch_mode(
     design: SensorDesign,
     evidence: Evidence,
-    sheet: SheetFit,
+    sheet: MembraneFit,
     offset: float,
     mesh: tuple[int, int] | None,
 ) -> Array:

@@ -31,7 +31,7 @@ _LEVEL_SD = 0.5  # DN, by which grey levels of any scene are off this law
 
 
 @dataclass(frozen=True, eq=False)
-class PictureFit:
+class ImageNoiseFit:
     """Values by field of the sensor file with their sd: `camera.blur_px`, `camera.noise_DN`,
     `leds.membrane_DN`, `leds.marker_DN`, `leds.falloff`; and the mean picture (H, W) with what is
     left of it, DN (NaN: not looked at)."""
@@ -40,7 +40,7 @@ class PictureFit:
     residual: Array
 
 
-def fit_picture(design: SensorDesign, images: Sequence[Image]) -> PictureFit:
+def fit_image_noise(design: SensorDesign, images: Sequence[Image]) -> ImageNoiseFit:
     """From images of the flat membrane, all of the same scene."""
     stack = np.stack([image.pixels for image in images]).astype(np.float32)
     mean = stack.mean(axis=0)
@@ -51,7 +51,7 @@ def fit_picture(design: SensorDesign, images: Sequence[Image]) -> PictureFit:
         float(max(0.01, blurs.std() / np.sqrt(len(blurs)))),
     )
     light, residual = _light(design, mean)
-    return PictureFit(values | light, residual)
+    return ImageNoiseFit(values | light, residual)
 
 
 def _noise(stack: Array, mean: Array) -> dict[str, tuple[float, float]]:

@@ -1,9 +1,8 @@
 """What recordings say of one sensor: its markers while nothing moves, pressure and volume over
 time, and its pictures.
 
-Images go through the product's own chain as far as the markers (`Chain.see`). What a recording may
-say of forces felt, and any ground truth in it, is not looked at.
-"""
+Images go through the product's own chain as far as the markers (`SensingPipeline.see`). What a
+recording may say of forces felt, and any ground truth in it, is not looked at."""
 
 from __future__ import annotations
 
@@ -20,16 +19,16 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, Image, Markers
 from mjtactile.recording.reader import Recording, load_recording
 from mjtactile.recording.stage_protocol import Move, Stage, stage_from_note
-from mjtactile.sensing.pipeline import Chain
-from mjtactile.sensing.pipeline_state import ChainState
+from mjtactile.sensing.pipeline import SensingPipeline
+from mjtactile.sensing.pipeline_state import PipelineState
 
 _SETTLING = 0.3  # s after a move before its hold counts
-_HOLD_MOST = 0.7  # s at the end of a hold that are averaged
+_HOLD_MAX = 0.7  # s at the end of a hold that are averaged
 _FEWEST = 5  # images of a hold
 # of heights: a lens that is right; more by the flat membrane's residual, 1/px
-_LENS_SHARE = 0.003
-_LENS_SHARE_PER_PX = 0.1
-_MOVES_MOST = 5e-5  # m, mean over the markers between the two halves of a hold: else it is none
+_LENS_FRACTION = 0.003
+_LENS_FRACTION_PER_PX = 0.1
+_MOVES_MAX = 5e-5  # m, mean over the markers between the two halves of a hold: else it is none
 
 Say = Callable[[str], None]
 
@@ -73,7 +72,7 @@ class Series:
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """One recording of one finger. `stage` None: nothing is known to have touched. `flat` are the
-    reference's images; `height_share` the sd of what all heights may be wrong by, as a share: a
+    reference's images; `height_fraction` the sd of what all heights may be wrong by, as a share: a
     wrong lens shows on the flat membrane."""
 
     name: str
@@ -82,7 +81,7 @@ class Evidence:
     holds: tuple[Hold, ...]
     series: Series
     flat: tuple[Image, ...]
-    height_share: float = _LENS_SHARE
+    height_fraction: float = _LENS_FRACTION
 
     @property
     def has_pressure(self) -> bool:
@@ -105,12 +104,12 @@ def read_evidence(
     recording.require_images()
     number = recording.fingers.index(finger)
     calibration = calibration_of(recording, design, finger)
-    chain = Chain(design, calibration)
+    chain = SensingPipeline(design, calibration)
     flat, rest = recording.references
     flat_images = tuple(flat.images(number))
-    state = chain.take_flat(chain.begin(), flat_images)
+    state = chain.measure_flat_reference(chain.begin(), flat_images)
     seen = [markers for _, markers in _see(chain, state, rest.images(number))]
-    reading = rest.pressure_gauge[number] if number < len(rest.pressure_gauge) else None
+    reading = rest.gauge_pressure[number] if number < len(rest.gauge_pressure) else None
     note = recording.notes.get("stage")
     mine = note is not None and note.get("finger", finger) == finger
     stage = stage_from_note(note, path) if note is not None and mine else None
@@ -130,7 +129,7 @@ def read_evidence(
         tuple(_holds(design, stage, times, shots, pressure)),
         Series(times, pressure, volumes),
         flat_images,
-        max(_LENS_SHARE, _LENS_SHARE_PER_PX * state.flat.residual_px),
+        max(_LENS_FRACTION, _LENS_FRACTION_PER_PX * state.flat.residual_px),
     )
 
 
@@ -144,7 +143,7 @@ def calibration_of(recording: Recording, design: SensorDesign, finger: str) -> C
 
 
 def _see(
-    chain: Chain, state: ChainState, images: Iterator[Image]
+    chain: SensingPipeline, state: PipelineState, images: Iterator[Image]
 ) -> Iterator[tuple[Image, Markers]]:
     """The images that show enough markers, and these; each is expected where the last image had
     it."""
@@ -156,7 +155,7 @@ def _see(
 
 
 def _follow(
-    recording: Recording, number: int, chain: Chain, state: ChainState
+    recording: Recording, number: int, chain: SensingPipeline, state: PipelineState
 ) -> tuple[Array, list[Markers]]:
     """Times after the first cycle, s, and markers of the cycles' images."""
     found = list(_see(chain, state, (images[number] for images in recording.images())))
@@ -168,7 +167,7 @@ def pressures_at(
     recording: Recording, number: int, calibration: Calibration, times: Array
 ) -> Array:
     """Gauge pressure at `times`, Pa, between the readings of the valve's board; NaN without any."""
-    readings = recording.column("pressure_gauge")
+    readings = recording.column("gauge_pressure")
     when = recording.column("valve_time")
     if not len(recording) or number >= recording.valve_count:
         return np.full(len(times), np.nan)
@@ -212,7 +211,7 @@ def _hold(
             - np.nanmean(positions[half:, often], axis=0)
         )
     )
-    if apart > _MOVES_MOST:
+    if apart > _MOVES_MAX:
         return None
     return Hold(mean, cov, pressure, move, time)
 
@@ -233,7 +232,7 @@ def _holds(
         if move is not None and move.time >= last:
             break  # the recording ended before
         begin = 0.0 if move is None else move.time + _travel(before, move) + _SETTLING
-        rows = np.flatnonzero((times >= max(begin, end - _HOLD_MOST)) & (times < end - 1e-6))
+        rows = np.flatnonzero((times >= max(begin, end - _HOLD_MAX)) & (times < end - 1e-6))
         gauge = float(np.mean(pressure[rows])) if len(rows) else math.nan
         hold = _hold(
             design,

@@ -65,7 +65,7 @@ class Simulated:
 
 
 @dataclass(frozen=True, eq=False)
-class SheetFit:
+class MembraneFit:
     """`values` by name of SCALES; `cov` of them, SI, with each pressed recording's first touch
     behind them, by `names`; `design` with the values in it; rest and holds as simulated, a tuple a
     recording; what is left of the markers, `rms` m, and `offsets` m of first touch by recording."""
@@ -121,7 +121,7 @@ def replay(
     pressures = []
     for time in times.tolist():
         drive.advance_to(time)
-        pressures.append(world.sensors[0].pressure_gauge)
+        pressures.append(world.sensors[0].gauge_pressure)
     return np.array(pressures)
 
 
@@ -188,7 +188,7 @@ def _look(world: PressWorld) -> Simulated:
     return Simulated(world.marker_poses(0)[0], volume, world.drive_force)
 
 
-def fit_sheet(
+def fit_membrane(
     design: SensorDesign,
     evidence: Sequence[Evidence],
     *,
@@ -196,7 +196,7 @@ def fit_sheet(
     touch_sd: float,
     mesh: tuple[int, int] | None = None,
     say: Say = lambda _: None,
-) -> SheetFit:
+) -> MembraneFit:
     """Fit what of SCALES is not `known` (values by name) and each pressed recording's first touch,
     known to `touch_sd` m.
 
@@ -237,7 +237,7 @@ class _Problem:
         self._counts = len(names), len(self.pressed), self._common.shape[1]
         self._last: tuple[Array, list[tuple[Simulated, ...]]] = np.empty(0), []
 
-    def solve(self) -> SheetFit:
+    def solve(self) -> MembraneFit:
         nominal = [getattr(self.design.membrane, name) for name in self.names]
         scales = [SCALES[name] for name in self.names]
         ends = [
@@ -327,7 +327,7 @@ class _Problem:
         for number, (e, hold, (rows, weights)) in enumerate(holds):
             up = weights[:, :, 2]
             block = np.zeros((3 * len(rows) + hold.is_weighed, 1 + len(holds)))
-            block[: 3 * len(rows), 0] = (e.height_share * hold.p_SM[rows, 2, None] * up).ravel()
+            block[: 3 * len(rows), 0] = (e.height_fraction * hold.p_SM[rows, 2, None] * up).ravel()
             block[: 3 * len(rows), 1 + number] = (SHIFT_SD * up).ravel()
             blocks.append(block)
         return -np.concatenate(blocks)
@@ -345,7 +345,7 @@ class _Problem:
             return number == self.pressed[column - len(self.names)]
         return self.names[column] != "friction" or number in self.pressed
 
-    def _result(self, found: Solution) -> SheetFit:
+    def _result(self, found: Solution) -> MembraneFit:
         n, m, _ = self._counts
         values = {name: self.value(name, found.x) for name in self.names}
         slopes = [SCALES[name].slope(values[name]) for name in self.names] + [self.touch_sd] * m
@@ -354,7 +354,7 @@ class _Problem:
             repeats * np.linalg.inv(found.information)[: n + m, : n + m] * np.outer(slopes, slopes)
         )
         names = (*self.names, *(f"first touch of {self.evidence[i].name}" for i in self.pressed))
-        return SheetFit(
+        return MembraneFit(
             values,
             cov,
             names,

@@ -17,7 +17,7 @@ TOGETHER = 0.9  # a correlation from which on it is said
 
 
 @dataclass(frozen=True)
-class About:
+class ParameterInfo:
     """A field of the sensor file: its `name` in a sentence, the sd up to which it counts as known,
     as a share of its value (`share`) or in the file's unit (`least`), whichever is more, and what
     to `record` for it."""
@@ -27,44 +27,46 @@ class About:
     share: float = 0.1
     least: float = 0.0
 
-    def is_known(self, value: float, sd: float) -> bool:
+    def is_finite_value(self, value: float, sd: float) -> bool:
         return sd <= max(self.share * abs(value), self.least)
 
 
 _BULGE = "inflate it to 0.5 kPa, where its tension holds it, and to 3 kPa, where its modulus does"
 _TAP = "press fast and hold (protocol `tap`), with a pressure sensor"
-ABOUT: Mapping[str, About] = {
-    "membrane.young_MPa": About("modulus", _BULGE, 0.05),
-    "membrane.pre_stretch": About("pre-stretch", _BULGE, 0.0, 0.003),
-    "membrane.thickness_mm": About(
+ABOUT: Mapping[str, ParameterInfo] = {
+    "membrane.young_MPa": ParameterInfo("modulus", _BULGE, 0.05),
+    "membrane.pre_stretch": ParameterInfo("pre-stretch", _BULGE, 0.0, 0.003),
+    "membrane.thickness_mm": ParameterInfo(
         "thickness",
         "no recording tells it from the modulus: measure the sheet, then --known "
         "membrane.thickness_mm=…",
     ),
-    "membrane.friction": About(
+    "membrane.friction": ParameterInfo(
         "friction", "drag a pressed indenter until it slides (protocol `drag`)"
     ),
-    "chamber.extra_volume_mL": About(
+    "chamber.extra_volume_mL": ParameterInfo(
         "gas volume",
         "press with the valve closed (protocol `press`), with a pressure sensor",
         0.0,
         math.inf,
     ),
-    "chamber.leak_mL_s_kPa": About(
+    "chamber.leak_mL_s_kPa": ParameterInfo(
         "leak",
         "leave it inflated and closed for a minute (protocol `still`), with a pressure sensor",
         0.1,
         5e-4,
     ),
-    "chamber.heat_ratio": About("heat ratio", _TAP, 0.0, 0.02),
-    "chamber.heat_exchange_s": About("heat exchange", _TAP, 0.1),
-    "camera.blur_px": About("blur", "images of the flat membrane", 0.1),
-    "camera.noise_DN": About("noise", "two images or more of the flat membrane", 0.1, 0.1),
-    "leds.membrane_DN": About("grey of the membrane", "images of the flat membrane", 0.1),
-    "leds.marker_DN": About("grey of the markers", "images of the flat membrane", 0.1, 2.0),
-    "leds.falloff": About("falloff of the light", "images of the flat membrane", 0.1, 0.03),
+    "chamber.polytropic_exponent": ParameterInfo("heat ratio", _TAP, 0.0, 0.02),
+    "chamber.thermal_time_constant_s": ParameterInfo("heat exchange", _TAP, 0.1),
+    "camera.blur_px": ParameterInfo("blur", "images of the flat membrane", 0.1),
+    "camera.noise_DN": ParameterInfo("noise", "two images or more of the flat membrane", 0.1, 0.1),
+    "leds.membrane_DN": ParameterInfo("grey of the membrane", "images of the flat membrane", 0.1),
+    "leds.marker_DN": ParameterInfo("grey of the markers", "images of the flat membrane", 0.1, 2.0),
+    "leds.falloff": ParameterInfo("falloff of the light", "images of the flat membrane", 0.1, 0.03),
 }
-GAS_SHARE = 0.05  # of the gas behind the flat membrane: sd up to which its volume counts as known
+GAS_FRACTION = (
+    0.05  # of the gas behind the flat membrane: sd up to which its volume counts as known
+)
 NOT_FITTED = {
     "membrane.poisson_ratio": "taken as the file says: modulus and pre-stretch "
     "are those of a sheet with this ratio",
@@ -75,7 +77,7 @@ NOT_FITTED = {
 
 
 @dataclass(frozen=True)
-class FittedNumber:
+class FittedParameter:
     """A `field` of the sensor file: `value` and standard deviation in its unit, `state` "fitted",
     "known" (by hand) or "not in these recordings" (then the value is the file's), where it comes
     from, and the file's own value, `before`."""
@@ -107,21 +109,21 @@ class FittedNumber:
 
 def judge(
     field: str, value: float, sd: float, before: float, source: str, *, gas_mL: float = math.inf
-) -> FittedNumber:
+) -> FittedParameter:
     """A fitted number, or the file's value where the recordings do not tell; `gas_mL` behind the
     flat membrane."""
     if field == "chamber.extra_volume_mL":
-        known = sd <= GAS_SHARE * gas_mL
+        known = sd <= GAS_FRACTION * gas_mL
     else:
-        known = ABOUT[field].is_known(value, sd)
+        known = ABOUT[field].is_finite_value(value, sd)
     if known:
-        return FittedNumber(field, value, sd, "fitted", source, before)
+        return FittedParameter(field, value, sd, "fitted", source, before)
     return missing(field, before)
 
 
-def missing(field: str, before: float) -> FittedNumber:
+def missing(field: str, before: float) -> FittedParameter:
     """A number that the recordings do not tell."""
-    return FittedNumber(field, before, math.inf, "not in these recordings", "", before)
+    return FittedParameter(field, before, math.inf, "not in these recordings", "", before)
 
 
 def digits(value: float, sd: float) -> str:

@@ -27,10 +27,10 @@ from mjtactile.recording.reader import Recording, load_recording
 from mjtactile.sensing.force.inverse_fem import InverseMembrane
 from mjtactile.sensing.force.rest_equilibrium import InverseRest
 from mjtactile.sensing.force.spline_fem import Gas
-from mjtactile.sensing.stateful_pipeline import Perception
+from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
 SHORTEST = 1.0  # s: what fades faster is gone before the membrane stands still
-_FREE_LEAST = 10.0  # s of a free membrane that say anything
+_FREE_MIN = 10.0  # s of a free membrane that say anything
 _ALIKE = 2.0  # neighbouring images that are wrong alike, by the pressure between two readings
 
 
@@ -46,7 +46,7 @@ class RelaxationFit:
     faded_sd: float
 
     @property
-    def is_known(self) -> bool:
+    def is_finite_value(self) -> bool:
         """Whether anything fades, beyond doubt."""
         return self.faded > 3 * self.faded_sd
 
@@ -75,7 +75,7 @@ class RelaxationFit:
             "within_s": list(self.within),
             "faded_share": self.faded,
             "faded_share_sd": self.faded_sd,
-            "known": self.is_known,
+            "known": self.is_finite_value,
         }
 
 
@@ -105,9 +105,9 @@ def fit_relaxation(path: Path, design: SensorDesign, finger: str) -> RelaxationF
     memories = _Memories(recording, design, finger)
     free = memories.free
     lasts = float(memories.time[free].max(initial=0.0) - memories.time[free].min(initial=math.inf))
-    if not np.isfinite(memories.pressure).all() or lasts < _FREE_LEAST:
+    if not np.isfinite(memories.pressure).all() or lasts < _FREE_MIN:
         raise InputError(
-            f"shows no free membrane for {_FREE_LEAST:g} s with its pressure: inflate, and leave "
+            f"shows no free membrane for {_FREE_MIN:g} s with its pressure: inflate, and leave "
             "it, or press, hold and let go",
             source=path,
             field="--relaxation",
@@ -142,17 +142,17 @@ class _Memories:
     def __init__(self, recording: Recording, design: SensorDesign, finger: str):
         number = recording.fingers.index(finger)
         calibration = calibration_of(recording, design, finger)
-        perception = Perception.of(design, calibration)
+        perception = StatefulPipeline.of(design, calibration)
         flat, rest = recording.references
-        perception.take_flat(list(flat.images(number)))
-        reading = rest.pressure_gauge[number]
+        perception.measure_flat_reference(list(flat.images(number)))
+        reading = rest.gauge_pressure[number]
         if reading is None:
             raise InputError(
                 "has no pressure sensor", source=recording.folder, field="--relaxation"
             )
         gauge = calibration.pressure(reading)
         at_rest = list(rest.images(number))
-        perception.take_rest(at_rest, gauge)
+        perception.measure_rest_reference(at_rest, gauge)
         state = perception.state
         if state.reference is None:
             raise InputError("has no rest reference", source=recording.folder)

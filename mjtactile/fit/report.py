@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.fit.parameter_info import NOT_FITTED, SD95, FittedNumber, digits
+from mjtactile.fit.parameter_info import NOT_FITTED, SD95, FittedParameter, digits
 from mjtactile.fit.result import FitResult
 
 
@@ -51,7 +51,7 @@ def text_of(result: FitResult) -> str:
     return "\n".join([*lines, f"took {result.seconds:.0f} s"]) + "\n"
 
 
-def _interval(number: FittedNumber) -> str:
+def _interval(number: FittedParameter) -> str:
     low, high = number.interval
     return f"{digits(low, number.sd)} to {digits(high, number.sd)}"
 
@@ -71,15 +71,15 @@ def _held(row: Any) -> str:
 def draw(figure: Any, result: FitResult) -> None:
     """Into an empty matplotlib figure."""
     boxes = figure.subplots(2, 3)
-    _draw_numbers(boxes[0, 0], result)
-    _draw_markers(boxes[0, 1], result)
-    _draw_map(boxes[0, 2], result)
-    _draw_pressures(boxes[1, 0], result)
-    _draw_light(figure, boxes[1, 1], result)
-    _draw_held(boxes[1, 2], result)
+    _plot_parameters(boxes[0, 0], result)
+    _plot_markers(boxes[0, 1], result)
+    _plot_map(boxes[0, 2], result)
+    _plot_pressures(boxes[1, 0], result)
+    _plot_light(figure, boxes[1, 1], result)
+    _plot_held_out(boxes[1, 2], result)
 
 
-def _draw_numbers(axes: Any, result: FitResult) -> None:
+def _plot_parameters(axes: Any, result: FitResult) -> None:
     fitted = [n for n in result.numbers if n.state == "fitted" and n.before]
     places = range(len(fitted))
     axes.errorbar(
@@ -96,7 +96,7 @@ def _draw_numbers(axes: Any, result: FitResult) -> None:
     axes.grid(alpha=0.3)
 
 
-def _draw_markers(axes: Any, result: FitResult) -> None:
+def _plot_markers(axes: Any, result: FitResult) -> None:
     for evidence, holds in zip(result.evidence, result.sheet.holds, strict=True):
         off = [
             1e6 * float(np.sqrt(np.nanmean(np.square(found.p_SM - hold.p_SM))))
@@ -113,7 +113,7 @@ def _draw_markers(axes: Any, result: FitResult) -> None:
     axes.grid(alpha=0.3)
 
 
-def _draw_map(axes: Any, result: FitResult) -> None:
+def _plot_map(axes: Any, result: FitResult) -> None:
     """Height residual of each marker, mean over all holds."""
     off = [
         found.p_SM[:, 2] - hold.p_SM[:, 2]
@@ -135,7 +135,7 @@ def _draw_map(axes: Any, result: FitResult) -> None:
     axes.set(xlabel="x, mm", ylabel="y, mm", title="height residual, mean", aspect="equal")
 
 
-def _draw_pressures(axes: Any, result: FitResult) -> None:
+def _plot_pressures(axes: Any, result: FitResult) -> None:
     if result.gas is None:
         axes.set_axis_off()
         return
@@ -146,7 +146,7 @@ def _draw_pressures(axes: Any, result: FitResult) -> None:
     axes.grid(alpha=0.3)
 
 
-def _draw_light(figure: Any, axes: Any, result: FitResult) -> None:
+def _plot_light(figure: Any, axes: Any, result: FitResult) -> None:
     shown = axes.imshow(
         result.picture.residual, cmap="coolwarm", vmin=-3, vmax=3, interpolation="nearest"
     )
@@ -154,7 +154,7 @@ def _draw_light(figure: Any, axes: Any, result: FitResult) -> None:
     axes.set(title="light, measured less fitted", xticks=[], yticks=[])
 
 
-def _draw_held(axes: Any, result: FitResult) -> None:
+def _plot_held_out(axes: Any, result: FitResult) -> None:
     if not result.held_out:
         axes.set_axis_off()
         return

@@ -13,12 +13,12 @@ from mjtactile.core.config_fields import scalars
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
 from mjtactile.fit.gas import GasFit
-from mjtactile.fit.image_noise import PictureFit
+from mjtactile.fit.image_noise import ImageNoiseFit
 from mjtactile.fit.measurements import Evidence
-from mjtactile.fit.membrane_fit import SheetFit
-from mjtactile.fit.parameter_info import ABOUT, FittedNumber, judge, missing
+from mjtactile.fit.membrane_fit import MembraneFit
+from mjtactile.fit.parameter_info import ABOUT, FittedParameter, judge, missing
 
-_UNKNOWN_SHARE = 0.3  # of the thickness, before somebody measured it
+_UNKNOWN_FRACTION = 0.3  # of the thickness, before somebody measured it
 SI = {
     label: (section, attribute, number.unit)
     for label, section, attribute, number in scalars(SensorDesign)
@@ -47,16 +47,16 @@ class FitResult:
 
     design: SensorDesign
     text: str
-    numbers: tuple[FittedNumber, ...]
+    numbers: tuple[FittedParameter, ...]
     correlations: tuple[str, ...]
     evidence: tuple[Evidence, ...]
-    sheet: SheetFit
+    sheet: MembraneFit
     gas: GasFit | None
-    picture: PictureFit
+    picture: ImageNoiseFit
     held_out: tuple[HeldOut, ...]
     seconds: float
 
-    def number(self, field: str) -> FittedNumber:
+    def number(self, field: str) -> FittedParameter:
         return next(number for number in self.numbers if number.field == field)
 
 
@@ -64,10 +64,10 @@ def numbers_of(
     nominal: SensorDesign,
     known: Mapping[str, float],
     evidence: Sequence[Evidence],
-    sheet: SheetFit,
+    sheet: MembraneFit,
     gas: GasFit | None,
-    picture: PictureFit,
-) -> list[FittedNumber]:
+    picture: ImageNoiseFit,
+) -> list[FittedParameter]:
     source = ", ".join(e.name for e in evidence)
     numbers = {}
     pressed = [
@@ -96,7 +96,7 @@ def numbers_of(
             field, value, sd, value_before(nominal, field), f"{evidence[0].name}, flat"
         )
     numbers |= {
-        field: FittedNumber(
+        field: FittedParameter(
             field, value, 0.0, "known", "measured by hand", value_before(nominal, field)
         )
         for field, value in known.items()
@@ -113,7 +113,7 @@ def value_before(design: SensorDesign, field: str) -> float:
 
 
 def covariance_of(
-    sheet: SheetFit, gas: GasFit | None, thickness_known: bool
+    sheet: MembraneFit, gas: GasFit | None, known_thickness: bool
 ) -> tuple[list[str], Array]:
     """Of membrane and gas together, by field. Statics knows of the sheet's thickness times its
     modulus alone: what nobody knows of the one nobody knows of the other."""
@@ -125,14 +125,14 @@ def covariance_of(
     if gas is not None:
         cov[n : n + m, n : n + m] = gas.cov
         names += [FIELD["chamber", name] for name in gas.names]
-    if "young" not in sheet.names or thickness_known:
+    if "young" not in sheet.names or known_thickness:
         return names, cov[:-1, :-1]
     i = sheet.names.index("young")
-    sheet_design = sheet.design.membrane
+    membrane_design = sheet.design.membrane
     slope = np.zeros(len(cov))
-    slope[i] = -sheet_design.young
-    slope[-1] = sheet_design.thickness
-    return [*names, "membrane.thickness_mm"], cov + _UNKNOWN_SHARE**2 * np.outer(slope, slope)
+    slope[i] = -membrane_design.young
+    slope[-1] = membrane_design.thickness
+    return [*names, "membrane.thickness_mm"], cov + _UNKNOWN_FRACTION**2 * np.outer(slope, slope)
 
 
 def to_table(result: FitResult) -> dict[str, Any]:

@@ -6,10 +6,10 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from mjtactile.fit.parameter_info import FittedNumber, digits
+from mjtactile.fit.parameter_info import FittedParameter, digits
 
 
-def rewrite(text: str, numbers: Sequence[FittedNumber], head: str) -> str:
+def rewrite(text: str, numbers: Sequence[FittedParameter], head: str) -> str:
     """`text` of a sensor file with the values and comments of `numbers`, and `head` as a comment on
     top."""
     lines = text.splitlines()
@@ -25,12 +25,12 @@ def rewrite(text: str, numbers: Sequence[FittedNumber], head: str) -> str:
     return "\n".join([*(f"# {line}" for line in head.splitlines()), "", *lines]) + "\n"
 
 
-def _put(lines: list[str], section: str, key: str, value: str, number: FittedNumber) -> None:
+def _put(lines: list[str], section: str, key: str, value: str, number: FittedParameter) -> None:
     """Change or add one line. A value that is not known and was not in the file stays out of it."""
     begin = next((i for i, line in enumerate(lines) if re.match(rf"\s*\[{section}\]", line)), None)
-    is_known = number.state != "not in these recordings"
+    is_finite_value = number.state != "not in these recordings"
     if begin is None:
-        if is_known:
+        if is_finite_value:
             lines += ["", f"[{section}]", f"{key} = {value}  # {number.comment}"]
         return
     end = next(
@@ -39,9 +39,9 @@ def _put(lines: list[str], section: str, key: str, value: str, number: FittedNum
     for i in range(begin + 1, end):
         found = re.match(rf"(\s*{key}\s*=\s*)([^#]*?)(\s*#.*)?$", lines[i])
         if found:
-            lines[i] = f"{found[1]}{value if is_known else found[2]}  # {number.comment}"
+            lines[i] = f"{found[1]}{value if is_finite_value else found[2]}  # {number.comment}"
             return
-    if is_known:
+    if is_finite_value:
         while end > begin + 1 and not lines[end - 1].strip():
             end -= 1
         lines.insert(end, f"{key} = {value}  # {number.comment}")

@@ -2,12 +2,12 @@
 (`felt`: of one moment; `follow`: the test for slip; `belief`,
 `frames`, `load`, `spring` and `trial`: friction, load and stiffness, from image to image)."""
 
-from mjtactile.grasp_estimation.frame_load import Frames
-from mjtactile.grasp_estimation.friction_estimator import Belief
-from mjtactile.grasp_estimation.friction_probe import Trial
-from mjtactile.grasp_estimation.grip_stiffness import Spring
-from mjtactile.grasp_estimation.load_estimator import Load
-from mjtactile.grasp_estimation.slip_test import Following, follows
+from mjtactile.grasp_estimation.frame_load import FrameLoadEstimator
+from mjtactile.grasp_estimation.friction_estimator import FrictionEstimator
+from mjtactile.grasp_estimation.friction_probe import FrictionProbe
+from mjtactile.grasp_estimation.grip_stiffness import GripStiffnessEstimator
+from mjtactile.grasp_estimation.load_estimator import LoadEstimator
+from mjtactile.grasp_estimation.slip_test import SlipTestResult, follows
 from mjtactile.grasp_estimation.touch_statics import (
     GAIN_SD,
     GRAVITY,
@@ -15,8 +15,8 @@ from mjtactile.grasp_estimation.touch_statics import (
     Weight,
     downward,
     friction,
-    least_grip,
     load_vector,
+    min_grip_force,
     pull,
     shear,
     support,
@@ -26,19 +26,19 @@ from mjtactile.grasp_estimation.touch_statics import (
 __all__ = [
     "GAIN_SD",
     "GRAVITY",
-    "Belief",
-    "Following",
-    "Frames",
+    "FrameLoadEstimator",
     "Friction",
-    "Load",
-    "Spring",
-    "Trial",
+    "FrictionEstimator",
+    "FrictionProbe",
+    "GripStiffnessEstimator",
+    "LoadEstimator",
+    "SlipTestResult",
     "Weight",
     "downward",
     "follows",
     "friction",
-    "least_grip",
     "load_vector",
+    "min_grip_force",
     "pull",
     "shear",
     "support",

@@ -18,10 +18,10 @@ _GROWTH = 0.05  # 1/s: who was wrong grips as hard as before in the end
 
 
 @dataclass(frozen=True)
-class Frames:
+class FrameLoadEstimator:
     """A foot that is wider than the tips stands between the frames. The jaws push them against it,
     what is wedged off them drags at the membranes, and that feels like twice the weight. A
-    controller keeps it as numbers (`vars`) and takes it up again (`Frames(**kept)`).
+    controller keeps it as numbers (`vars`) and takes it up again (`FrameLoadEstimator(**kept)`).
 
     Attributes:
         most: N on each finger that is of use to grip with.
@@ -31,7 +31,7 @@ class Frames:
     most: float = 100.0
     time: float = 0.0
 
-    def after(self, touch: Sequence[Touch], effort: float, period: float) -> Frames:
+    def after(self, touch: Sequence[Touch], effort: float, period: float) -> FrameLoadEstimator:
         """Take in one image.
 
         Args:
@@ -45,6 +45,8 @@ class Frames:
         press = float(np.mean([one.force_normal for one in touch]))
         beyond = (1 - _ERROR) * effort - press - _GEARS
         if not (math.isfinite(beyond) and beyond > 0):
-            return Frames(self.most * (1 + _GROWTH * period))
+            return FrameLoadEstimator(self.most * (1 + _GROWTH * period))
         time = self.time + period
-        return Frames(min(self.most, _LOOSER * press) if time > _LASTS else self.most, time)
+        return FrameLoadEstimator(
+            min(self.most, _LOOSER * press) if time > _LASTS else self.most, time
+        )

@@ -18,9 +18,9 @@ _TOGETHER = 0.3
 _PAUSE = 0.4
 _PROOF_TIME = 10.0
 _NEAR = 0.85  # of what is believed: there one finger is enough
-_SLIP_SHARE = 0.85  # of the ratio at which it slipped: what is believed then,
+_SLIP_FRACTION = 0.85  # of the ratio at which it slipped: what is believed then,
 _STEP = 0.8  # but no less than this of what was: a sign of slip may be wrong
-_PROOF_SHARE = 0.9
+_PROOF_FRACTION = 0.9
 # After a sign of slip the grip is tightened. Whether the shear came along shows what it was worth
 _VERDICT = 0.3  # s after it
 _TREND = 0.15  # s over which a load that grows by itself is seen to
@@ -30,14 +30,14 @@ _RESTORED = 0.95  # of what was believed before, then
 _GROWTH = 0.03  # 1/s, where the grip goes by what is believed, and no further than _UNPROVEN
 _ASKED = 0.6  # of it in use: else a lighter grip is not for the asking, and a hold shows nothing
 _UNPROVEN = 0.7
-_FRICTION_LEAST = 0.2
-_FRICTION_MOST = 1.0  # rougher than that is not believed: rolling lets go before sliding does
+_FRICTION_MIN = 0.2
+_FRICTION_MAX = 1.0  # rougher than that is not believed: rolling lets go before sliding does
 
 
 @dataclass(frozen=True)
-class Belief:
+class FrictionEstimator:
     """A controller keeps it as numbers (`vars`) and takes it up again
-    (`Belief(**kept)`).
+    (`FrictionEstimator(**kept)`).
 
     Attributes:
         friction: The coefficient that is believed.
@@ -70,7 +70,7 @@ class Belief:
         """Whether a slip was believed in this very image."""
         return self.since_slip == 0.0
 
-    def after(self, touch: Sequence[Touch], period: float) -> Belief:
+    def after(self, touch: Sequence[Touch], period: float) -> FrictionEstimator:
         """Take in one image.
 
         A slip that all fingers say within 0.3 s, or one near the friction that is believed, shows
@@ -101,10 +101,10 @@ class Belief:
         before = self.before
         believed = self.friction
         alone = min(ages) == 0.0 and used > _NEAR * believed
-        said = used > max(wrong, _PROOF_SHARE * proven) and (max(ages) < _TOGETHER or alone)
+        said = used > max(wrong, _PROOF_FRACTION * proven) and (max(ages) < _TOGETHER or alone)
         if since_slip >= _PAUSE and said:
             before = believed
-            believed = min(believed, max(_SLIP_SHARE * used, _STEP * believed, _FRICTION_LEAST))
+            believed = min(believed, max(_SLIP_FRACTION * used, _STEP * believed, _FRICTION_MIN))
             press, drag = _means(touch)
             drag += max(drag - self.slow, 0.0) * _VERDICT / _TREND
             at = used
@@ -116,9 +116,9 @@ class Belief:
             before = 0.0
         elif since_slip > 1.0 and _ASKED * believed < used and believed < _UNPROVEN:
             believed *= 1 + _GROWTH * period
-        believed = min(max(believed, _PROOF_SHARE * proven), _FRICTION_MOST)
+        believed = min(max(believed, _PROOF_FRACTION * proven), _FRICTION_MAX)
         slow = self.slow + min(1.0, period / _TREND) * (_means(touch)[1] - self.slow)
-        return Belief(
+        return FrictionEstimator(
             believed, proven, used, since_slip, ages, before, press, drag, slow, at, wrong
         )
 

@@ -17,16 +17,16 @@ _MEDIAN_OF = 3  # images at the beginning, which is before that, and at the end:
 _LOOSER = 0.05  # of the grip: less of a change says nothing
 _KEPT = 0.88  # of the shear at the end: what slips loses a fifth, or all of it, on the table
 _STEP = 1.25  # from a friction that has passed to the next one
-_SLIP_SHARE = 0.9  # of the ratio at which it slips
+_SLIP_FRACTION = 0.9  # of the ratio at which it slips
 _SHOWN = 0.9  # of what is tried, in use at the end: less, and the grip could not be loosened so far
 _MOST = 1.0  # as much as is ever believed, and as little
 _LEAST = 0.2
 
 
 @dataclass(frozen=True)
-class Trial:
+class FrictionProbe:
     """A controller keeps it as numbers (`vars`) and takes it up again
-    (`Trial(**kept)`).
+    (`FrictionProbe(**kept)`).
 
     Attributes:
         friction: What is tried now, and in the end the coefficient to go by.
@@ -55,7 +55,7 @@ class Trial:
         """Share of the grip that is asked for now."""
         return _LOOSE if self.is_on else 1.0
 
-    def after(self, touch: Sequence[Touch], period: float, believed: float = 0.0) -> Trial:
+    def after(self, touch: Sequence[Touch], period: float, believed: float = 0.0) -> FrictionProbe:
         """Take in one image, while what is gripped hangs low and nobody moves it.
 
         What sticks carries its load with the looser grip, too, and a higher friction is tried;
@@ -84,7 +84,7 @@ class Trial:
             return replace(ended, friction=max(self.passed, self.first), over=True)
         if _last(drag) < _KEPT * _first(drag):  # what slides is dragged by less than its load
             ratio = float(np.max(np.asarray(drag) / np.asarray(press)))
-            found = max(self.passed, min(self.friction, _SLIP_SHARE * ratio), _LEAST)
+            found = max(self.passed, min(self.friction, _SLIP_FRACTION * ratio), _LEAST)
             return replace(ended, friction=found, slipped=True, over=True)
         shown = _last(drag) / _last(press)
         passed = max(self.passed, min(shown, self.friction))

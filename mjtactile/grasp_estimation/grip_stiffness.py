@@ -10,15 +10,15 @@ from dataclasses import dataclass
 _SOFT = 110.0
 _STIFF = 260.0
 _UNKNOWN = 1.5  # times as hard, until it is measured: too short a step is made good
-_WAY_LEAST = 3e-4  # m of a ball's way, and of the jaws: backlash is 0.1-0.2 mm
+_WAY_MIN = 3e-4  # m of a ball's way, and of the jaws: backlash is 0.1-0.2 mm
 _SETTLING = 0.15  # s over which it is averaged
 _RANGE = (0.4, 6.0)
 
 
 @dataclass(frozen=True)
-class Spring:
+class GripStiffnessEstimator:
     """A controller keeps it as numbers (`vars`) and takes it up again
-    (`Spring(**kept)`).
+    (`GripStiffnessEstimator(**kept)`).
 
     Attributes:
         opening: m, of the jaws when all fingers touched; negative: not yet.
@@ -41,7 +41,7 @@ class Spring:
         """
         return self.hardness * (_SOFT + _STIFF * max(force, 0.0))
 
-    def after(self, opening: float, force: float, period: float) -> Spring:
+    def after(self, opening: float, force: float, period: float) -> GripStiffnessEstimator:
         """Take in one image, from when all fingers touch.
 
         Args:
@@ -53,14 +53,16 @@ class Spring:
             What is known now.
         """
         if self.opening < 0:
-            return Spring(opening, force)
+            return GripStiffnessEstimator(opening, force)
         nominal = _way(force) - _way(self.force)
         way = self.opening - opening
-        if min(nominal, 2 * way) < _WAY_LEAST:
+        if min(nominal, 2 * way) < _WAY_MIN:
             return self
         found = min(max(nominal / way, _RANGE[0]), _RANGE[1])
         share = min(1.0, period / _SETTLING)
-        return Spring(self.opening, self.force, self.hardness + share * (found - self.hardness))
+        return GripStiffnessEstimator(
+            self.opening, self.force, self.hardness + share * (found - self.hardness)
+        )
 
 
 def _way(force: float) -> float:

@@ -18,9 +18,9 @@ _WEIGHING = 0.7  # s over which a weight is averaged
 
 
 @dataclass(frozen=True)
-class Load:
+class LoadEstimator:
     """A controller keeps it as numbers (`vars`) and takes it up again
-    (`Load(**kept)`).
+    (`LoadEstimator(**kept)`).
 
     Attributes:
         most: N on each finger, along it: what it carries, and did of late.
@@ -45,7 +45,7 @@ class Load:
         """N on each finger that it must be gripped for."""
         return max(self.most, self.ahead) + _SPARE
 
-    def standing(self, touch: Sequence[Touch]) -> Load:
+    def standing(self, touch: Sequence[Touch]) -> LoadEstimator:
         """It is gripped, and stands yet: what the fingers do to each other, they do already.
 
         Faces that stand askew are dragged along by closing, and the more so the harder they are
@@ -64,7 +64,7 @@ class Load:
         trust = max(0.0, 1.0 - pushed / max(float(np.linalg.norm(drag, axis=1).mean()), 1e-9))
         return replace(self, inner=(trust * drag / max(float(press.mean()), 1e-9)).tolist())
 
-    def hanging(self, touch: Sequence[Touch]) -> Load:
+    def hanging(self, touch: Sequence[Touch]) -> LoadEstimator:
         """From now on the fingers alone carry it.
 
         Args:
@@ -88,7 +88,7 @@ class Load:
         """
         return load_vector(touch, np.asarray(self.down))
 
-    def after(self, touch: Sequence[Touch], period: float) -> Load:
+    def after(self, touch: Sequence[Touch], period: float) -> LoadEstimator:
         """Take in one image.
 
         It grows with what two images show, and once it hangs is gripped for what it is on its way
@@ -119,4 +119,4 @@ class Load:
         most = max(sure, self.most * math.exp(-period / _KEPT))
         slips = all(one.slip is not None and one.slip.state == "slipping" for one in touch)
         inner = () if slips else self.inner
-        return Load(most, ahead, past, self.down, mass, inner, now)
+        return LoadEstimator(most, ahead, past, self.down, mass, inner, now)

@@ -17,7 +17,7 @@ from mjtactile.core.types import Array
 
 
 @dataclass(frozen=True)
-class Following:
+class SlipTestResult:
     """How shear follows the grip.
 
     Attributes:
@@ -30,12 +30,12 @@ class Following:
     sd: float
 
 
-UNKNOWN = Following(math.nan, math.nan)
-_MOMENTS_LEAST = 4
-_CHANGE_LEAST = 0.01  # of the normal force, rms: less is in its noise
+UNKNOWN = SlipTestResult(math.nan, math.nan)
+_MOMENTS_MIN = 4
+_CHANGE_MIN = 0.01  # of the normal force, rms: less is in its noise
 
 
-def follows(normal: ArrayLike, shear: ArrayLike) -> Following:
+def follows(normal: ArrayLike, shear: ArrayLike) -> SlipTestResult:
     """Test one finger, or the mean of several.
 
     Args:
@@ -49,7 +49,7 @@ def follows(normal: ArrayLike, shear: ArrayLike) -> Following:
     press = np.asarray(normal, float)
     drag = np.asarray(shear, float)
     count = len(press)
-    if count < _MOMENTS_LEAST or not (np.isfinite(press).all() and np.isfinite(drag).all()):
+    if count < _MOMENTS_MIN or not (np.isfinite(press).all() and np.isfinite(drag).all()):
         return UNKNOWN
     if press.mean() <= 0 or drag.mean() <= 0:
         return UNKNOWN
@@ -58,12 +58,12 @@ def follows(normal: ArrayLike, shear: ArrayLike) -> Following:
     press = _without_trend(press)
     drag = _without_trend(drag)
     power = float(press @ press)
-    if math.sqrt(power / count) < _CHANGE_LEAST:
+    if math.sqrt(power / count) < _CHANGE_MIN:
         return UNKNOWN
     share = float(press @ drag) / power
     left = drag - share * press
     sd = math.sqrt(float(left @ left) / (count - 3) / power)
-    return Following(share, sd)
+    return SlipTestResult(share, sd)
 
 
 def _without_trend(values: Array) -> Array:

@@ -7,7 +7,7 @@ what hangs in the air hangs on the fingers alone, and these share it in parallel
 that are inclined by an angle, what is felt along them is too small by the angle's cosine).
 
     found = weigh(touch)                # lifted: 0.0602 kg +- 0.0014
-    grip = least_grip(found.mass, friction=0.6, fingers=2)
+    grip = min_grip_force(found.mass, friction=0.6, fingers=2)
 """
 
 from __future__ import annotations
@@ -102,20 +102,20 @@ def weigh(touch: Sequence[Touch], before: ArrayLike = 0.0, *, acceleration: floa
     return Weight(total / pull, sd / pull, load, load / max(total, 1e-9))
 
 
-def friction(touch: Sequence[Touch], *, least_force: float = 0.1) -> Friction:
+def friction(touch: Sequence[Touch], *, min_force: float = 0.1) -> Friction:
     """Say what the shears say of friction: a hold shows that there is more, a slip what it is
     (Coulomb).
 
     Args:
         touch: One value a finger.
-        least_force: N; a finger that presses with less says nothing.
+        min_force: N; a finger that presses with less says nothing.
 
     Returns:
         What is known from this moment alone.
     """
     force = np.array([_wrench(one)[:3] for one in touch])
     normal = -force[:, 2]
-    presses = normal > least_force
+    presses = normal > min_force
     used = np.where(
         presses, np.linalg.norm(force[:, :2], axis=1) / np.maximum(normal, 1e-9), np.nan
     )
@@ -129,7 +129,9 @@ def friction(touch: Sequence[Touch], *, least_force: float = 0.1) -> Friction:
     return Friction(used, sd, least, slipped)
 
 
-def least_grip(mass: float, friction: float, fingers: int, *, acceleration: float = 0.0) -> float:
+def min_grip_force(
+    mass: float, friction: float, fingers: int, *, acceleration: float = 0.0
+) -> float:
     """Say what each finger must press with at least: n mu N >= m |g + a|.
 
     Args:

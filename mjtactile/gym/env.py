@@ -17,8 +17,8 @@ import gymnasium
 import numpy as np
 
 from mjtactile.core.errors import DeviceError, InputError, SimulationError
-from mjtactile.core.fidelity_levels import left_out_of
-from mjtactile.core.policy import policy_command, share_let_go
+from mjtactile.core.fidelity_levels import disabled_effects
+from mjtactile.core.policy import command_from_action, fraction_released
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.task import load_task
 from mjtactile.core.types import Array
@@ -32,7 +32,7 @@ from mjtactile.runtime.grasp_scoring import GraspScore
 from mjtactile.runtime.perception_threads import Perceivers
 from mjtactile.runtime.session import Session
 from mjtactile.runtime.supervisor import Supervisor
-from mjtactile.runtime.task_scoring import Judge
+from mjtactile.runtime.task_scoring import TaskScorer
 from mjtactile.sim.fast_reset import Restart, movable
 
 RANDOM = "random"
@@ -61,8 +61,8 @@ class GraspEnv(gymnasium.Env[Any, Array]):
     """One grasp an episode.
 
     Actions: speed of opening, force limit and speed of lifting, each in [-1, 1]
-    (`mjtactile.policy_command`). A seed is that of `grasp` and `evaluate`: the same placement and
-    noise.
+    (`mjtactile.command_from_action`). A seed is that of `grasp` and `evaluate`: the same placement
+    and noise.
 
     Args:
         object: As `mjtactile grasp` takes it, and so are `sensor`, `rig`, `vary`, `effects`,
@@ -127,7 +127,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         self._build(0)
         designs = [finger.design for finger in self._rig.fingers]
         self._pictures = "images" in self._rig.scene.effects
-        self._left_out = dict.fromkeys(left_out_of(self._rig.scene.effects), False)
+        self._left_out = dict.fromkeys(disabled_effects(self._rig.scene.effects), False)
         if observation == "image" and not self._pictures:
             raise InputError(
                 "no image is drawn",
@@ -157,7 +157,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
             for perception, state in zip(self._session.perceptions, self._states, strict=True):  # type: ignore[union-attr]
                 perception.state = state  # type: ignore[attr-defined]
         rig = self._rig
-        self._score = GraspScore(rig.scene, Judge.of(self._scenario_of(self._seed), rig))
+        self._score = GraspScore(rig.scene, TaskScorer.of(self._scenario_of(self._seed), rig))
         rig.scene.after_each_stretch(self._score.after_stretch, self._score.due)
         self._over = False
         self._come = 0.0
@@ -180,7 +180,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         rig = self._rig
         cycle = self._cycle
         deadline = cycle.now + rig.period
-        wanted = policy_command(self._seen, action)
+        wanted = command_from_action(self._seen, action)
         rig.clock.start(deadline)
         sent = cycle.send(wanted)
         self._score.send(sent.phase)
@@ -248,7 +248,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
                 field="rig",
                 choices=SIMULATES,
             )
-        if rig.touch_is_drawn:  # a thread costs more than what it would be for
+        if rig.touch_is_synthetic:  # a thread costs more than what it would be for
             rig.clock.step_in_turn()
         self._session = Session(rig, threads=0, shapes=self.scenario.shapes)
         self._session.take_references()
@@ -277,12 +277,12 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         if phase in _AFTER_HOLDING and self._come < PROGRESS["lower"][0]:
             return 0.0  # an empty hand that rises comes down again and lets go, too
         begin, more = PROGRESS[phase]
-        come = begin + more * min(max(self._share_of(phase), 0.0), 1.0)
+        come = begin + more * min(max(self._fraction_of(phase), 0.0), 1.0)
         farther = max(come - self._come, 0.0)
         self._come += farther
         return farther
 
-    def _share_of(self, phase: str) -> float:
+    def _fraction_of(self, phase: str) -> float:
         """Of its phase that is behind it."""
         told = self._seen.told
         gripper = self._seen.gripper
@@ -295,7 +295,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         if phase == "hold":
             return last.memory.get("phase_time", 0.0) / max(told.hold_time, 1e-9)
         if phase == "release":
-            return share_let_go(last)
+            return fraction_released(last)
         return 0.0
 
     def _outcome(self) -> str:
@@ -340,4 +340,4 @@ class _Cycles(Observer):
         self._score = score
 
     def on_images(self) -> None:
-        self._score.begin_cycle()
+        self._score.start_cycle()

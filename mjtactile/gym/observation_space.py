@@ -10,7 +10,7 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
-from mjtactile.core.policy import policy_bounds, policy_vector
+from mjtactile.core.policy import policy_bounds, policy_observation
 from mjtactile.core.types import Array, Image, Observation, Touch
 
 KINDS = ("wrench", "markers", "image")
@@ -57,7 +57,7 @@ def space_of(kind: str, designs: Sequence[SensorDesign]) -> gymnasium.spaces.Spa
 def show(kind: str, observation: Observation, images: Sequence[Image], count: int) -> Any:
     """What is seen now, in that space; `count` markers a finger. One that is not seen is 0 with
     `seen` 0."""
-    vector = policy_vector(observation)
+    vector = policy_observation(observation)
     if kind == "wrench":
         return vector
     if kind == "image":

@@ -10,19 +10,21 @@ import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mjtactile.core.policy import policy_names
+from mjtactile.core.policy import policy_observation_names
 
 _UNITS = {"N": 1.0, "Nm": 5e-3, "m": 0.04, "s": 1.0}
 _OWN = {"speed_m_s": 0.05, "goal_ahead_m": 0.004}
 # Of each number that is shown, what a learner is shown as 1
-SCALE = np.array([_OWN.get(n, _UNITS.get(n.rpartition("_")[2], 1.0)) for n in policy_names()])
+SCALE = np.array(
+    [_OWN.get(n, _UNITS.get(n.rpartition("_")[2], 1.0)) for n in policy_observation_names()]
+)
 # A learner's 0 closes slowly, with 1 N, and stays down: noise about it neither crushes nor rises
 # before anything is held
 MIDDLE = np.array([-0.2, -0.75, -0.4])
 SPAN = np.array([0.8, 0.15, 1.0])
 
 
-class Decisions(gymnasium.Wrapper):
+class ActionRepeatScaling(gymnasium.Wrapper):
     """Each action stands for several steps of the environment; what is shown and done is scaled.
 
     Args:
@@ -57,7 +59,7 @@ class Decisions(gymnasium.Wrapper):
 
 
 def save_policy(path: str | Path, layers: list[tuple[NDArray, NDArray]]) -> None:
-    """Write a network that learned behind `Decisions`, tanh between its layers.
+    """Write a network that learned behind `ActionRepeatScaling`, tanh between its layers.
 
     Args:
         path: of the file, .npz.

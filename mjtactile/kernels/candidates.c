@@ -9,12 +9,12 @@
 
 /* As the dataclass MarkerSettings: one number a field, in its order. */
 typedef struct {
-    double profile_min_radius, profile_min_blurs, min_blurs, start_blur_share, sure_blurs,
-        blur_spread, min_motion, covered_share, min_peers, size_log_tolerance, min_edge_distance,
-        min_border_axes, min_flawed_axes, max_flawed_misfit, max_border_misfit, border_misfit_share,
-        border_misfit_share_cut, min_contrast, min_contrast_any, max_shape_sd, max_shape_sd_any,
+    double profile_min_radius, profile_min_blurs, min_blurs, start_blur_fraction, sure_blurs,
+        blur_spread, min_motion, covered_fraction, min_peers, size_log_tolerance, min_edge_distance,
+        min_border_axes, min_flawed_axes, max_flawed_misfit, max_border_misfit, border_misfit_fraction,
+        border_misfit_fraction_cut, min_contrast, min_contrast_any, max_shape_sd, max_shape_sd_any,
         max_residual, covered_residuals, max_lost_weight, sharper_ratio, max_shape_change, max_move,
-        min_fit_axes, shrunk_share;
+        min_fit_axes, shrunk_fraction;
 } MarkerSettings;
 
 _Static_assert(sizeof(MarkerSettings) == 29 * sizeof(double), "as in kernels.h");
@@ -70,7 +70,7 @@ int64_t border_moments(int64_t n, const int64_t *counts, int64_t all, const int3
 
 /* Whether a border is far from its own ellipse (further if cut). */
 static int is_odd(double misfit, int cut, double b, const MarkerSettings *s) {
-    return misfit >= s->max_border_misfit + (cut ? s->border_misfit_share_cut : s->border_misfit_share) * b;
+    return misfit >= s->max_border_misfit + (cut ? s->border_misfit_fraction_cut : s->border_misfit_fraction) * b;
 }
 
 int64_t judge_borders(int64_t n, const double *shapes, const double *misfit, const int64_t *cut, double min_radius,
@@ -125,7 +125,7 @@ static int trust(const Fit *f, double usual, const MarkerSettings *s) {
     int status = OK;
     if (f->contrast < s->min_contrast * f->noise || f->doubt > s->max_shape_sd) status = LOW_CONTRAST;
     if (f->residual > s->max_residual * f->contrast) status = NOT_ELLIPSE;
-    int covered = f->residual > most(s->covered_share * f->contrast, s->covered_residuals * usual) && f->b > s->profile_min_radius;
+    int covered = f->residual > most(s->covered_fraction * f->contrast, s->covered_residuals * usual) && f->b > s->profile_min_radius;
     if (f->lost > s->max_lost_weight || covered) status = GLARE;
     return f->motion > s->min_motion ? MOTION : status;
 }
@@ -156,7 +156,7 @@ static int judge(const Fit *f, int status, double common, int64_t height, int64_
     if (f->contrast < s->min_contrast_any * f->noise) status = LOW_CONTRAST, drop = 1;
     if (f->doubt > s->max_shape_sd_any || f->residual >= UNSETTLED) status = NO_FIT, drop = 1;
     if (f->b < s->min_fit_axes * f->a) status = LONG, drop = 1;
-    if (f->b < s->shrunk_share * min_radius) status = SMALL, drop = 1;
+    if (f->b < s->shrunk_fraction * min_radius) status = SMALL, drop = 1;
     *keep = !drop;
     return status;
 }

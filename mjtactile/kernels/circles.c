@@ -107,7 +107,7 @@ static Pose through_pane(const Camera *camera, const Circle *e, const Boundary *
     Boundary seen;
     Pose both[2];
     for (int k = 0; k < POINTS; k++) {
-        shift[k] = pane_shift(camera, b->x[k] * b->x[k] + b->y[k] * b->y[k]);
+        shift[k] = glass_displacement(camera, b->x[k] * b->x[k] + b->y[k] * b->y[k]);
         middle += shift[k] / POINTS;
     }
     for (int k = 0; k < POINTS; k++) {
@@ -168,7 +168,7 @@ static void derivative(const Camera *camera, const Circle *e, const Boundary *bo
     double n[3], c = cos(angle), s = sin(angle), pz = pose->p[2], D[5][5] = {{0}}, X[5][5] = {{0}};
     tilted(pose, n);
     const double *p = pose->p;
-    if (camera->thickness != 0) pz -= pane_shift(camera, (p[0] * p[0] + p[1] * p[1]) / (p[2] * p[2]));
+    if (camera->thickness != 0) pz -= glass_displacement(camera, (p[0] * p[0] + p[1] * p[1]) / (p[2] * p[2]));
     double du[2][2] = {{c / a, -s / b}, {s / a, c / b}};  /* of e: (u, v) change by one pixel */
     Lens lens = distort(camera, m->x0, m->y0);
     double by_x[2], by_y[2];

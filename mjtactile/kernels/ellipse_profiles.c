@@ -26,8 +26,8 @@ typedef float Eight __attribute__((vector_size(32)));  /* all filters of a sampl
 typedef float Two __attribute__((vector_size(8)));     /* neighbours in a row */
 
 typedef struct {
-    double step, start_blur, spacing, level_outlier, outlier_offsets, outlier_least,
-        max_blur_variance, covariance_factor, motion_sd_share, sharpest;
+    double step, start_blur, spacing, level_outlier, outlier_offsets, outlier_min,
+        max_blur_variance, covariance_factor, motion_sd_fraction, sharpest;
 } Settings;
 
 _Static_assert(sizeof(Settings) == 10 * sizeof(double), "as in kernels.h");
@@ -323,7 +323,7 @@ static void settle(const Lines *l, const Fan *fan, const Settings *s, const doub
         left[k] = delta[k] - offset_of(move, l, fan, k);
         mean += fabs(left[k]);
     }
-    double bound = most(s->outlier_offsets * mean / K, s->outlier_least);
+    double bound = most(s->outlier_offsets * mean / K, s->outlier_min);
     for (int k = 0; k < K; k++) {
         double c = fan->c[k], si = fan->s[k], b[5] = {c, si, c * c, 2 * c * si, si * si};
         weight[k] = l->arc[k] / (1 + square(square(left[k] / bound)));
@@ -356,7 +356,7 @@ static void settle(const Lines *l, const Fan *fan, const Settings *s, const doub
     /* how the levels' noise moves an offset: d(delta)/d(inside), d(delta)/d(outside), in px per unit of contrast */
     double gain_in = common->rest_edge, gain_out = common->sum_edge - common->rest_edge;
     double level = (square(gain_in * l->spread_in) + square(gain_out * l->spread_out)) * over2 * shared / K * size * size;
-    double doubt = square(s->motion_sd_share * motion * size);
+    double doubt = square(s->motion_sd_fraction * motion * size);
     for (int i = 0; i < 5; i++)
         for (int j = 0; j < 5; j++) inverse[i][j] *= s->covariance_factor * variance * shared * arc;
     /* an error of the levels moves all offsets together, V = I g, and one of their gradient moves the centre, w = g */

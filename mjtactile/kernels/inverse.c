@@ -128,7 +128,7 @@ int64_t inverse_gain(int64_t nx, int64_t ny, const double *numbers, const double
                      const double *load_x, const double *load_y, const double *root_x, const double *root_y, const double *prior,
                      const double *bulge, double *half, double *bulge_seen) {
     if (!is_sheet(nx, ny) || r != (tilts ? 5 : 3) * markers) return REFUSED;
-    Sheet s = sheet_of(nx, ny, numbers);
+    Sheet s = membrane_of(nx, ny, numbers);
     Nodes nodes = {jx, jy, load_x, load_y, root_x, root_y};
     const long dofs = 3 * s.n, nodal = 3 * jx * jy, longer = s.ny > jy ? s.ny : jy;
     Seat *seats = malloc((markers + 1) * sizeof *seats);
@@ -204,7 +204,7 @@ int64_t inverse_step(int64_t nx, int64_t ny, const double *numbers, const double
                      const double *residual, const double *data, const double *slopes_off, double *change, double *traction,
                      double *misfit, double *noise, double *drift_found) {
     if (!is_sheet(nx, ny) || r != (tilts ? 5 : 3) * markers || (tilts && !slopes_off) || modes < 1) return REFUSED;
-    Sheet s = sheet_of(nx, ny, numbers);
+    Sheet s = membrane_of(nx, ny, numbers);
     Stiffness K = {factor, softened, share};
     Nodes nodes = {jx, jy, load_x, load_y, root_x, root_y};
     const long dofs = 3 * s.n, room = 2 * jx * jy + s.nx + s.ny + jx + jy;

@@ -13,7 +13,7 @@ enum { NO_MEMORY = -1, REFUSED = -2, NOT_DEFINITE = -3 };
 
 /* sim/rendering/renderer.py: blurred discs and a closed curve added to an image `coverage`. `across` and `down`: see discs.c;
    `per_px` nodes to a pixel of a rim. `nodes` px, `weights` dx. */
-int64_t draw_discs(int64_t n, const double *p_CM /* n, 3 */, const double *n_C /* n, 3 */, const double *radii /* n */,
+int64_t render_discs(int64_t n, const double *p_CM /* n, 3 */, const double *n_C /* n, 3 */, const double *radii /* n */,
                    const double *camera /* 12 */, double per_px, int64_t bins, int64_t taps,
                    const float *across /* bins, taps */, const float *down /* bins, taps + 1 */, int64_t height, int64_t width,
                    float *coverage /* height, width */);
@@ -174,8 +174,8 @@ int64_t name_circles(int64_t count, int64_t all, const int64_t *circles /* count
 int64_t chamber_volume(int64_t n, const double *p /* n, 3 */, int64_t m, const int64_t *triangles /* m, 3 */,
                        double *gradient /* n, 3 */, double *volume /* 1 */);
 /* What a gas of this pressure and stiffness does to k vertices that have `moved`: the tendon's `coefficients`, its `spring` and
-   length at `rest`, off by `offset_share` of what adds up to it; and `forces`. */
-void apply_gas_load(int64_t k, const double *gradient /* k, 3 */, const double *moved /* k, 3 */, double offset_share,
+   length at `rest`, off by `offset_fraction` of what adds up to it; and `forces`. */
+void apply_gas_load(int64_t k, const double *gradient /* k, 3 */, const double *moved /* k, 3 */, double offset_fraction,
                     double least, double pressure, double stiffness, double *coefficients /* k */, double *spring /* 1 */,
                     double *rest /* 2 */, double *forces /* k, 3 */);
 /* Here and below, MuJoCo's `contacts`: how many, the address of the first one's `dist`, and the `layout` of the `list`, see
@@ -300,7 +300,7 @@ int64_t film_steps(int64_t count, const int64_t *mujoco /* 4 */, double time, do
    of outliers and of unknown images, area and its sd, centroid's sd, spread between grasps, at each `load`; `row`: the same at this load. `settings`: time s
    of what lasts, normal number of the grasp, its gain of shear, s since the image before, a uniform number. In place: `slow`. */
 int64_t draw_errors(int64_t loads, const double *load /* loads */, const double *table /* loads, 30 */, const double *gain /* 6, 6 */,
-                    const double *spread /* 6, 6 */, const double *said_correlation /* 6, 6 */, const double *settings /* 5 */,
+                    const double *spread /* 6, 6 */, const double *reported_correlation /* 6, 6 */, const double *settings /* 5 */,
                     const double *outlier_size /* 6 */, const double *normals /* 12 */, const double *wrench /* 6 */, double *slow /* 6 */, double *row /* 30 */,
                     double *felt /* 6 */, double *cov /* 6, 6 */);
 int64_t film_derive_room(const double *numbers /* 19 */);
@@ -312,7 +312,7 @@ int64_t film_derive(const double *numbers /* 19 */, const double *law /* 11 */, 
                     const double *body /* 1 + changes, bodies, 20 */, int64_t pooled, const double *pool /* pooled or NULL */,
                     const double *steps /* changes */, const double *x /* 3, columns, rows */,
                     const double *force /* columns, rows */, double *by_x /* changes, 3, columns, rows */,
-                    double *by_force /* changes, columns, rows */, double *by_found /* changes, 14 */);
+                    double *by_force /* changes, columns, rows */, double *by_detection /* changes, 14 */);
 /* Nearly the same for a fifth of the time, of heights and forces alone: as a film's step has it, without what moves in the plane. */
 int64_t film_answer(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
                     const float *kept /* keeping */, int64_t roomy, double *room /* roomy */, const double *settings /* 6 */,

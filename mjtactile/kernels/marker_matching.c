@@ -180,7 +180,7 @@ int64_t name_circles(int64_t count, int64_t all, const int64_t *circles, const d
         const double *c = first + 3 * circles[i];
         double x, y;
         refract(&camera, c, &x, &y);
-        shifts[i] = differ ? pane_shift(&camera, x * x + y * y) : 0;
+        shifts[i] = differ ? glass_displacement(&camera, x * x + y * y) : 0;
         heights[i] = farther(c, 2, factors[i], shifts[i], origin);
     }
     for (int64_t i = 0; i < count; i++, slopes += count) {

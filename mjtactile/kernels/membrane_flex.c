@@ -37,7 +37,7 @@ int64_t chamber_volume(int64_t n, const double *p, int64_t m, const int64_t *tri
     return 0;
 }
 
-void apply_gas_load(int64_t k, const double *gradient, const double *moved, double offset_share, double least, double pressure,
+void apply_gas_load(int64_t k, const double *gradient, const double *moved, double offset_fraction, double least, double pressure,
                     double stiffness, double *coefficients, double *spring, double *rest, double *forces) {
     double length = 0, size = 0;
     for (int64_t v = 0; v < k; v++) {
@@ -45,7 +45,7 @@ void apply_gas_load(int64_t k, const double *gradient, const double *moved, doub
         coefficients[v] = normal, length += term, size += fabs(term);
         for (int i = 0; i < 3; i++) forces[3 * v + i] = pressure * gradient[3 * v + i];
     }
-    double offset = offset_share * (size + least);
+    double offset = offset_fraction * (size + least);
     for (int64_t v = 0; v < k; v++) forces[3 * v + 2] += stiffness * offset * coefficients[v];
     spring[0] = stiffness, rest[0] = rest[1] = length - offset;
 }

@@ -30,7 +30,7 @@ void undistort(const Camera *c, double x_d, double y_d, double *x, double *y) {
     *x = good ? u : NAN, *y = good ? v : NAN;
 }
 
-double pane_shift(const Camera *c, double tan2) {
+double glass_displacement(const Camera *c, double tan2) {
     double slower = c->index * c->index - 1;
     return c->thickness * (1 - 1 / sqrt(slower * tan2 + slower + 1));
 }

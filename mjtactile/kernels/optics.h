@@ -11,7 +11,7 @@ typedef struct { double x, y, xx, xy, yy; } Lens;  /* distorted coordinates, and
 int has_lens(const Camera *camera);
 Lens distort(const Camera *camera, double x, double y);
 void undistort(const Camera *camera, double x_d, double y_d, double *x, double *y);  /* NaN where the lens folds over */
-double pane_shift(const Camera *camera, double tan2);
+double glass_displacement(const Camera *camera, double tan2);
 void refract(const Camera *camera, const double *p, double *x, double *y);  /* NaN for a point that is not beyond the pane */
 void project(const Camera *camera, const double *p, double *uv);
 

@@ -7,7 +7,7 @@
 
 /* As the dataclass PatchSettings: one number a field, in its order. */
 typedef struct {
-    double smoothing, separate_share, area_disc, area_power, area_pressure, area_blend, core_share, least_share;
+    double smoothing, separate_fraction, area_disc, area_power, area_pressure, area_blend, core_fraction, min_fraction;
 } PatchSettings;
 
 _Static_assert(sizeof(PatchSettings) == 8 * sizeof(double), "as in kernels.h");
@@ -128,14 +128,14 @@ int64_t measure_patch(int64_t nx, int64_t ny, int64_t refine, int64_t na, int64_
         if (is_mine(&g, at))
             for (int k = 0; k < 3; k++) force[k] += traction[k * nodes + node] * node_area[node];
     }
-    int counts = -force[2] >= s.least_share * most(total, 1e-9);
+    int counts = -force[2] >= s.min_fraction * most(total, 1e-9);
     if (counts) {
-        double area = area_of(&g, pressing, node_area, s.core_share * strongest_node, -force[2], gauge, node_variance, &s);
+        double area = area_of(&g, pressing, node_area, s.core_fraction * strongest_node, -force[2], gauge, node_variance, &s);
         int64_t count = strongest(&g, fine, area, heap, &positive, inside);
         double weights = 0, x = 0, y = 0, deep = 0, deepest = 0;
         for (int64_t at = 0; at < all; at++) peak = most(peak, fine[at]);
         for (int64_t at = 0; at < all; at++) {
-            double weight = fine[at] - s.core_share * peak;
+            double weight = fine[at] - s.core_fraction * peak;
             if (weight <= 0 || !is_mine(&g, at)) continue;
             weights += weight, x += weight * position[at], y += weight * position[all + at];
         }

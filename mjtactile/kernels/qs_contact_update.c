@@ -348,8 +348,8 @@ int against_the_frame(const Film *f, const Settings *set, const Seen *seen) {
     for (long i = seen->box[0]; i < seen->box[1]; i++)
         for (long j = seen->box[2]; j < seen->box[3]; j++) {
             const long k = i * f->line + j;
-            if (is_rim(f, i, j) && h[k] < -set->below_rim) return AT_THE_RIM;
-            if (h[k] - f->numbers.half_thickness <= -f->numbers.depth) return ON_THE_GLASS;
+            if (is_rim(f, i, j) && h[k] < -set->below_rim) return RIM_CONTACT;
+            if (h[k] - f->numbers.half_thickness <= -f->numbers.depth) return GLASS_CONTACT;
         }
     return CONVERGED;
 }
@@ -357,8 +357,8 @@ int against_the_frame(const Film *f, const Settings *set, const Seen *seen) {
 void gas_of(const Film *f, const Settings *set, double bulge, double *pressure, double *stiffness) {
     *pressure = set->gas, *stiffness = 0;
     if (!set->sealed) return;
-    const double volume = f->numbers.chamber_flat + bulge, absolute = set->gas / pow(volume, f->numbers.heat_ratio);
-    *pressure = absolute - f->numbers.ambient, *stiffness = f->numbers.heat_ratio * absolute / volume;
+    const double volume = f->numbers.chamber_flat + bulge, absolute = set->gas / pow(volume, f->numbers.polytropic_exponent);
+    *pressure = absolute - f->numbers.ambient, *stiffness = f->numbers.polytropic_exponent * absolute / volume;
 }
 
 /* Wrench about S, and the area that touches: of each node's cell the share that its force is of what all of it would carry. */

@@ -202,8 +202,8 @@ int64_t film_follow(const double *numbers, const double *law, int64_t columns, i
     int has_moved;
     const long near = look(geoms, geom, body_of, bounds, geom_xpos, geom_xmat, R, p, body, &m->near, &has_moved);
     const int again = m->time == g->time; /* of the same moment */
-    if (again && !has_moved && m->gas_seen == settings[0] && m->sealed_seen == settings[1]) return 0; /* who looks twice changes nothing */
-    m->gas_seen = settings[0], m->sealed_seen = settings[1];
+    if (again && !has_moved && m->gas_observed == settings[0] && m->sealed_seen == settings[1]) return 0; /* who looks twice changes nothing */
+    m->gas_observed = settings[0], m->sealed_seen = settings[1];
     const int same_gas = m->gas == settings[0] && m->sealed == settings[1];
     m->solved = 0;
     if (!m->body && same_gas && (near < 0 || is_clear(&f, x, geoms, body, bounds))) return 0;

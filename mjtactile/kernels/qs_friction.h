@@ -16,7 +16,7 @@ typedef struct {
     double moved[6];                /* m of the body's origin and rad, since the look before */
     double time;                    /* s, of the last look */
     double slid;                    /* m over the film since it touched */
-    double gas_seen, sealed_seen;   /* at the last look */
+    double gas_observed, sealed_seen;   /* at the last look */
 } Memory;
 
 /* Given: friction, Pa/m^3 of bulge and gas, time step s, half width of the frame m, spacing of

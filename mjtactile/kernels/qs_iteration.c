@@ -91,7 +91,7 @@ void see_sheet(const Film *f, const Settings *set, int parts, Work *w) {
     for (long k = first * line; first < last && k < most(last + 1, f->columns - 1) * line; k++) w->seen.along_y[k] = (double)w->fast.along_y[k];
 }
 
-void look_at(const Film *f, const Bodies *bodies, double lifted, int step, Work *w) {
+void check_image(const Film *f, const Bodies *bodies, double lifted, int step, Work *w) {
     if (step < LOOKS) {
         see_bodies(f, bodies, w->x, &w->seen);
         for (long k = w->seen.box[0] * f->line; k < w->seen.box[1] * f->line; k++)

@@ -10,7 +10,7 @@ static int begin_answer(const Film *f, const Settings *set, const Bodies *bodies
     const double *z = w->x + 2 * f->count;
     see_touch(f, w->force, &w->seen), look_narrowly(f, bodies, &w->seen);
     w->heights.first = f->lopsided ? 0 : f->columns, w->heights.last = f->lopsided ? f->columns - 1 : -1;
-    look_at(f, bodies, 0, 0, w), widen_window(f, 0, w);
+    check_image(f, bodies, 0, 0, w), widen_window(f, 0, w);
     see_sheet(f, set, FILM_HEIGHTS, w);
     find_springs(f, z, &w->seen), stiffen_edges(f, z, 1, w);
     memset(w->residual + 2 * f->count, 0, f->count * sizeof *w->residual);
@@ -37,7 +37,7 @@ int64_t film_answer(const double *numbers, const double *law, int64_t columns, i
     for (long k = 0; k < n; k++) was[k] = s->obstacle[k] - s->lower[k];
     for (long a = 0; a < changes; a++) {
         const Bodies changed = {bodies, body + (1 + a) * bodies * FILM_BODY, pool, 0};
-        look_at(&f, &changed, 0, 0, &w);
+        check_image(&f, &changed, 0, 0, &w);
         for (long k = 0; k < n; k++) {
             const double rise = (s->obstacle[k] - s->lower[k] - was[k]) / steps[a];
             s->obstacle[k] = z[k] + (isfinite(rise) ? rise : 0), s->lower[k] = 0; /* a step is from where the film is */

@@ -182,7 +182,7 @@ static void sums_by(const Film *f, const Change *change, int lane, double tensio
 }
 
 /* Lanes of what was found, as Python has them: displacements (many, 3, nodes) and forces (many, nodes). */
-static void hand_over(const Film *f, const Eight *found, long many, double *by_x, double *by_force) {
+static void handover(const Film *f, const Eight *found, long many, double *by_x, double *by_force) {
     const long nodes = f->columns * f->rows;
     for (int c = 0; c < 4; c++)
         for (long i = 0; i < f->columns; i++)
@@ -216,7 +216,7 @@ static int begin(const Film *f, const Settings *set, const Bodies *bodies, const
 int64_t film_derive(const double *numbers, const double *law, int64_t columns, int64_t rows, int64_t roomy, double *room,
                     const double *settings, int64_t bodies, int64_t changes, const double *body, int64_t pooled,
                     const double *pool, const double *steps, const double *at, const double *pressed, double *by_x,
-                    double *by_force, double *by_found) {
+                    double *by_force, double *by_detection) {
     const Film f = film_of(numbers, law);
     if (columns != f.columns || rows != f.rows || roomy < film_tangent_room(&f)) return REFUSED;
     (void)pooled;
@@ -242,8 +242,8 @@ int64_t film_derive(const double *numbers, const double *law, int64_t columns, i
         for (int c = 0; c < 3; c++)
             for (long k = 0; k < count; k++)
                 tension += (double)t.stiffness.tension_by[c * t.stiffness.apart + k] * __builtin_convertvector(t.found[c * count + k], Lanes);
-        for (long a = 0; a < many; a++) sums_by(&f, change + a, (int)a, tension[a], x, force, &t, by_found + (first + a) * FOUND);
-        hand_over(&f, t.found, many, by_x + first * 3 * nodes, by_force + first * nodes);
+        for (long a = 0; a < many; a++) sums_by(&f, change + a, (int)a, tension[a], x, force, &t, by_detection + (first + a) * FOUND);
+        handover(&f, t.found, many, by_x + first * 3 * nodes, by_force + first * nodes);
     }
     return 0;
 }

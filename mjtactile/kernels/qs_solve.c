@@ -54,7 +54,7 @@ static void go_on(const Film *f, const double *trend, Work *w) {
 }
 
 /* Writes padded fields, and, into `change`, what that changed. */
-static void hand_over(const Film *f, long fields, const double *from, double *to, double *change) {
+static void handover(const Film *f, long fields, const double *from, double *to, double *change) {
     for (long i = 0; i < fields * f->columns; i++)
         for (long j = 0; j < f->rows; j++) {
             const double value = from[i * f->line + j];
@@ -92,19 +92,19 @@ static int come_to_rest(const Film *f, const Settings *set, const Bodies *bodies
     const int narrow = trend && !f->lopsided; /* second tries see all; beyond a window the sheet is what it is when turned */
     w->heights.first = narrow ? f->columns : 0, w->heights.last = narrow ? -1 : f->columns - 1;
     see_touch(f, w->force, &w->seen), find_floors(f, bodies, &w->seen);
-    for (int step = 0; step < (int)set->most_steps; step++) {
-        look_at(f, bodies, lifted, step, w);
+    for (int step = 0; step < (int)set->max_steps; step++) {
+        check_image(f, bodies, lifted, step, w);
         const int misplaced = step ? CONVERGED : against_the_frame(f, set, &w->seen);
         if (misplaced) return misplaced;
         if (!step && trend) go_on(f, trend, w);
         /* a first step's window has no factor yet, also where it is whole from the beginning and nothing touches */
         const int wider = widen_window(f, step ? 0 : NEAR, w) || !step;
         see_sheet(f, set, FILM_HEIGHTS, w);
-        if (w->sums.least_turn < LEAST_TURN) return INSIDE_OUT;
-        if (!isfinite(w->sums.area)) return BROKEN_DOWN;
+        if (w->sums.least_turn < LEAST_TURN) return INVERTED;
+        if (!isfinite(w->sums.area)) return NUMERICAL_FAILURE;
         int changed = 0;
         const double last = step_both(f, set, bodies, step, wider, w, &lift, &changed);
-        if (isnan(last)) return BROKEN_DOWN;
+        if (isnan(last)) return NUMERICAL_FAILURE;
         found[STEPS] += 1, found[LAST_STEP] = last, found[PRESSURE] = w->pressure, found[VOLUME] = w->sums.volume;
         found[STRETCHED_AREA] = w->sums.area, found[TENSION] = w->sums.tension;
         /* steps shrink by a share that the last two tell; what all that would follow add up to is left */
@@ -137,7 +137,7 @@ static int come_from_rest(const Film *f, const Settings *set, const Bodies *bodi
 /* Whether what was found is what a film can tell of. */
 static int can_be(const Film *f, const Bodies *bodies, const Work *w) {
     if (f->numbers.neo_hookean != 0 && (w->sums.least_root - f->numbers.law_middle) * f->numbers.law_per_unit < -1) return OVERSTRETCHED;
-    return goes_through(f, bodies, w->x, &w->seen) ? GOES_THROUGH : CONVERGED;
+    return goes_through(f, bodies, w->x, &w->seen) ? TUNNELLING : CONVERGED;
 }
 
 /* Numbers of the faces of the hull that has most, of the bodies from one to before another. */
@@ -173,13 +173,13 @@ int64_t film_solve(const double *numbers, const double *law, int64_t columns, in
         film_pad(&f, 3, own_x, w.x), film_pad(&f, 1, own_force, w.force);
         int status = come_to_rest(&f, set, &own_bodies, 0, own_trend, own, &w);
         if (status == CONVERGED) status = can_be(&f, &own_bodies, &w);
-        if (set->again && (status == GOES_THROUGH || status == NOT_CONVERGED || status == INSIDE_OUT || status == BROKEN_DOWN))
+        if (set->again && (status == TUNNELLING || status == NOT_CONVERGED || status == INVERTED || status == NUMERICAL_FAILURE))
             status = come_from_rest(&f, set, &own_bodies, rest, own, &w);
         if (status == CONVERGED) status = can_be(&f, &own_bodies, &w);
         own[STATUS] = status;
         for (long k = 0; k < n; k++) w.seen.cell[k] = (double)w.swells[k];
         if (status == CONVERGED) add_up(&f, w.x, w.force, own, &w.seen);
-        hand_over(&f, 3, w.x, own_x, own_trend), hand_over(&f, 1, w.force, own_force, own_trend + 3 * nodes);
+        handover(&f, 3, w.x, own_x, own_trend), handover(&f, 1, w.force, own_force, own_trend + 3 * nodes);
     }
     free(faces);
     return 0;

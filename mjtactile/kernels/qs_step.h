@@ -32,7 +32,7 @@ Work film_work_in(const Film *film, const RestHeights *rest, const float *plane_
 /* Forces on the nodes, of heights or in the plane, and what goes with them. */
 void see_sheet(const Film *film, const Settings *set, int parts, Work *work);
 /* Bodies at the nodes, `lifted` m off where they are. */
-void look_at(const Film *film, const Bodies *bodies, double lifted, int step, Work *work);
+void check_image(const Film *film, const Bodies *bodies, double lifted, int step, Work *work);
 /* The lines that what touches, or is about to, has about it; 0 where all of them are in the window already. */
 int widen_window(const Film *film, double near, Work *work);
 /* Edges' springs into residual and links; `by` -1 takes them out again. */

@@ -4,13 +4,13 @@
 #include "quasistatic.h"
 #include "qs_sheet.h"
 
-enum { CONVERGED, NOT_CONVERGED, AT_THE_RIM, ON_THE_GLASS, INSIDE_OUT, BROKEN_DOWN, GOES_THROUGH, OVERSTRETCHED };
+enum { CONVERGED, NOT_CONVERGED, RIM_CONTACT, GLASS_CONTACT, INVERTED, NUMERICAL_FAILURE, TUNNELLING, OVERSTRETCHED };
 
 /* What is found, one row an environment. */
 enum { FORCE_X, FORCE_Y, FORCE_Z, TORQUE_X, TORQUE_Y, TORQUE_Z, PRESSURE, VOLUME, AREA, STATUS, STEPS, STRETCHED_AREA, TENSION,
        LAST_STEP, FOUND };
 
-typedef struct { double gas, sealed, tolerance, most_steps, again, below_rim; } Settings; /* gas: p V^gamma if sealed, else the pressure
+typedef struct { double gas, sealed, tolerance, max_steps, again, below_rim; } Settings; /* gas: p V^gamma if sealed, else the pressure
     held; again: from rest, in small steps, where a start from elsewhere ends nowhere; below_rim: m that bodies may be below the frame's
     rim, which bears them there */
 

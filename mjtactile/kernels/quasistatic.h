@@ -17,7 +17,7 @@ typedef struct {
     double law_middle, law_per_unit;         /* of the polynomial's argument, 1 / sqrt(det C) */
     double tension_slope;                    /* dT/dJ at rest, N/m */
     double shell;                            /* Young's modulus times thickness, N/m */
-    double chamber_flat, ambient, heat_ratio;
+    double chamber_flat, ambient, polytropic_exponent;
     double half_thickness, depth;            /* of the sheet; of the chamber behind it */
     double opening;                          /* m^2 of the frame's */
     double cut;                              /* address of what its outline leaves of the grid (film_cut.h); 0: all, of a rectangle */

@@ -170,7 +170,7 @@ static void add_rim(const Patch *patch, const Brush *brush, const Series *f, lon
     }
 }
 
-int64_t draw_discs(int64_t n, const double *p_CM, const double *n_C, const double *radii, const double *camera_, double per_px,
+int64_t render_discs(int64_t n, const double *p_CM, const double *n_C, const double *radii, const double *camera_, double per_px,
                    int64_t bins, int64_t taps, const float *across, const float *down, int64_t height, int64_t width,
                    float *coverage) {
     Brush brush = {bins, taps, across, down};

@@ -9,8 +9,8 @@
 
 #define PRODUCTS 16 /* splines that do not vanish at a point */
 
-typedef struct { double length_x, length_y, distance, slope_model_sd, slope_sd_most, slope_off, outlier_sd,
-                 outlier_least, outliers_leave; } Settings;
+typedef struct { double length_x, length_y, distance, slope_model_sd, slope_sd_max, slope_off, outlier_sd,
+                 outlier_min, outliers_leave; } Settings;
 
 _Static_assert(sizeof(Settings) == 9 * sizeof(double), "as in kernels.h");
 
@@ -81,7 +81,7 @@ static int fit_heights(const System *s, long n, Marker *markers, const Settings 
             if (!m->used) continue;
             double rest = most(1 - variance_of(s, m, m->z, s->inverse) * square(m->weight), 1e-6);
             double off = fabs(m->p[2] - dot(s, m, m->z, s->c)) / rest;  /* m */
-            double excess = least(off / o->outlier_least, off * m->weight * sqrt(rest) / o->outlier_sd);
+            double excess = least(off / o->outlier_min, off * m->weight * sqrt(rest) / o->outlier_sd);
             if (excess > worst) worst = excess, out = m;
         }
         if (!out || left <= o->outliers_leave * n) return 0;
@@ -108,7 +108,7 @@ static long add_slopes(const System *s, long n, const Marker *markers, const Set
         slopes[i][0] = -m->normal[0] / m->normal[2], slopes[i][1] = -m->normal[1] / m->normal[2];
         /* false for what is not a number: an unknown slope is not used */
         int near = fabs(slopes[i][0] - z_x) < o->slope_off && fabs(slopes[i][1] - z_y) < o->slope_off;
-        int use = m->used && sd < o->slope_sd_most && near;
+        int use = m->used && sd < o->slope_sd_max && near;
         weights[i] = use ? 1 / sd : 0;
         count += use;
     }

@@ -32,7 +32,7 @@ typedef struct { long qx, qy; Line *x, *y; Point *points; const Turn *turns; } L
 
 int is_sheet(long nx, long ny) { return nx > FEWEST_SPANS && ny > FEWEST_SPANS; }
 
-Sheet sheet_of(long nx, long ny, const double *numbers) {
+Sheet membrane_of(long nx, long ny, const double *numbers) {
     Sheet s = {.nx = nx, .ny = ny, .n = nx * ny, .width = SHEET_WIDTH(ny)};
     if (numbers) memcpy(&s.numbers, numbers, sizeof s.numbers);
     return s;
@@ -165,7 +165,7 @@ static void add_line(const Sheet *s, const Line *line, const double *value, cons
 int64_t sheet_state(int64_t nx, int64_t ny, const double *numbers, int64_t entries, const double *law_, const double *turns,
                     const double *c, double scale, double *elastic, double *gradient, double *volume) {
     if (!is_sheet(nx, ny) || entries < 2) return REFUSED;
-    Sheet s = sheet_of(nx, ny, numbers);
+    Sheet s = membrane_of(nx, ny, numbers);
     s.law = law_, s.entries = entries;
     Look l;
     double sum = 0, *along = malloc(9 * s.ny * sizeof *along), *across = along + 3 * s.ny, *normal = across + 3 * s.ny;
@@ -292,7 +292,7 @@ static void assemble(const Sheet *s, const Look *l, double scale, double pressur
 int64_t sheet_tangent(int64_t nx, int64_t ny, const double *numbers, int64_t entries, const double *law_, const double *turns,
                       const double *c, double scale, double pressure, double *band) {
     if (!is_sheet(nx, ny) || entries < 2) return REFUSED;
-    Sheet s = sheet_of(nx, ny, numbers);
+    Sheet s = membrane_of(nx, ny, numbers);
     s.law = law_, s.entries = entries;
     Look l;
     int failed = look(&s, c, (const Turn *)turns, &l);
@@ -327,7 +327,7 @@ void solve_stiffness(const Sheet *s, const Stiffness *K, double *x) {
 }
 
 double soften(int64_t nx, int64_t ny, const double *factor, const double *gradient, double gas_stiffness, double *softened) {
-    Sheet s = sheet_of(nx, ny, NULL);
+    Sheet s = membrane_of(nx, ny, NULL);
     double along = 0;
     together(&s, gradient, softened);
     band_forward(3 * s.n, s.width, factor, softened);
@@ -338,7 +338,7 @@ double soften(int64_t nx, int64_t ny, const double *factor, const double *gradie
 
 int64_t sheet_solve(int64_t nx, int64_t ny, const double *factor, const double *softened, double share, const double *forces,
                     double *out) {
-    Sheet s = sheet_of(nx, ny, NULL);
+    Sheet s = membrane_of(nx, ny, NULL);
     Stiffness K = {factor, softened, share};
     double *x = malloc(3 * s.n * sizeof *x);
     if (!x) return NO_MEMORY;

@@ -12,7 +12,7 @@ typedef struct { long nx, ny, n, width, entries; SheetNumbers numbers; const dou
 /* A factorised stiffness K0 + s g g^T: the band's factor, and its inverse's change by the gas, -share w w^T. */
 typedef struct { const double *factor, *softened; double share; } Stiffness;
 
-Sheet sheet_of(long nx, long ny, const double *numbers); /* NULL: only its shape */
+Sheet membrane_of(long nx, long ny, const double *numbers); /* NULL: only its shape */
 int is_sheet(long nx, long ny);                          /* else it has too few splines */
 void together(const Sheet *sheet, const double *parts, double *x); /* (3, n) to (n, 3) */
 void apart(const Sheet *sheet, const double *x, double *parts);

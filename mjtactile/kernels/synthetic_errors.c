@@ -27,7 +27,7 @@ static double lasting(const double *row, int part) { /* variance */
 }
 
 int64_t draw_errors(int64_t loads, const double *load, const double *table, const double *gain, const double *spread,
-                    const double *said_correlation, const double *settings, const double *outlier_size, const double *normals, const double *wrench, double *slow,
+                    const double *reported_correlation, const double *settings, const double *outlier_size, const double *normals, const double *wrench, double *slow,
                     double *row, double *felt, double *cov) {
     if (loads < 2) return REFUSED;
     at_load(loads, load, table, most(-wrench[2], 0), row);
@@ -45,7 +45,7 @@ int64_t draw_errors(int64_t loads, const double *load, const double *table, cons
         if (i < 2) felt[i] += settings[SHEAR_GAIN] * wrench[i];
         for (int k = 0; k < 6; k++) {
             felt[i] += gain[6 * i + k] * wrench[k];
-            cov[6 * i + k] = row[SAID + i] * row[SAID + k] * said_correlation[6 * i + k];
+            cov[6 * i + k] = row[SAID + i] * row[SAID + k] * reported_correlation[6 * i + k];
         }
     }
     return 0;

@@ -1,7 +1,7 @@
 """`attach`: put a sensor that feels into any MuJoCo scene.
 
     spec = mujoco.MjSpec.from_file("their_robot.xml")
-    print(*mjtactile.recommend_options(spec), sep="\\n")       # what it changed, and why
+    print(*mjtactile.configure_options(spec), sep="\\n")       # what it changed, and why
     sites = ("left_tip", "right_tip")
     tips = [mjtactile.attach(spec, "dense", site=site, prefix=f"{site}/") for site in sites]
     model = spec.compile()
@@ -29,11 +29,11 @@ from mjtactile.plugin.sim_finger import OUTPUTS, SimFinger
 from mjtactile.sim.attach import Attachment, attach_membrane
 from mjtactile.sim.sensor.effect_switches import CAMERA, PHYSICS, Effect
 
-_LEAST_MESH = 8  # vertices along a side: the shipped sensors' references are in balance from there
+_MIN_MESH = 8  # vertices along a side: the shipped sensors' references are in balance from there
 
 
 @dataclass(frozen=True, eq=False)
-class Mount:
+class AttachedSensor:
     """Where `attach` put a sensor; `bind` it to each model compiled from that spec.
 
     Attributes:
@@ -74,7 +74,7 @@ def attach(
     mass: float = 0.05,
     contact: str = "auto",
     effects: Collection[str] = PHYSICS | CAMERA,
-) -> Mount:
+) -> AttachedSensor:
     """Attach a sensor to a scene, with `user` sensors for what it feels.
 
     Args:
@@ -95,13 +95,13 @@ def attach(
 
     Raises:
         InputError: An unknown site, a prefix already used, a sensor that cannot be simulated or
-            felt with, or options of `spec` that cannot carry it (`recommend_options` sets them).
+            felt with, or options of `spec` that cannot carry it (`configure_options` sets them).
     """
     design = load_sensor(sensor)
-    if mesh is not None and min(mesh) < _LEAST_MESH:
+    if mesh is not None and min(mesh) < _MIN_MESH:
         raise InputError(
             f"{mesh} vertices make a bulge that sensing takes for a disturbed one; at least "
-            f"({_LEAST_MESH}, {_LEAST_MESH})",
+            f"({_MIN_MESH}, {_MIN_MESH})",
             source="attach",
             field="mesh",
         )
@@ -123,4 +123,4 @@ def attach(
             dim=size,
             needstage=mujoco.mjtStage.mjSTAGE_NONE,
         )
-    return Mount(placed)
+    return AttachedSensor(placed)

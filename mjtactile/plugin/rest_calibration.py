@@ -18,10 +18,10 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
 from mjtactile.rig.finger import Finger
 from mjtactile.runtime.references import take_references
-from mjtactile.sensing.pipeline import Chain
-from mjtactile.sensing.pipeline_state import ChainState
-from mjtactile.sensing.stateful_pipeline import Perception
-from mjtactile.sim.attach import attach_membrane, recommend_options
+from mjtactile.sensing.pipeline import SensingPipeline
+from mjtactile.sensing.pipeline_state import PipelineState
+from mjtactile.sensing.stateful_pipeline import StatefulPipeline
+from mjtactile.sim.attach import attach_membrane, configure_options
 from mjtactile.sim.camera import SimCamera
 from mjtactile.sim.devices import SimClock, SimValve
 from mjtactile.sim.scenes.world import World
@@ -30,13 +30,13 @@ from mjtactile.sim.scenes.world import World
 @dataclass(frozen=True, eq=False)
 class Rest:
     """A sensor with its chamber sealed and nothing touching: `displacements` (3 k,) m in S of its
-    mesh's interior vertices, `pressure_gauge` Pa, and its `chain` with the `state` that has
+    mesh's interior vertices, `gauge_pressure` Pa, and its `chain` with the `state` that has
     measured both references."""
 
     displacements: Array
-    pressure_gauge: float
-    chain: Chain
-    state: ChainState
+    gauge_pressure: float
+    chain: SensingPipeline
+    state: PipelineState
 
 
 @lru_cache(maxsize=64)
@@ -49,7 +49,7 @@ def at_rest(
     for example.
     """
     spec = mujoco.MjSpec()
-    recommend_options(spec)
+    configure_options(spec)
     spec.option.gravity = [0.0, 0.0, 0.0]
     world = World(
         spec,
@@ -58,9 +58,9 @@ def at_rest(
     sensor = world.sensors[0]
     clock = SimClock(world)
     finger = Finger("alone", design, SimCamera(sensor, seed, effects), SimValve(sensor))
-    perception = Perception.of(design)
+    perception = StatefulPipeline.of(design)
     flat, rest = take_references([finger], clock)
-    perception.take_flat(flat.images[0])
-    perception.take_rest(rest.images[0], finger.pressure(rest.pressure_gauge[0]))
+    perception.measure_flat_reference(flat.images[0])
+    perception.measure_rest_reference(rest.images[0], finger.pressure(rest.gauge_pressure[0]))
     clock.close()
-    return Rest(sensor.displacements, sensor.pressure_gauge, perception.chain, perception.state)
+    return Rest(sensor.displacements, sensor.gauge_pressure, perception.chain, perception.state)

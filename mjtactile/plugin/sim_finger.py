@@ -12,10 +12,10 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
-from mjtactile.core.types import Array, FeltShape, Image, Surface, Touch
+from mjtactile.core.types import Array, ContactShape, Image, Surface, Touch
 from mjtactile.plugin.rest_calibration import at_rest
 from mjtactile.rig.finger import Finger
-from mjtactile.sensing.stateful_pipeline import Perception
+from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 from mjtactile.sim.attach import Attachment
 from mjtactile.sim.camera import SimCamera
 from mjtactile.sim.checked_stepper import Stepper
@@ -29,14 +29,14 @@ OUTPUTS = {"wrench": 6, "pressure": 1, "touching": 1}
 
 
 @dataclass(frozen=True, eq=False)
-class FingerReading:
+class SensorReading:
     """What one image of a finger's camera said: `touch` as old as it was then, the membrane at
-    `rest`, and `pressure_gauge` Pa and `temperature` K in the chamber when it was taken."""
+    `rest`, and `gauge_pressure` Pa and `temperature` K in the chamber when it was taken."""
 
     image: Image
     touch: Touch
     rest: Surface | None
-    pressure_gauge: float
+    gauge_pressure: float
     temperature: float
 
 
@@ -45,7 +45,7 @@ class SimFinger:
 
     It is no `mjtactile.Finger`: that one is part of a rig, whose session reads its devices. This
     one looks at its own images as they fall due, since the loop is the user's. Made by
-    `Mount.bind`, inflated and with its references taken.
+    `AttachedSensor.bind`, inflated and with its references taken.
 
     With every step it also writes `data.sensordata`: PREFIXwrench (6 numbers: N and N m about the
     origin of S, felt, as in `touch.traction.wrench`), PREFIXpressure (Pa, gauge) and PREFIXtouching
@@ -86,7 +86,7 @@ class SimFinger:
         return replace(self._touch, age=float(self._data.time) - self._touch.time)
 
     @property
-    def shape(self) -> FeltShape:
+    def shape(self) -> ContactShape:
         """What body the newest image shows, found when it is asked for: a tenth of a second and
         more.
 
@@ -100,16 +100,16 @@ class SimFinger:
         return self._image
 
     @property
-    def seen(self) -> FingerReading:
+    def seen(self) -> SensorReading:
         """All that the newest image said, in one piece: for other threads than the one that
         steps."""
         return self._seen
 
     @property
-    def pressure_gauge(self) -> float:
+    def gauge_pressure(self) -> float:
         """Pressure in the chamber, Pa above ambient, at the last step: what a pressure sensor would
         read."""
-        return self.sensor.pressure_gauge
+        return self.sensor.gauge_pressure
 
     @property
     def flags(self) -> Mapping[str, str]:
@@ -117,7 +117,7 @@ class SimFinger:
         `edge`, `frame`, `speed`, ...), and its reason when it was first seen since `reset`."""
         return MappingProxyType(self._stepper.flags)
 
-    def true_wrench(self) -> Array:
+    def ground_truth_wrench(self) -> Array:
         """What the simulation has on the membrane, for scoring: a real sensor cannot tell.
 
         Returns:
@@ -137,11 +137,11 @@ class SimFinger:
         rest = at_rest(self.design, (mesh.nx, mesh.ny), effects, self._seed)
         self.sensor: AnySensor = self._membrane.bind(self._model, self._data)
         """The membrane, its gas and its valve."""
-        self.sensor.inflate(rest.displacements, rest.pressure_gauge)
+        self.sensor.inflate(rest.displacements, rest.gauge_pressure)
         self._camera = SimCamera(self.sensor, self._seed, effects)
         self._valve = SimValve(self.sensor, self._seed)
         self._finger = Finger(self.name, self.design, self._camera, self._valve)
-        self._perception = Perception(rest.chain, rest.state)
+        self._perception = StatefulPipeline(rest.chain, rest.state)
         self._stepper = Stepper(self._model, self._data, [self.sensor])
         self._time = float(self._data.time)
         self._look()
@@ -193,11 +193,11 @@ class SimFinger:
         reading = self._finger.reading(self._valve.state())
         self._touch = self._perception.perceive(self._image, self._time, reading)
         reference = self._perception.state.reference
-        self._seen = FingerReading(
+        self._seen = SensorReading(
             self._image,
             self._touch,
             None if reference is None else reference.surface,
-            self.pressure_gauge,
+            self.gauge_pressure,
             self.sensor.temperature,
         )
         self._write()
@@ -209,7 +209,7 @@ class SimFinger:
         wrench = touch.traction.wrench if known and touch.traction is not None else math.nan
         for place, value in zip(
             self._outputs,
-            (wrench, self.pressure_gauge, touch.touching if known else math.nan),
+            (wrench, self.gauge_pressure, touch.touching if known else math.nan),
             strict=True,
         ):
             self._data.sensordata[place] = value

@@ -9,11 +9,11 @@ import numpy as np
 
 from mjtactile.core.errors import InputError
 from mjtactile.quasistatic.obstacles import Obstacle
-from mjtactile.quasistatic.solution import FilmBatch, FilmState
+from mjtactile.quasistatic.solution import MembraneSolution, MembraneSolutionBatch
 
-_LEAST_NODES = 5
-_MOST_NODES = 400
-_MOST_GAUGE = 1e6  # Pa
+_MIN_NODES = 5
+_MAX_NODES = 400
+_MAX_GAUGE = 1e6  # Pa
 
 
 def grid(counts: Any) -> tuple[int, int]:
@@ -22,9 +22,9 @@ def grid(counts: Any) -> tuple[int, int]:
         found = tuple(int(count) for count in counts)
     except (TypeError, ValueError):
         found = ()
-    if len(found) != 2 or not all(_LEAST_NODES <= count <= _MOST_NODES for count in found):
+    if len(found) != 2 or not all(_MIN_NODES <= count <= _MAX_NODES for count in found):
         raise InputError(
-            f"{counts} must be two numbers of nodes, {_LEAST_NODES} to {_MOST_NODES}", field="grid"
+            f"{counts} must be two numbers of nodes, {_MIN_NODES} to {_MAX_NODES}", field="grid"
         )
     return found[0], found[1]
 
@@ -43,16 +43,16 @@ def environments(obstacles: Any) -> list[Collection[Obstacle]]:
 
 def require_batch(field: str, batch: Any, shape: tuple[int, ...]) -> None:
     """Raise InputError where something is no batch of displacements of this shape."""
-    if not isinstance(batch, FilmBatch):
-        raise InputError(f"{type(batch).__name__} is no FilmBatch", field=field)
+    if not isinstance(batch, MembraneSolutionBatch):
+        raise InputError(f"{type(batch).__name__} is no MembraneSolutionBatch", field=field)
     if batch.x.shape != shape:
         raise InputError(f"is of {batch.x.shape}, not {shape}", field=field)
 
 
 def require_state(state: Any, shape: tuple[int, ...]) -> None:
     """Raise InputError where something is no state of displacements of this shape."""
-    if not isinstance(state, FilmState):
-        raise InputError(f"{type(state).__name__} is no FilmState", field="state")
+    if not isinstance(state, MembraneSolution):
+        raise InputError(f"{type(state).__name__} is no MembraneSolution", field="state")
     if state.x.shape != shape:
         raise InputError(
             f"is of a film of {state.x.shape[1:]} nodes, not {shape[1:]}", field="state"
@@ -71,7 +71,7 @@ def pressure(gauge: Any) -> float:
     try:
         found = float(gauge)
     except (TypeError, ValueError):
-        raise InputError(f"{gauge!r} is not a number of Pa", field="pressure_gauge") from None
-    if not 0 < found < _MOST_GAUGE:
-        raise InputError(f"{found:g} Pa must be above ambient", field="pressure_gauge")
+        raise InputError(f"{gauge!r} is not a number of Pa", field="gauge_pressure") from None
+    if not 0 < found < _MAX_GAUGE:
+        raise InputError(f"{found:g} Pa must be above ambient", field="gauge_pressure")
     return found

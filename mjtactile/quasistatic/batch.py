@@ -9,7 +9,7 @@ from threading import Thread
 
 import numpy as np
 
-from mjtactile.quasistatic.solution import FOUND, FilmBatch
+from mjtactile.quasistatic.solution import FOUND, MembraneSolutionBatch
 
 
 def at_once(threads: int, work: Callable[[int], object]) -> None:
@@ -32,10 +32,10 @@ def at_once(threads: int, work: Callable[[int], object]) -> None:
             raise failure
 
 
-def new_batch(count: int, grid: tuple[int, int]) -> FilmBatch:
+def new_batch(count: int, grid: tuple[int, int]) -> MembraneSolutionBatch:
     """Memory for `count` states, with nothing in it yet."""
     x, trend = (np.empty((count, parts, *grid)) for parts in (3, 4))
-    return FilmBatch(x, np.empty((count, *grid)), np.empty((count, FOUND)), trend)
+    return MembraneSolutionBatch(x, np.empty((count, *grid)), np.empty((count, FOUND)), trend)
 
 
 _Order = tuple[Callable[[int], object], int, "SimpleQueue[BaseException | None]"]

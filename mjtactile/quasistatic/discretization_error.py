@@ -45,20 +45,20 @@ def doubt(obstacles: Sequence[Obstacle], spacing: float) -> float:
     Returns:
         The share; of no bodies 0.
     """
-    return doubt_of_rows([one.numbers for one in obstacles], spacing)
+    return row_error([one.numbers for one in obstacles], spacing)
 
 
-def doubt_of_rows(rows: Sequence[Array] | Array, spacing: float) -> float:
+def row_error(rows: Sequence[Array] | Array, spacing: float) -> float:
     """The same of bodies' numbers (k, NUMBERS) as the kernel takes them."""
     return max((_share(row, spacing) for row in rows), default=0.0) * (spacing / SPACING)
 
 
-def doubt_of_few(nodes: int) -> float:
+def error_of_few_nodes(nodes: int) -> float:
     """The same share because so few nodes touch, however wide the body is."""
     return next(share for least, share in _FEW if nodes >= least)
 
 
-def doubt_of_gap(gap: float, force: float, tension: float) -> float:
+def gap_error(gap: float, force: float, tension: float) -> float:
     """The same share because the lowest place of a body is behind the sheet: a tip between nodes,
     which a sheet under tension `tension` would not let through.
 
@@ -73,7 +73,7 @@ def doubt_of_gap(gap: float, force: float, tension: float) -> float:
     return min(max(gap, 0.0) * tension / force, 1.0)
 
 
-def doubt_of_area(obstacles: Sequence[Obstacle], width: float, spacing: float) -> float:
+def area_error(obstacles: Sequence[Obstacle], width: float, spacing: float) -> float:
     """Share of the contact area within which 9 of 10 are, by how wide the contact is.
 
     Args:

@@ -1,10 +1,9 @@
-"""`LiveFilm`: a film that is followed from step to step in place, beside a simulation.
+"""`IncrementalMembrane`: a film that is followed from step to step in place, beside a simulation.
 
-`Film` makes a state for every solution; this one keeps one, with its own room, so that films of
-many environments can be followed in threads. What sticks to it is held by the sheet in the plane
-(docs/theory/quasistatic_membrane.md, X7) with the stiffness of the sheet at rest, whose inverse is
-made once.
-"""
+`QuasistaticMembrane` makes a state for every solution; this one keeps one, with its own room, so
+that films of many environments can be followed in threads. What sticks to it is held by the sheet
+in the plane (docs/theory/quasistatic_membrane.md, X7) with the stiffness of the sheet at rest,
+whose inverse is made once."""
 
 from __future__ import annotations
 
@@ -17,8 +16,8 @@ from numpy.typing import NDArray
 from mjtactile.core.types import Array
 from mjtactile.kernels import bound, kernel
 from mjtactile.quasistatic import obstacles
-from mjtactile.quasistatic.discretization_error import doubt_of_rows
-from mjtactile.quasistatic.membrane import Film
+from mjtactile.quasistatic.discretization_error import row_error
+from mjtactile.quasistatic.membrane import QuasistaticMembrane
 from mjtactile.quasistatic.solution import (
     AREA,
     FOUND,
@@ -27,18 +26,18 @@ from mjtactile.quasistatic.solution import (
     TENSION,
     VOLUME,
     WRENCH,
-    FilmStatus,
+    MembraneStatus,
 )
 from mjtactile.quasistatic.stiffness import compliance_of
 
 _TOLERANCE = 1e-6  # m, of what is left of the displacements
-_MOST_STEPS = 40
+_MAX_STEPS = 40
 HEAT_RATIO = 14
 """Place of the gas's exponent in a film's numbers."""
 _RAMP = 200.0  # Pa that the gas may rise or fall by in one solution
 
 
-class LiveFilm:
+class IncrementalMembrane:
     """One film's present state. SI units, frame S.
 
     Attributes:
@@ -47,7 +46,9 @@ class LiveFilm:
         force: (nx, ny) N of contact at each node, along -z.
     """
 
-    def __init__(self, film: Film, rows: Array, pool: Array | None, below_rim: float = 0.0):
+    def __init__(
+        self, film: QuasistaticMembrane, rows: Array, pool: Array | None, below_rim: float = 0.0
+    ):
         """`rows` (k, NUMBERS) are the bodies, read at every solution; `pool` what they have of
         planes; `below_rim` m is how far they may be below the frame's rim, which bears them
         there."""
@@ -58,7 +59,7 @@ class LiveFilm:
         self.rows = rows
         self.pool = pool
         self.found = np.zeros(FOUND)
-        self.settings = np.array([0.0, 0.0, _TOLERANCE, float(_MOST_STEPS), 1.0, below_rim])
+        self.settings = np.array([0.0, 0.0, _TOLERANCE, float(_MAX_STEPS), 1.0, below_rim])
         self.numbers = film._numbers.copy()
         room = np.empty_like(film._room)
         kept = (film._kept.size, film._kept)
@@ -70,7 +71,7 @@ class LiveFilm:
         """What `film_follow` takes of a film."""
         self._solve = bound("film_solve", *fixed, 1, 0, 1, *given, *state)
 
-    def rest_on(self, gas: float, sealed: bool, exponent: float) -> FilmStatus:
+    def rest_on(self, gas: float, sealed: bool, exponent: float) -> MembraneStatus:
         """Come to rest on the bodies.
 
         Args:
@@ -84,14 +85,14 @@ class LiveFilm:
         self.numbers[HEAT_RATIO] = exponent
         self.settings[:2] = gas, sealed
         self._solve()
-        return FilmStatus(int(self.found[STATUS]))
+        return MembraneStatus(int(self.found[STATUS]))
 
-    def go_to_pressure(self, pressure_gauge: float) -> FilmStatus:
+    def go_to_pressure(self, gauge_pressure: float) -> MembraneStatus:
         """Come to rest at a gauge pressure that may be far from the present one, in small steps."""
         start = float(self.found[PRESSURE])
-        count = max(1, int(np.ceil(abs(pressure_gauge - start) / _RAMP)))
-        status = FilmStatus.CONVERGED
-        for pressure in np.linspace(start, pressure_gauge, count + 1)[1:]:
+        count = max(1, int(np.ceil(abs(gauge_pressure - start) / _RAMP)))
+        status = MembraneStatus.CONVERGED
+        for pressure in np.linspace(start, gauge_pressure, count + 1)[1:]:
             status = self.rest_on(float(pressure), False, 1.0)
         return status
 
@@ -132,7 +133,7 @@ class LiveFilm:
         place, reach = rows[:, 13:16], rows[:, 19]
         over = (np.abs(place[:, :2]) - reach[:, None] < (film.x[-1], film.y[-1])).all(axis=1)
         near = over & (place[:, 2] - reach < film.rest.heights.max())
-        return doubt_of_rows(rows[near], film.spacing)
+        return row_error(rows[near], film.spacing)
 
     @property
     def volume(self) -> float:
@@ -140,7 +141,7 @@ class LiveFilm:
         return float(self.found[VOLUME])
 
     @property
-    def pressure_gauge(self) -> float:
+    def gauge_pressure(self) -> float:
         """Pa, of the last solution."""
         return float(self.found[PRESSURE])
 
@@ -184,7 +185,7 @@ class Sticking:
     Costs 8 (inner nodes)^2 x 4 bytes: 2.3 MB at 21 x 16.
     """
 
-    def __init__(self, film: Film):
+    def __init__(self, film: QuasistaticMembrane):
         self.film = film
 
     @cached_property

@@ -16,22 +16,22 @@ from mjtactile.core.types import Array
 from mjtactile.kernels import kernel
 from mjtactile.quasistatic.cut_cells import moving
 from mjtactile.quasistatic.obstacles import NUMBERS
-from mjtactile.quasistatic.solution import FOUND, FilmState
+from mjtactile.quasistatic.solution import FOUND, MembraneSolution
 
 _INFLATING = (0.25, 0.5, 0.75, 1.0)  # of the pressure
 _TAUT = 1.02  # stretch that a sheet is inflated with at least, and then let go to its own
 _LETTING_GO = (1.0, 0.5, 0.25, 0.0)  # of what it is stretched more
 _INFLATED = 1e-9  # m
-_MOST_STEPS = 160
+_MAX_STEPS = 160
 _STRETCH_SQUARED = 4  # place in a film's numbers
 
 
 class Uninflated(Protocol):
-    """Of a `Film`, what is there before it rests."""
+    """Of a `QuasistaticMembrane`, what is there before it rests."""
 
     design: SensorDesign
     grid: tuple[int, int]
-    pressure_gauge: float
+    gauge_pressure: float
     x: Array
     y: Array
     _numbers: Array
@@ -45,7 +45,7 @@ class Uninflated(Protocol):
     ) -> None: ...
 
 
-def inflate(film: Uninflated) -> FilmState:
+def inflate(film: Uninflated) -> MembraneSolution:
     """Find where a film rests, from a low bulge of about the right height, with stiffnesses that
     are made anew on the way; the last ones, of the sheet at rest, are kept for all solutions.
 
@@ -69,16 +69,16 @@ def inflate(film: Uninflated) -> FilmState:
             _keep(film, x)
         except np.linalg.LinAlgError:
             break
-        settings = np.array([share * film.pressure_gauge, 0.0, _INFLATED, _MOST_STEPS, 1.0, 0.0])
+        settings = np.array([share * film.gauge_pressure, 0.0, _INFLATED, _MAX_STEPS, 1.0, 0.0])
         trend = np.zeros((4, *film.grid))
         film._run(settings, np.zeros((0, NUMBERS)), None, (x, force, trend, found))
-        if not FilmState(x, force, found).converged:
+        if not MembraneSolution(x, force, found).converged:
             break
     else:
-        return FilmState(x, force, found)
+        return MembraneSolution(x, force, found)
     raise InputError(
-        f"sensor {film.design.name}: the sheet finds no rest at {film.pressure_gauge:g} Pa",
-        field="pressure_gauge",
+        f"sensor {film.design.name}: the sheet finds no rest at {film.gauge_pressure:g} Pa",
+        field="gauge_pressure",
     )
 
 
@@ -101,7 +101,7 @@ def _low_bulge(film: Uninflated) -> Array:
         if outline is None
         else replace(film.design, frame=replace(frame, shape="ellipse"))
     )
-    height = analytical_solutions.bulge_height(known, _INFLATING[0] * film.pressure_gauge)
+    height = analytical_solutions.bulge_height(known, _INFLATING[0] * film.gauge_pressure)
     if not np.isfinite(height):
         height = 0.1 * min(frame.length, frame.width)
     x = np.zeros((3, *film.grid))

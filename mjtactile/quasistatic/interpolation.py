@@ -12,7 +12,7 @@ import numpy as np
 from mjtactile.core.bspline import interpolating
 from mjtactile.core.types import Array
 from mjtactile.quasistatic.cut_cells import moving
-from mjtactile.quasistatic.membrane import Film
+from mjtactile.quasistatic.membrane import QuasistaticMembrane
 
 _BEYOND = 4.0  # spacings that are continued; a spline forgets to a quarter with each
 _ABOUT = 3.0  # spacings, about the nearest place, that are fitted
@@ -20,7 +20,7 @@ _POINTS = 1440  # of the outline
 _APART = 0.7  # spacings, of those that are fitted
 
 
-def carried(film: Film, places: Array) -> Array:
+def carried(film: QuasistaticMembrane, places: Array) -> Array:
     """How nodes' displacements carry over to places of the sheet.
 
     Args:
@@ -31,14 +31,14 @@ def carried(film: Film, places: Array) -> Array:
         (n, nx * ny) of displacements there, by those of the nodes; the sheet does not move on the
         frame.
     """
-    by_node = carried_with_slopes(film, places)[0]
+    by_node = interpolation_matrix_with_gradient(film, places)[0]
     outline = film.design.frame.outline
     if outline is None:
         return by_node
     return np.where(outline.distance(places)[:, None] > 0, by_node, 0.0)
 
 
-def carried_with_slopes(film: Film, places: Array) -> Array:
+def interpolation_matrix_with_gradient(film: QuasistaticMembrane, places: Array) -> Array:
     """The same with slopes.
 
     Args:
@@ -60,7 +60,7 @@ def carried_with_slopes(film: Film, places: Array) -> Array:
     return by_node + by_node[:, :, outside] @ by_free
 
 
-def _continued(film: Film) -> tuple[Array, Array]:
+def _continued(film: QuasistaticMembrane) -> tuple[Array, Array]:
     """Numbers (m,) of the nodes beside an outline, and their displacements (m, nx * ny) by those of
     all nodes."""
     outline = film.design.frame.outline

@@ -1,4 +1,4 @@
-"""`Film`: one sensor's sheet on a grid, over its gas, ready to be pressed."""
+"""`QuasistaticMembrane`: one sensor's sheet on a grid, over its gas, ready to be pressed."""
 
 from __future__ import annotations
 
@@ -22,22 +22,28 @@ from mjtactile.quasistatic.inflation import inflate
 from mjtactile.quasistatic.obstacles import Obstacle
 from mjtactile.quasistatic.sensitivities import (
     POSE_STEP,
-    FilmDerivatives,
     Shape,
+    SolutionSensitivities,
     changed_bodies,
     derived,
     moved_rows,
 )
-from mjtactile.quasistatic.solution import FOUND, FilmBatch, FilmState, Pressing, judged
+from mjtactile.quasistatic.solution import (
+    FOUND,
+    ContactSetup,
+    MembraneSolution,
+    MembraneSolutionBatch,
+    judged,
+)
 from mjtactile.quasistatic.stick_contact import StuckPatch, patches_of
 
 TOLERANCE = 5e-7  # m, of what is left of the displacements
-_MOST_STEPS = 40
+_MAX_STEPS = 40
 _MIXED_AREA = 1.05
 """Area ratio at which the tension's slope is taken; steps depend on it, results do not."""
 
 
-class Film:
+class QuasistaticMembrane:
     """A sensor's sheet as a film. Makes no state: `solve` takes one and gives one.
 
     `x` (nx,) and `y` (ny,) are the nodes' places on the mounted flat sheet, m, the frame's among
@@ -49,7 +55,7 @@ class Film:
         self,
         design: SensorDesign | str,
         grid: tuple[int, int] = (21, 16),
-        pressure_gauge: float | None = None,
+        gauge_pressure: float | None = None,
         *,
         sealed: bool = True,
     ):
@@ -58,7 +64,7 @@ class Film:
         Args:
             design: the sensor, of any outline.
             grid: nodes along x and y, those on the frame among them.
-            pressure_gauge: of the gas at rest, Pa; None: the sensor file's supply.
+            gauge_pressure: of the gas at rest, Pa; None: the sensor file's supply.
             sealed: whether the gas stays in, p V^gamma constant, or a valve holds its pressure.
 
         Raises:
@@ -67,8 +73,8 @@ class Film:
         self.design = design = load_sensor(design)
         self.grid = argument_checks.grid(grid)
         frame, chamber, sheet = design.frame, design.chamber, design.membrane
-        self.pressure_gauge = argument_checks.pressure(
-            chamber.supply_gauge if pressure_gauge is None else pressure_gauge
+        self.gauge_pressure = argument_checks.pressure(
+            chamber.supply_gauge if gauge_pressure is None else gauge_pressure
         )
         self.sealed = sealed
         self.x, self.y = (
@@ -77,27 +83,29 @@ class Film:
         )
         law, self._law = law_numbers(sheet)
         tensions = (tension_slope(sheet, _MIXED_AREA), sheet.young * sheet.thickness)
-        gas = (design.chamber_volume_flat, chamber.ambient, chamber.heat_ratio)
+        gas = (design.chamber_volume_flat, chamber.ambient, chamber.polytropic_exponent)
         sides = (frame.length, frame.width)
         depths = (sheet.thickness / 2, chamber.depth)
         stretch = sheet.pre_stretch**2
         self.spacing = max(float(line[1] - line[0]) for line in (self.x, self.y))
         self._cut, opening = cut_by(frame, self.x, self.y)
-        sheet_numbers = (*sides, *self.grid, stretch, *law, *tensions)
-        self._numbers = np.array([*sheet_numbers, *gas, *depths, opening, 0.0])
+        membrane_parameters = (*sides, *self.grid, stretch, *law, *tensions)
+        self._numbers = np.array([*membrane_parameters, *gas, *depths, opening, 0.0])
         self._point_at_cut()
         self._room = np.empty(kernel("film_room")(self._numbers))
         self._kept = np.empty(kernel("film_kept")(self._numbers), np.float32)
         self._rest = np.zeros((3, *self.grid))
         self._rooms: list[Array] = []  # of a batch's threads
         self._derive_room = np.empty(0)  # made when it is first asked for
-        self._finer: dict[float, Film] = {}  # those that were asked for
+        self._finer: dict[float, QuasistaticMembrane] = {}  # those that were asked for
         self._bind()
         self.rest = inflate(self)
         self._rest[:] = self.rest.x
-        absolute = self.pressure_gauge + chamber.ambient
+        absolute = self.gauge_pressure + chamber.ambient
         volume = design.chamber_volume_flat + self.rest.volume
-        self._gas = absolute * volume**chamber.heat_ratio if sealed else self.pressure_gauge
+        self._gas = (
+            absolute * volume**chamber.polytropic_exponent if sealed else self.gauge_pressure
+        )
 
     def _point_at_cut(self) -> None:
         """Where kernels find what the outline leaves of the grid; of a rectangle, all."""
@@ -140,8 +148,8 @@ class Film:
         return obstacle_rows.obstacle(kind, sizes, p_SO, R_SO, data=data)
 
     def solve(
-        self, obstacles: Obstacle | Sequence[Obstacle] = (), state: FilmState | None = None
-    ) -> FilmState:
+        self, obstacles: Obstacle | Sequence[Obstacle] = (), state: MembraneSolution | None = None
+    ) -> MembraneSolution:
         """Find where the film rests on obstacles.
 
         Args:
@@ -162,21 +170,21 @@ class Film:
         start = self.rest if state is None or not state.converged else state
         x, force, found = start.x.copy(), start.force.copy(), np.empty(FOUND)
         trend = np.zeros((4, *self.grid)) if start.trend is None else start.trend.copy()
-        settings = np.array([self._gas, self.sealed, TOLERANCE, _MOST_STEPS, 1.0, 0.0])
+        settings = np.array([self._gas, self.sealed, TOLERANCE, _MAX_STEPS, 1.0, 0.0])
         self._run(settings, rows, pool, (x, force, trend, found))
-        pressing = Pressing(listed, self.x, self.y, self.design.membrane.thickness / 2)
-        return judged(FilmState(x, force, found, trend, pressing))
+        pressing = ContactSetup(listed, self.x, self.y, self.design.membrane.thickness / 2)
+        return judged(MembraneSolution(x, force, found, trend, pressing))
 
     def solve_batch(
         self,
         obstacles: Sequence[Sequence[Obstacle]],
-        batch: FilmBatch | None = None,
+        batch: MembraneSolutionBatch | None = None,
         *,
         threads: int = 1,
         again: bool = True,
-        into: FilmBatch | None = None,
-        most_steps: int = _MOST_STEPS,
-    ) -> FilmBatch:
+        into: MembraneSolutionBatch | None = None,
+        max_steps: int = _MAX_STEPS,
+    ) -> MembraneSolutionBatch:
         """Where the films of several environments rest.
 
         Args:
@@ -187,7 +195,7 @@ class Film:
                 many times as much.
             into: a batch of as many that is not wanted any more, which may be `batch`, to be
                 written over: new memory costs up to a fifth of a solution, and in threads more.
-            most_steps: after which what has found no rest is given up.
+            max_steps: after which what has found no rest is given up.
 
         Returns:
             The states, one after the other. What cannot be has a status, and raises nothing.
@@ -205,7 +213,7 @@ class Film:
                 argument_checks.require_batch(field, given, (count, 3, *self.grid))
         made = new_batch(count, self.grid) if into is None or into.trend is None else into
         settings = np.tile(
-            [self._gas, self.sealed, TOLERANCE, most_steps, bool(again), 0.0], (count, 1)
+            [self._gas, self.sealed, TOLERANCE, max_steps, bool(again), 0.0], (count, 1)
         )
         threads = argument_checks.threads_among(threads, count)
         self._rooms += [np.empty_like(self._room) for _ in range(len(self._rooms), threads)]
@@ -229,11 +237,13 @@ class Film:
             Share of the force within which 9 of 10 presses are
             (`mjtactile.quasistatic.discretization_error`): 0.03 for what is round and eight
             spacings wide, up to 0.25, at a cone's tip 0.4, on nodes 2 mm apart. Shallow contacts of
-            few nodes are in `FilmState.doubt` as well.
+            few nodes are in `MembraneSolution.doubt` as well.
         """
         return doubt(obstacle_rows.listed(obstacles, "obstacles"), self.spacing)
 
-    def fine_enough(self, obstacles: Obstacle | Sequence[Obstacle], within: float = 0.03) -> Film:
+    def refined_for(
+        self, obstacles: Obstacle | Sequence[Obstacle], within: float = 0.03
+    ) -> QuasistaticMembrane:
         """Find a film of this sensor on a grid that is as fine as what presses it wants.
 
         A step costs 40 us on 21 x 16 nodes, 120 on 41 x 31, 340 on 61 x 46, 700 on 81 x 61; a
@@ -255,12 +265,18 @@ class Film:
             return self
         if by not in self._finer:
             grid = (round(by * (self.grid[0] - 1)) + 1, round(by * (self.grid[1] - 1)) + 1)
-            self._finer[by] = Film(self.design, grid, self.pressure_gauge, sealed=self.sealed)
+            self._finer[by] = QuasistaticMembrane(
+                self.design, grid, self.gauge_pressure, sealed=self.sealed
+            )
         return self._finer[by]
 
     def derivatives(
-        self, state: FilmState, shape: Shape, numbers: ArrayLike, steps: ArrayLike | None = None
-    ) -> FilmDerivatives:
+        self,
+        state: MembraneSolution,
+        shape: Shape,
+        numbers: ArrayLike,
+        steps: ArrayLike | None = None,
+    ) -> SolutionSensitivities:
         """Find how a state changes with the numbers of what presses the film.
 
         Args:
@@ -283,7 +299,7 @@ class Film:
         given = rows.reshape(len(listed), -1, obstacle_rows.NUMBERS), pool
         return derived(self, state, *given, by)
 
-    def derivatives_by_pose(self, state: FilmState) -> FilmDerivatives:
+    def derivatives_by_pose(self, state: MembraneSolution) -> SolutionSensitivities:
         """Find how a state changes as what presses the film moves, all of it as one body: its
         wrench by that is the contact's stiffness. Costs two thirds of `derivatives` by six numbers.
 
@@ -307,11 +323,11 @@ class Film:
         rows, pool = obstacle_rows.pooled(pressing, self.grid)
         return derived(self, state, moved_rows(rows), pool, np.full(6, POSE_STEP))
 
-    def _require_rest(self, state: FilmState) -> None:
+    def _require_rest(self, state: MembraneSolution) -> None:
         if not state.converged or state.x.shape != self.rest.x.shape:
             raise InputError("is not at rest, or not of this film", field="state")
 
-    def patches(self, state: FilmState) -> list[StuckPatch]:
+    def patches(self, state: MembraneSolution) -> list[StuckPatch]:
         """Find how stiffly each patch of contact, if it sticks, is held in the plane.
 
         Args:
@@ -327,7 +343,7 @@ class Film:
         self._require_rest(state)
         return patches_of(self.x, self.y, state, self.stiffness_factor(state))
 
-    def stiffness_factor(self, state: FilmState) -> Array:
+    def stiffness_factor(self, state: MembraneSolution) -> Array:
         """Factor the sheet's stiffness where a state is, over a gas that stays at its pressure.
 
         Args:
@@ -339,7 +355,9 @@ class Film:
         """
         return stiffness.factor_of(self, state)
 
-    def heights_of(self, obstacles: Obstacle | Sequence[Obstacle], places: ArrayLike) -> Array:
+    def obstacle_heights(
+        self, obstacles: Obstacle | Sequence[Obstacle], places: ArrayLike
+    ) -> Array:
         """Find how high obstacles leave the sheet's middle.
 
         Args:

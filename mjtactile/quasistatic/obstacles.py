@@ -102,7 +102,7 @@ def obstacle(
             infinite where there is nothing.
 
     Returns:
-        The body, for `Film.solve`.
+        The body, for `QuasistaticMembrane.solve`.
 
     Raises:
         InputError: an unknown kind, a number that is not finite or not positive, or the wrong
@@ -135,7 +135,7 @@ def obstacle(
     numbers[17] = len(pool)
     if kind == "heights":
         numbers[1:3] = np.shape(data)  # type: ignore[arg-type]
-    numbers[18] = _least_width(kind, sides, data)
+    numbers[18] = _min_width(kind, sides, data)
     numbers[19] = _reach(kind, sides, data)
     return Obstacle(kind, numbers, pool.ravel(), corners)
 
@@ -165,7 +165,7 @@ def ready(
     sides[: len(sizes)] = sizes
     pool, least, reach = _NO_POOL.ravel(), 2 * min(sides[:2]), sum(sizes)
     if kind == "sphere":
-        least = _least_width(kind, sides[:1], None)
+        least = _min_width(kind, sides[:1], None)
     if heights is not None:
         sides[:2] = heights.shape
         pool, least, reach = heights.ravel(), math.inf, math.inf
@@ -200,7 +200,7 @@ def pooled(bodies: Sequence[Obstacle], grid: tuple[int, int]) -> tuple[Array, Ar
     return rows, np.concatenate([body.pool for body in bodies])
 
 
-def _least_width(kind: str, size: list[float], data: ArrayLike | None) -> float:
+def _min_width(kind: str, size: list[float], data: ArrayLike | None) -> float:
     """How wide, m, a body is where it is thinnest; infinite for what cannot pass between nodes."""
     if kind in ("mesh", "triangles"):
         wide = np.ptp(np.asarray(data, dtype=float).reshape(-1, 3), axis=0)

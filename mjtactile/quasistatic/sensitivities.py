@@ -15,7 +15,7 @@ from mjtactile.core.types import Array
 from mjtactile.kernels import kernel
 from mjtactile.quasistatic import obstacles
 from mjtactile.quasistatic.obstacles import Obstacle
-from mjtactile.quasistatic.solution import AREA, FOUND, PRESSURE, VOLUME, WRENCH, FilmState
+from mjtactile.quasistatic.solution import AREA, FOUND, PRESSURE, VOLUME, WRENCH, MembraneSolution
 
 Shape = Callable[[Array], Obstacle | Sequence[Obstacle]]
 _STEP = 1e-8  # of a number, or of one: differences of bodies alone, which are closed forms
@@ -30,7 +30,7 @@ _TURNS = np.array([
 
 
 class Resting(Protocol):
-    """Of a `Film`, what derivatives want."""
+    """Of a `QuasistaticMembrane`, what derivatives want."""
 
     grid: tuple[int, int]
     sealed: bool
@@ -43,7 +43,7 @@ class Resting(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class FilmDerivatives:
+class SolutionSensitivities:
     """Derivatives of a film's state by n numbers of its bodies: what is in SI units, over the
     number's own unit.
 
@@ -56,7 +56,7 @@ class FilmDerivatives:
         displacements: (n, 3, nx, ny) of the nodes.
         contact_forces: (n, nx, ny) of the force along -z at each node.
         wrench: (n, 6) of force and torque about the origin of S.
-        pressure_gauge: (n,) of the gas.
+        gauge_pressure: (n,) of the gas.
         volume: (n,) between the film and the frame's plane.
         area: (n,) of the sheet in contact.
     """
@@ -64,7 +64,7 @@ class FilmDerivatives:
     displacements: Array
     contact_forces: Array
     wrench: Array
-    pressure_gauge: Array
+    gauge_pressure: Array
     volume: Array
     area: Array
 
@@ -130,8 +130,8 @@ def moved_rows(rows: Array) -> Array:
 
 
 def derived(
-    film: Resting, state: FilmState, rows: Array, pool: Array | None, by: Array
-) -> FilmDerivatives:
+    film: Resting, state: MembraneSolution, rows: Array, pool: Array | None, by: Array
+) -> SolutionSensitivities:
     """Ask the kernel.
 
     Args:
@@ -151,18 +151,18 @@ def derived(
         film._derive_room = np.empty(kernel("film_derive_room")(film._numbers))
     room, count = film._derive_room, len(by)
     by_x, by_force = np.empty((count, 3, *film.grid)), np.empty((count, *film.grid))
-    by_found = np.empty((count, FOUND))
+    by_detection = np.empty((count, FOUND))
     settings = np.array([film._gas, film.sealed, 0.0, 1.0, 0.0, 0.0])
     fixed = (film._numbers, film._law, *film.grid, room.size, room, settings)
     given = _given(state, rows, pool, by)
-    if _ask("film_derive", *fixed, *given, by_x, by_force, by_found):
+    if _ask("film_derive", *fixed, *given, by_x, by_force, by_detection):
         raise InputError("does not rest on these bodies, but elsewhere", field="state")
-    picked = (by_found[:, place] for place in (PRESSURE, VOLUME, AREA))
-    return FilmDerivatives(by_x, by_force, by_found[:, WRENCH], *picked)
+    picked = (by_detection[:, place] for place in (PRESSURE, VOLUME, AREA))
+    return SolutionSensitivities(by_x, by_force, by_detection[:, WRENCH], *picked)
 
 
 def answered(
-    film: Resting, state: FilmState, rows: Array, pool: Array | None, by: Array
+    film: Resting, state: MembraneSolution, rows: Array, pool: Array | None, by: Array
 ) -> tuple[Array, Array]:
     """Say about how a film's heights and contact forces change: what a step of its solution would
     have them do, without what moves in the plane, for a fifth of what `derived` costs.
@@ -191,7 +191,7 @@ def answered(
     return by_z, by_force
 
 
-def _given(state: FilmState, rows: Array, pool: Array | None, by: Array) -> tuple[Any, ...]:
+def _given(state: MembraneSolution, rows: Array, pool: Array | None, by: Array) -> tuple[Any, ...]:
     """Bodies, steps and state, as kernels take them."""
     pooled = 0 if pool is None else pool.size
     return rows.shape[1], len(by), rows, pooled, pool, by, state.x, state.force

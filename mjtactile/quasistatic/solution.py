@@ -12,35 +12,35 @@ from numpy.typing import NDArray
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.quasistatic.discretization_error import (
+    area_error,
     doubt,
-    doubt_of_area,
-    doubt_of_few,
-    doubt_of_gap,
+    error_of_few_nodes,
+    gap_error,
     lowest_place,
 )
 from mjtactile.quasistatic.obstacles import Obstacle
 
 
-class FilmStatus(IntEnum):
+class MembraneStatus(IntEnum):
     """How a solution ended, as the kernel says it."""
 
     CONVERGED = 0
     NOT_CONVERGED = 1
-    AT_THE_RIM = 2
-    ON_THE_GLASS = 3
-    INSIDE_OUT = 4
-    BROKEN_DOWN = 5
-    GOES_THROUGH = 6
+    RIM_CONTACT = 2
+    GLASS_CONTACT = 3
+    INVERTED = 4
+    NUMERICAL_FAILURE = 5
+    TUNNELLING = 6
     OVERSTRETCHED = 7
 
 
 _COMPLAINTS = {
-    FilmStatus.AT_THE_RIM: "an obstacle touches the frame's rim",
-    FilmStatus.ON_THE_GLASS: "an obstacle lies on the glass",
-    FilmStatus.INSIDE_OUT: "an obstacle pulls the sheet inside out",
-    FilmStatus.BROKEN_DOWN: "the numbers break down on this obstacle",
-    FilmStatus.GOES_THROUGH: "an obstacle goes through between the film's nodes; take a finer grid",
-    FilmStatus.OVERSTRETCHED: "an obstacle stretches the sheet beyond what its law is known for",
+    MembraneStatus.RIM_CONTACT: "an obstacle touches the rim of the frame",
+    MembraneStatus.GLASS_CONTACT: "an obstacle lies on the glass",
+    MembraneStatus.INVERTED: "an obstacle turns the membrane inside out",
+    MembraneStatus.NUMERICAL_FAILURE: "the solution is not finite for this obstacle",
+    MembraneStatus.TUNNELLING: "an obstacle passes between the nodes; use a finer grid",
+    MembraneStatus.OVERSTRETCHED: "the stretch exceeds the range of the material model",
 }
 
 # Places in `found`, as kernels/qs_workspace.h has them.
@@ -51,7 +51,7 @@ _TOUCHES = 5e-5  # m that a body may be behind a sheet that it does not touch
 
 
 @dataclass(frozen=True, eq=False)
-class Pressing:
+class ContactSetup:
     """What presses a film.
 
     Attributes:
@@ -72,11 +72,11 @@ class Pressing:
         return max((float(line[1] - line[0]) for line in (self.x, self.y) if len(line)), default=0)
 
 
-_BY_NOTHING = Pressing()
+_BY_NOTHING = ContactSetup()
 
 
 @dataclass(frozen=True, eq=False)
-class FilmState:
+class MembraneSolution:
     """A film at rest on what presses it. SI units, frame S.
 
     Numbers of a state that is not `converged` are NaN.
@@ -94,11 +94,11 @@ class FilmState:
     force: Array
     found: Array
     trend: Array | None = None
-    pressed_by: Pressing = _BY_NOTHING
+    pressed_by: ContactSetup = _BY_NOTHING
 
     @property
-    def status(self) -> FilmStatus:
-        return FilmStatus(int(self.found[STATUS]))
+    def status(self) -> MembraneStatus:
+        return MembraneStatus(int(self.found[STATUS]))
 
     @property
     def converged(self) -> bool:
@@ -120,20 +120,21 @@ class FilmState:
     @property
     def doubt(self) -> float:
         """Share of the force within which 9 of 10 presses are, because bodies or the contact are
-        narrow for the grid, or a tip is behind the sheet between its nodes (`Film.doubt`,
-        `Film.fine_enough`); 0 where nothing touches, 1 where a body should and does not."""
+        narrow for the grid, or a tip is behind the sheet between its nodes
+        (`QuasistaticMembrane.doubt`, `QuasistaticMembrane.refined_for`); 0 where nothing touches, 1
+        where a body should and does not."""
         if not self.converged:
             return float("nan")
         on = self.pressed_by
         gap = max((self._gap(body) for body in on.bodies), default=0.0)
         if not self.force_normal > 0:
             return float(gap > _TOUCHES)
-        few = doubt_of_few(int(np.count_nonzero(self.force > 0)) // max(len(on.bodies), 1))
-        tip = doubt_of_gap(gap, self.force_normal, float(self.found[TENSION]))
+        few = error_of_few_nodes(int(np.count_nonzero(self.force > 0)) // max(len(on.bodies), 1))
+        tip = gap_error(gap, self.force_normal, float(self.found[TENSION]))
         return max(doubt(on.bodies, on.spacing), few, tip)
 
     @property
-    def area_doubt(self) -> float:
+    def relative_area_error(self) -> float:
         """Share of `area` within which 9 of 10 are: infinite where the contact is a point or a line
         for this grid, whose area it cannot tell; 0 where nothing touches."""
         if not self.converged:
@@ -143,7 +144,7 @@ class FilmState:
             return float("inf") if self.doubt else 0.0
         longer = max(int(touching.any(axis=axis).sum()) for axis in (0, 1))
         on = self.pressed_by
-        return doubt_of_area(on.bodies, np.count_nonzero(touching) / longer, on.spacing)
+        return area_error(on.bodies, np.count_nonzero(touching) / longer, on.spacing)
 
     def _gap(self, body: Obstacle) -> float:
         """How far, m, a body's lowest place is behind the sheet; 0 where it is not over it."""
@@ -165,7 +166,7 @@ class FilmState:
         return self.found[WRENCH].copy() if self.converged else np.full(6, np.nan)
 
     @property
-    def pressure_gauge(self) -> float:
+    def gauge_pressure(self) -> float:
         """Gauge pressure of the gas, Pa."""
         return self._number(PRESSURE)
 
@@ -195,7 +196,7 @@ class FilmState:
         return self.force if self.converged else np.full(self.force.shape, np.nan)
 
 
-def judged(state: FilmState) -> FilmState:
+def judged(state: MembraneSolution) -> MembraneSolution:
     """The state, or InputError, in one line, for what cannot be."""
     complaint = _COMPLAINTS.get(state.status)
     if complaint is not None:
@@ -204,9 +205,9 @@ def judged(state: FilmState) -> FilmState:
 
 
 @dataclass(frozen=True, eq=False)
-class FilmBatch:
+class MembraneSolutionBatch:
     """Films of n environments at rest: `x` (n, 3, nx, ny), `force` (n, nx, ny), `found`
-    (n, FOUND) and `trend` (n, 4, nx, ny), as of `FilmState`."""
+    (n, FOUND) and `trend` (n, 4, nx, ny), as of `MembraneSolution`."""
 
     x: Array
     force: Array
@@ -216,14 +217,14 @@ class FilmBatch:
     def __len__(self) -> int:
         return len(self.found)
 
-    def __getitem__(self, number: int) -> FilmState:
+    def __getitem__(self, number: int) -> MembraneSolution:
         trend = None if self.trend is None else self.trend[number]
-        return FilmState(self.x[number], self.force[number], self.found[number], trend)
+        return MembraneSolution(self.x[number], self.force[number], self.found[number], trend)
 
     @property
     def converged(self) -> NDArray[np.bool_]:
         """(n,) of each."""
-        return self.found[:, STATUS] == FilmStatus.CONVERGED
+        return self.found[:, STATUS] == MembraneStatus.CONVERGED
 
     @property
     def force_normal(self) -> Array:

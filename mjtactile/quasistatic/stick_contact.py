@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
-from mjtactile.quasistatic.solution import FilmState
+from mjtactile.quasistatic.solution import MembraneSolution
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,17 +36,19 @@ class StuckPatch:
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class StickState:
     """What a sticking patch remembers: how far, (3,) m, m, rad, it is dragged and turned."""
 
     strain: Array
 
     @classmethod
-    def none(cls) -> Held:
+    def none(cls) -> StickState:
         return cls(np.zeros(3))
 
 
-def drag(patch: StuckPatch, held: Held, moved: ArrayLike, friction: float) -> tuple[Array, Held]:
+def drag(
+    patch: StuckPatch, held: StickState, moved: ArrayLike, friction: float
+) -> tuple[Array, StickState]:
     """Move a body that sticks, as far as friction lets it.
 
     Coulomb's limit is one for force and torque together, an ellipse (Howe & Cutkosky, Int. J.
@@ -78,17 +80,17 @@ def drag(patch: StuckPatch, held: Held, moved: ArrayLike, friction: float) -> tu
     if carried > limit:
         strain = strain * (limit / carried)
         load = load * (limit / carried)
-    return -load, Held(strain)
+    return -load, StickState(strain)
 
 
-def patches_of(x: Array, y: Array, state: FilmState, factor: Array) -> list[StuckPatch]:
+def patches_of(x: Array, y: Array, state: MembraneSolution, factor: Array) -> list[StuckPatch]:
     """Every set of neighbouring nodes that touch, largest force first.
 
     Args:
         x: (nx,) m, the nodes' places on the flat sheet.
         y: (ny,) m.
         state: At rest.
-        factor: As `Film.stiffness_factor` gives it, there.
+        factor: As `QuasistaticMembrane.stiffness_factor` gives it, there.
 
     Returns:
         The patches.
@@ -113,7 +115,7 @@ def _patch_of(places: Array, inner: NDArray[np.intp], force: Array, factor: Arra
         places: (m, 2) m, where they are.
         inner: (m,) their numbers among the nodes that move.
         force: (m,) N that each carries.
-        factor: As `Film.stiffness_factor` gives it.
+        factor: As `QuasistaticMembrane.stiffness_factor` gives it.
 
     Returns:
         The patch, whose nodes move as one body.

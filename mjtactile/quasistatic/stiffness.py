@@ -8,11 +8,11 @@ import numpy as np
 
 from mjtactile.core.types import Array
 from mjtactile.kernels import band_stride, kernel
-from mjtactile.quasistatic.solution import FilmState
+from mjtactile.quasistatic.solution import MembraneSolution
 
 
 class Sheet(Protocol):
-    """Of a `Film`, what its stiffness wants."""
+    """Of a `QuasistaticMembrane`, what its stiffness wants."""
 
     grid: tuple[int, int]
     _numbers: Array
@@ -20,7 +20,7 @@ class Sheet(Protocol):
     _room: Array
 
 
-def factor_of(film: Sheet, state: FilmState) -> Array:
+def factor_of(film: Sheet, state: MembraneSolution) -> Array:
     """Factor a sheet's stiffness.
 
     Args:
@@ -35,7 +35,7 @@ def factor_of(film: Sheet, state: FilmState) -> Array:
     return np.ascontiguousarray(_band(film, state)[:, : width + 1].T)
 
 
-def compliance_of(film: Sheet, state: FilmState) -> Array:
+def compliance_of(film: Sheet, state: MembraneSolution) -> Array:
     """How a sheet gives in the plane while its heights are free.
 
     Args:
@@ -53,11 +53,11 @@ def compliance_of(film: Sheet, state: FilmState) -> Array:
     return found
 
 
-def _band(film: Sheet, state: FilmState) -> Array:
+def _band(film: Sheet, state: MembraneSolution) -> Array:
     """The factor by columns, as kernels/band_cholesky_f64.h has it."""
     columns, rows = film.grid
     band = np.empty((3 * (columns - 2) * (rows - 2), band_stride(3 * rows - 1)))
     fixed = (film._numbers, film._law, *film.grid)
-    given = (state.x, state.pressure_gauge, film._room.size, film._room)
+    given = (state.x, state.gauge_pressure, film._room.size, film._room)
     kernel("film_stiffness")(*fixed, *given, band)
     return band

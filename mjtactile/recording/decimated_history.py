@@ -1,5 +1,5 @@
-"""`Strip` keeps some cycles of a run, evenly spread over it however long it gets, for what shows
-the run afterwards."""
+"""`DecimatedHistory` keeps some cycles of a run, evenly spread over it however long it gets, for
+what shows the run afterwards."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _MOST = 32  # cycles
 _ROOM = 96e6  # bytes of images
 
 
-class Strip:
+class DecimatedHistory:
     """Between half of `most` cycles and all of them, with the scene at each; fewer where images are
     large. When it is full, every second one goes, and from then on every second one is not
     taken."""

@@ -78,7 +78,7 @@ def _reason(cycle: CycleLike) -> str:
 
 
 def _pressures(cycle: CycleLike) -> Any:
-    pressures = cycle.sent.pressure_gauge
+    pressures = cycle.sent.gauge_pressure
     return [np.nan] * len(cycle.touch) if pressures is None else pressures
 
 
@@ -238,7 +238,7 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
     "gripper_time": ("s", "when that was so", lambda c: c.gripper.time),
     "gripper_age": ("s", "and how long ago when it was handed over", lambda c: c.gripper.age),
     "valve_open": ("", "of each valve", _valves("is_open")),
-    "pressure_gauge": ("Pa", "null without a pressure sensor", _valves("pressure_gauge")),
+    "gauge_pressure": ("Pa", "null without a pressure sensor", _valves("gauge_pressure")),
     "valve_time": ("s", "when that was so", _valves("time")),
     "valve_age": ("s", "and how long ago", _valves("age")),
     "command_opening": ("m", "as sent, after limits", lambda c: c.sent.opening),

@@ -60,7 +60,7 @@ _PARTS = {
     "shape_place": 3,
 }
 """How many numbers of each finger there are; one otherwise."""
-_VALVES = ("valve_open", "pressure_gauge", "valve_time", "valve_age")
+_VALVES = ("valve_open", "gauge_pressure", "valve_time", "valve_age")
 _FINGERS = (
     "image_time",
     "force_normal",
@@ -212,7 +212,7 @@ def _is_effect(row: Any) -> bool:
 
 
 def _wrong_reference(row: Mapping[str, Any]) -> str | None:
-    names, times, pressures = (row.get(key) for key in ("images", "image_time", "pressure_gauge"))
+    names, times, pressures = (row.get(key) for key in ("images", "image_time", "gauge_pressure"))
     if not isinstance(row.get("stage"), str):
         return "stage"
     if not isinstance(names, list) or not all(
@@ -225,7 +225,7 @@ def _wrong_reference(row: Mapping[str, Any]) -> str | None:
         return "image_time"
     if kind(pressures) == (NUMBER,) * len(times):
         return None
-    return "pressure_gauge"
+    return "gauge_pressure"
 
 
 def _are_names(values: list[Any]) -> bool:

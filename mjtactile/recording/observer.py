@@ -41,14 +41,14 @@ class Observer:
         """
 
     def add_reference(
-        self, stage: str, images: Sequence[Sequence[Image]], pressure_gauge: Sequence[float | None]
+        self, stage: str, images: Sequence[Sequence[Image]], gauge_pressure: Sequence[float | None]
     ) -> None:
         """A reference was taken.
 
         Args:
             stage: "flat" or "rest".
             images: One list a finger.
-            pressure_gauge: Pa that it was taken at, for each valve; None: it has no sensor.
+            gauge_pressure: Pa that it was taken at, for each valve; None: it has no sensor.
         """
 
     def on_images(self) -> None:
@@ -85,10 +85,10 @@ class Observers(Observer):
             observer.note(**facts)
 
     def add_reference(
-        self, stage: str, images: Sequence[Sequence[Image]], pressure_gauge: Sequence[float | None]
+        self, stage: str, images: Sequence[Sequence[Image]], gauge_pressure: Sequence[float | None]
     ) -> None:
         for observer in self._observers:
-            observer.add_reference(stage, images, pressure_gauge)
+            observer.add_reference(stage, images, gauge_pressure)
 
     def on_images(self) -> None:
         for observer in self._observers:

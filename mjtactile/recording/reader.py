@@ -14,6 +14,7 @@ import numpy as np
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.image_decoding import decode
+from mjtactile.core.renamed import current_row
 from mjtactile.core.types import Array, Image, ValveState
 from mjtactile.recording.files import FORMAT, LOG, READABLE, VERSION, finger_names
 from mjtactile.recording.log_schema import KEYS
@@ -29,7 +30,7 @@ class RecordedReference:
     stage: str
     names: Sequence[Sequence[str]]
     times: Sequence[Sequence[float]]
-    pressure_gauge: Sequence[float | None]
+    gauge_pressure: Sequence[float | None]
 
     def images(self, finger: int) -> Iterator[Image]:
         """The images of one finger. Raises InputError naming a file that is missing or broken."""
@@ -101,7 +102,7 @@ class Recording:
             value = self.columns[key][cycle][finger] if key in self.columns else None
             return math.nan if value is None else float(value)
 
-        gauges = [number("pressure_gauge", k) for k in range(self.valve_count)]
+        gauges = [number("gauge_pressure", k) for k in range(self.valve_count)]
         return tuple(
             ValveState(
                 bool(self.columns["valve_open"][cycle][k]),
@@ -259,7 +260,7 @@ def load_recording(path: str | Path) -> Recording:
         _keep_force_limit(columns)
     references = tuple(
         RecordedReference(
-            folder, row["stage"], row["images"], row["image_time"], row["pressure_gauge"]
+            folder, row["stage"], row["images"], row["image_time"], row["gauge_pressure"]
         )
         for row in rows
         if row.get("kind") == "reference"
@@ -292,6 +293,7 @@ def _parse(log: Path) -> tuple[list[dict[str, Any]], list[str]]:
                 return rows, [
                     f"line {number} is cut off or broken; it and what follows was left out"
                 ]
+            row = current_row(row)
             is_cycle = row.get("kind") == "cycle"
             first = first or (row if is_cycle else {})
             if wrong := wrong_column(row, first) if is_cycle else wrong_note(row):

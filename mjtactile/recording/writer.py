@@ -19,7 +19,7 @@ from typing import Any, TextIO
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Image
 from mjtactile.recording import png
-from mjtactile.recording.decimated_history import Strip
+from mjtactile.recording.decimated_history import DecimatedHistory
 from mjtactile.recording.files import (
     FORMAT,
     FRAMES,
@@ -63,13 +63,13 @@ class Recorder(Observer):
         """The scene in that cycle."""
         self.views: list[tuple[float, Any]] | None = None
         """The scene in every cycle and its time, where somebody makes this a list."""
-        self.strip: Strip | None = None
+        self.strip: DecimatedHistory | None = None
         """Cycles spread over the run, where somebody gives one."""
         self.cycles = self.references = 0
         self.flags: Mapping[str, str] = {}
         """What makes a simulation's numbers worse than usual, as it was noted last."""
         self.problem = ""
-        self.patience = 10.0
+        self.disk_wait_time = 10.0
         """s that `add` waits for a disk that is 64 cycles behind; 0 where the world does not
         wait."""
         self._frames = frames
@@ -109,7 +109,7 @@ class Recorder(Observer):
         Args:
             session: The `Session`.
         """
-        self.patience = session.patience
+        self.disk_wait_time = session.disk_wait_time
 
     def add(self, cycle: CycleLike, view: Any = None, **truth: Any) -> None:
         """Record one cycle.
@@ -149,14 +149,14 @@ class Recorder(Observer):
             self.view = view
 
     def add_reference(
-        self, stage: str, images: Sequence[Sequence[Image]], pressure_gauge: Sequence[float | None]
+        self, stage: str, images: Sequence[Sequence[Image]], gauge_pressure: Sequence[float | None]
     ) -> None:
         """Record the images of a reference.
 
         Args:
             stage: "flat" or "rest".
             images: One list a finger.
-            pressure_gauge: Pa that they were taken at, for each valve; None: not measured.
+            gauge_pressure: Pa that they were taken at, for each valve; None: not measured.
         """
         named = []
         if self._frames and _has_pixels(images):
@@ -171,7 +171,7 @@ class Recorder(Observer):
                 "stage": stage,
                 "images": [[name for name, _ in shots] for shots in named],
                 "image_time": [[image.time for image in shots] for shots in images],
-                "pressure_gauge": list(pressure_gauge),
+                "gauge_pressure": list(gauge_pressure),
             },
             [pair for shots in named for pair in shots],
         )
@@ -203,7 +203,7 @@ class Recorder(Observer):
         if self._closed:
             return
         self._closed = True
-        self.patience = _FLUSH_TIME
+        self.disk_wait_time = _FLUSH_TIME
         self._enqueue({"kind": "end", **outcome})
         if not self.problem:
             with contextlib.suppress(queue.Full):
@@ -248,7 +248,9 @@ class Recorder(Observer):
         if self.problem:
             return
         try:
-            self._queue.put((line, list(images)), block=self.patience > 0, timeout=self.patience)
+            self._queue.put(
+                (line, list(images)), block=self.disk_wait_time > 0, timeout=self.disk_wait_time
+            )
         except queue.Full:
             self._stop_recording(f"the disk is {_QUEUE_CYCLES} cycles behind")
 

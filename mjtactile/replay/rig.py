@@ -17,10 +17,10 @@ from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.core.types import Command, GripperState, Image, ValveState
 from mjtactile.recording.reader import Recording, load_recording
-from mjtactile.rig.command_limits import Limits
+from mjtactile.rig.command_limits import CommandLimits
 from mjtactile.rig.finger import Rig, make_fingers
 from mjtactile.rig.registry import RigRequest
-from mjtactile.rig.scenario import complete_scenario
+from mjtactile.rig.scenario import resolve_scenario
 
 
 class Tape:
@@ -133,7 +133,7 @@ class ReplayGripper:
             opening=value("command_opening"),
             force_limit=None if math.isnan(limit) else limit,
             lift_height=value("command_lift_height"),
-            pressure_gauge=self._tape.recording.command_pressure(self._tape.cycle),
+            gauge_pressure=self._tape.recording.command_pressure(self._tape.cycle),
         )
 
 
@@ -148,7 +148,7 @@ class ReplayValve:
         recording = self._tape.recording
         if self._tape.cycle < 0:
             return ValveState(
-                False, _pressure(recording.references[-1].pressure_gauge[self._finger])
+                False, _pressure(recording.references[-1].gauge_pressure[self._finger])
             )
         return recording.valves(self._tape.cycle)[self._finger]
 
@@ -158,7 +158,7 @@ class ReplayValve:
     def close(self) -> None:
         """It was closed then."""
 
-    def follow(self, pressure_gauge: float | None) -> None:
+    def follow(self, gauge_pressure: float | None) -> None:
         """It followed what was sent then."""
 
 
@@ -182,7 +182,7 @@ def build_replay_rig(
     count = recording.valve_count
     cameras = tuple(ReplayCamera(tape, i) for i in range(width))
     valves = tuple(ReplayValve(tape, i) for i in range(count))
-    limits = Limits(
+    limits = CommandLimits(
         opening=(0.0, math.inf),
         speed=math.inf,
         force=math.inf,
@@ -231,7 +231,7 @@ def _require_replayable(recording: Recording, design: SensorDesign, folder: str)
 
 def build(request: RigRequest) -> Rig:
     """The backend "replay" of `mjtactile.rig.registry`."""
-    sensors = complete_scenario(request.scenario).sensors
+    sensors = resolve_scenario(request.scenario).sensors
     return build_replay_rig(request.argument, request.design, sensors)
 
 

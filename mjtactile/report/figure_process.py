@@ -79,7 +79,7 @@ class FigureWriter:
 
 
 @contextlib.contextmanager
-def drawing_beside() -> Iterator[FigureWriter]:
+def figure_writer_process() -> Iterator[FigureWriter]:
     """What draws the figure of a run that goes on meanwhile."""
     with contextlib.ExitStack() as stack:
         worker = None

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mjtactile.core.types import Ellipses, Image, Sighting
+from mjtactile.core.types import Ellipses, Image, SyntheticEllipses
 from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
 from mjtactile.sensing.image.ellipse_fit import as_ellipses
 from mjtactile.sensing.image.markers import detect, grey_image, search
@@ -26,7 +26,7 @@ _TOO_LARGE = 3.0
 def find_ellipses(image: Image) -> Ellipses:
     """Those in the image, or those that stand for it; without a round frame's own edge, which is
     a circle around all of them."""
-    if isinstance(image, Sighting) and image.ellipses is not None:
+    if isinstance(image, SyntheticEllipses) and image.ellipses is not None:
         return image.ellipses
     found = detect(image)
     if len(found) < _FEWEST:

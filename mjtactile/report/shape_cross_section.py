@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mjtactile.core.types import Array, FeltShape
-from mjtactile.report.shape_wireframe import directions_of, lines_of, words_of
+from mjtactile.core.types import Array, ContactShape
+from mjtactile.report.shape_wireframe import describe_shape, directions_of, lines_of
 
 _REACH = 9e-3  # m to either side
 _BELIEVED = (25, 25, 25)  # blue, green, red
@@ -18,7 +18,9 @@ _TEXT = 24  # px of the line above
 _NAMES = ("along", "across")
 
 
-def draw_section(shape: FeltShape | None, true: Array, size: tuple[int, int]) -> NDArray[np.uint8]:
+def plot_section(
+    shape: ContactShape | None, true: Array, size: tuple[int, int]
+) -> NDArray[np.uint8]:
     """Two sections side by side, heights to scale.
 
     Args:
@@ -33,7 +35,7 @@ def draw_section(shape: FeltShape | None, true: Array, size: tuple[int, int]) ->
     if shape is None:
         _write(picture, "nothing that is known touches", (8, 17))
         return picture
-    said = f"{words_of(shape)}; believed black" + (", true orange" if len(true) else "")
+    said = f"{describe_shape(shape)}; believed black" + (", true orange" if len(true) else "")
     _write(picture, said, (8, 17))
     half = size[1] // 2
     arcs = lines_of(shape)[-2:]

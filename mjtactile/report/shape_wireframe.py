@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from mjtactile.core.types import Array, FeltShape
+from mjtactile.core.types import Array, ContactShape
 from mjtactile.recording.reader import Recording
 from mjtactile.report.software_renderer import SceneCamera
 
@@ -20,7 +20,7 @@ _BELOW = 2e-3
 _ABOVE = 8e-3
 
 
-def lines_of(shape: FeltShape) -> list[Array]:
+def lines_of(shape: ContactShape) -> list[Array]:
     """Lines (P, 3) m in S: the outline, at the height of the body's nearest point, closed; an arc
     along its smaller curvature and one across. None where the shape is unknown."""
     if shape.kind == "unknown" or not np.isfinite(shape.p_SO).all():
@@ -37,7 +37,7 @@ def lines_of(shape: FeltShape) -> list[Array]:
     return lines
 
 
-def directions_of(shape: FeltShape) -> tuple[float, float]:
+def directions_of(shape: ContactShape) -> tuple[float, float]:
     """Which way its arcs go, rad from x: along the smaller curvature, and across."""
     angle = shape.direction if math.isfinite(shape.direction) else 0.0
     return angle, angle + math.pi / 2
@@ -54,7 +54,7 @@ def _arc(curvature: float) -> tuple[Array, Array]:
     return radius * np.sin(turn), radius * (1 - np.cos(turn))
 
 
-def true_lines(shape: FeltShape, view: SceneCamera, finger: int) -> Array:
+def true_lines(shape: ContactShape, view: SceneCamera, finger: int) -> Array:
     """What a simulated scene truly has where a body is believed: straight pieces (n, 2, 3) m in S,
     in which the planes of the body's arcs cut it. For pictures only; sensing knows no scene."""
     if shape.kind == "unknown" or not np.isfinite(shape.p_SO).all():
@@ -84,7 +84,7 @@ def _cut(corners: Array, turn: float) -> Array:
     return points[two][meets[two]].reshape(-1, 2, 3)
 
 
-def words_of(shape: FeltShape) -> str:
+def describe_shape(shape: ContactShape) -> str:
     """What it is, in a few words."""
     if shape.kind == "unknown":
         return f"shape unknown: {shape.status}"
@@ -95,7 +95,7 @@ def words_of(shape: FeltShape) -> str:
     return shape.family
 
 
-def recorded_shape(recording: Recording, cycle: int, finger: int) -> FeltShape | None:
+def recorded_shape(recording: Recording, cycle: int, finger: int) -> ContactShape | None:
     """As much of a shape as the log keeps.
 
     Args:
@@ -117,4 +117,4 @@ def recorded_shape(recording: Recording, cycle: int, finger: int) -> FeltShape |
     }
     place = recording.column("shape_place")[cycle, finger]
     family = str(columns["shape_family"][cycle][finger])
-    return FeltShape(kind, {kind: 1.0}, p_SO=place, outline=outline, family=family, **one)
+    return ContactShape(kind, {kind: 1.0}, p_SO=place, outline=outline, family=family, **one)

@@ -38,7 +38,7 @@ class SceneCamera(Protocol):
     def triangles(self) -> tuple[Array, Array]: ...
 
 
-def draw_scene(
+def render_scene(
     axes: Any, view: SceneCamera, touch: Sequence[Touch], colours: Sequence[str]
 ) -> None:
     """Draw what is around the sensors, and how each of them that touches feels to push, an arrow in
@@ -85,7 +85,7 @@ def _framing(view: SceneCamera) -> tuple[Array, float, Array]:
     """The picture's middle (3,) m in W, half of its width, m, and its axes."""
     middle = view.p_WS.mean(axis=0)
     half = max(_LEAST, _AROUND * float(np.linalg.norm(view.p_WS - middle, axis=1).max()))
-    return middle, half, picture_axes(view.p_WS)
+    return middle, half, image_axes(view.p_WS)
 
 
 def _arrow(axes: Any, start: Array, tip: Array, colour: str, text: str) -> None:
@@ -118,7 +118,7 @@ def _arrow(axes: Any, start: Array, tip: Array, colour: str, text: str) -> None:
     )
 
 
-def picture_axes(p_WS: Array) -> Array:
+def image_axes(p_WS: Array) -> Array:
     """Rows: the picture's right, up, and direction towards the viewer, in W. Two sensors lie side
     by side, of more the last is behind the middle, where the viewer looks at it between the
     others."""

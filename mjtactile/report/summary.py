@@ -19,17 +19,17 @@ from mjtactile.report.page import write_page
 from mjtactile.report.summary_figure import write_figure
 from mjtactile.rig.registry import build_rig
 from mjtactile.runtime.session import Session
-from mjtactile.sensing.stateful_pipeline import Perception
+from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
 
-def write_pictures(
+def write_plots(
     folder: Path,
     recorder: Recorder,
     summary: Mapping[str, Any],
     figure: Callable[..., None] = write_figure,
 ) -> list[MjtactileError | OSError]:
-    """Draw the run that `recorder` wrote into `folder`, the `figure` in `drawing_beside`'s way
-    where there is one; returns what went wrong, such as a missing matplotlib."""
+    """Draw the run that `recorder` wrote into `folder`, the `figure` in `figure_writer_process`'s
+    way where there is one; returns what went wrong, such as a missing matplotlib."""
     recording = load_recording(folder)
     strip = [] if recorder.strip is None else recorder.strip.kept
     problems: list[MjtactileError | OSError] = []
@@ -59,7 +59,7 @@ class ReplayedCycle:
     touch: tuple[Touch, ...]
 
 
-def see_again(recording: Recording, on_cycle: Callable[[Seen], None]) -> bool:
+def replay_estimate(recording: Recording, on_cycle: Callable[[Seen], None]) -> bool:
     """Give `on_cycle` what was seen and felt in each cycle that has its images; whether anything
     could be felt again.
 
@@ -102,7 +102,7 @@ def with_shapes(recording: Recording, strip: Sequence[tuple[Seen, Any]]) -> list
     for cycle, view in strip:
         touches = []
         for touch, chain in zip(cycle.touch, session.perceptions, strict=False):
-            if touch.touching and isinstance(chain, Perception):
+            if touch.touching and isinstance(chain, StatefulPipeline):
                 touch = replace(touch, shape=chain.shape([touch]))
             touches.append(touch)
         found.append((ReplayedCycle(cycle.time, tuple(cycle.images), tuple(touches)), view))

@@ -13,12 +13,20 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.errors import MjtactileError
-from mjtactile.core.types import Array, Ellipses, FeltShape, Image, Surface, Touch, TouchImage
+from mjtactile.core.types import (
+    Array,
+    ContactShape,
+    Ellipses,
+    Image,
+    Surface,
+    SyntheticTouch,
+    Touch,
+)
 from mjtactile.recording.log_schema import CycleLike
 from mjtactile.recording.reader import Recording
 from mjtactile.report.overlay import find_ellipses
-from mjtactile.report.shape_wireframe import lines_of, true_lines, words_of
-from mjtactile.report.software_renderer import SceneCamera, draw_scene
+from mjtactile.report.shape_wireframe import describe_shape, lines_of, true_lines
+from mjtactile.report.software_renderer import SceneCamera, render_scene
 from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
 
 PHASE_COLOURS = {
@@ -78,39 +86,39 @@ def write_figure(
     else:
         if scene is not None:
             axes = figure.add_subplot(grid[:, 0])
-            draw_scene(axes, scene, snapshot.touch, FINGER_COLOURS)
+            render_scene(axes, scene, snapshot.touch, FINGER_COLOURS)
             axes.set_title(
                 f"the scene at t = {snapshot.time:.2f} s, and the forces felt", fontsize=11
             )
         for finger, name in enumerate(recording.fingers[:fingers]):
             column = columns - fingers + finger
-            _draw_finger(figure, grid[:, column], snapshot, finger, name, scene)
+            _plot_finger(figure, grid[:, column], snapshot, finger, name, scene)
     below = figure.add_gridspec(1, 1, top=0.3, bottom=0.045, **sides)
-    _draw_forces(figure.add_subplot(below[0]), recording, snapshot)
+    _plot_forces(figure.add_subplot(below[0]), recording, snapshot)
     part = path.with_name(path.name + ".part")
     # a third of the default's time
     figure.savefig(part, format="png", pil_kwargs={"compress_level": 3})
     part.replace(path)
 
 
-def _draw_finger(
+def _plot_finger(
     figure: Any, place: Any, snapshot: CycleLike, finger: int, name: str, scene: SceneCamera | None
 ) -> None:
     """One finger's image above its surface in `place`, a column of a grid; without an image, its
     touch alone."""
     image = snapshot.images[finger]
     touch = snapshot.touch[finger]
-    if isinstance(image, TouchImage):
-        _draw_felt(figure.add_subplot(place), touch, name)
+    if isinstance(image, SyntheticTouch):
+        _plot_estimate(figure.add_subplot(place), touch, name)
         return
     grid = place.get_gridspec()
     column = place.colspan.start
     axes = figure.add_subplot(grid[0, column])
-    _draw_image(axes, image, find_ellipses(image), f"camera of {name}")
+    _plot_image(axes, image, find_ellipses(image), f"camera of {name}")
     axes = figure.add_subplot(grid[1, column], projection="3d", computed_zorder=False)
-    draw_surface(axes, touch, arrow_unit(snapshot.touch))
+    plot_surface_map(axes, touch, arrow_unit(snapshot.touch))
     if touch.shape is not None and touch.surface is not None:
-        _draw_body(axes, touch.shape, scene, finger)
+        _plot_shape(axes, touch.shape, scene, finger)
 
 
 def import_matplotlib() -> tuple[Any, Any]:
@@ -143,7 +151,7 @@ def _title(summary: Mapping[str, Any]) -> str:
     return "\n".join([title, *([summary["reason"]] if summary.get("reason") else [])])
 
 
-def _draw_felt(axes: Any, touch: Touch, name: str) -> None:
+def _plot_estimate(axes: Any, touch: Touch, name: str) -> None:
     """Where touch was drawn, there is neither a picture nor a surface: what was felt, in words."""
     axes.set_axis_off()
     felt = f"{touch.force_normal:.2f} ± {touch.force_normal_sd:.2f} N"
@@ -151,7 +159,7 @@ def _draw_felt(axes: Any, touch: Touch, name: str) -> None:
     axes.text(0.5, 0.5, text, ha="center", transform=axes.transAxes, fontsize=11)
 
 
-def _draw_image(axes: Any, image: Image, ellipses: Ellipses, title: str) -> None:
+def _plot_image(axes: Any, image: Image, ellipses: Ellipses, title: str) -> None:
     """The camera image with the fitted ellipses; pixel (0, 0) is the centre of the top-left
     pixel."""
     height, width = image.pixels.shape
@@ -177,7 +185,7 @@ def _draw_image(axes: Any, image: Image, ellipses: Ellipses, title: str) -> None
     axes.set_ylim(height - 0.5, -0.5)
 
 
-def draw_surface(axes: Any, touch: Touch, unit: float | None = None) -> None:
+def plot_surface_map(axes: Any, touch: Touch, unit: float | None = None) -> None:
     """The reconstructed membrane; arrows are the traction on it where it touches, drawn outward
     (minus sign) like in the paper's Fig. 7. The arrow in the corner is `unit` Pa long (default:
     what suits this touch)."""
@@ -204,7 +212,7 @@ def draw_surface(axes: Any, touch: Touch, unit: float | None = None) -> None:
     low = min(float(z.min()), 0.0)
     high = max(float(z.max()), 1.0)
     length = 0.5 * (high - low)  # of the unit's arrow
-    top = max(high, _draw_arrows(axes, touch, surface, length / unit))
+    top = max(high, _plot_arrows(axes, touch, surface, length / unit))
     corner = (x.min(), y.min(), low)
     axes.quiver(
         *corner, 0, 0, length, color=_ARROW, linewidth=1.6, arrow_length_ratio=0.25, zorder=3
@@ -232,14 +240,14 @@ def draw_surface(axes: Any, touch: Touch, unit: float | None = None) -> None:
     )
 
 
-def _draw_body(axes: Any, shape: FeltShape, scene: SceneCamera | None, finger: int) -> None:
+def _plot_shape(axes: Any, shape: ContactShape, scene: SceneCamera | None, finger: int) -> None:
     """What is believed to touch, and, where a scene knows, what is truly there."""
     true = [] if scene is None else true_lines(shape, scene, finger)
     for piece in true:
         axes.plot(*(_MM * piece.T), color=_TRUE_BODY, linewidth=2.0, zorder=4)
     for line in lines_of(shape):
         axes.plot(*(_MM * line.T), color="#111111", linewidth=1.3, zorder=5)
-    said = words_of(shape) + ("; true body orange" if len(true) else "")
+    said = describe_shape(shape) + ("; true body orange" if len(true) else "")
     axes.text2D(0.5, 0.98, said, transform=axes.transAxes, ha="center", va="top", fontsize=10)
 
 
@@ -288,7 +296,7 @@ def arrows(touch: Touch, surface: Surface) -> tuple[Array, Array]:
     return _MM * np.column_stack([gx[keep], gy[keep], surface.z[iy, ix]]), stress[keep]
 
 
-def _draw_arrows(axes: Any, touch: Touch, surface: Surface, mm_per_Pa: float) -> float:
+def _plot_arrows(axes: Any, touch: Touch, surface: Surface, mm_per_Pa: float) -> float:
     """Draw the traction where something touches; returns the highest tip, mm."""
     foot, stress = arrows(touch, surface)
     if not len(foot):
@@ -298,7 +306,7 @@ def _draw_arrows(axes: Any, touch: Touch, surface: Surface, mm_per_Pa: float) ->
     return float((foot + arrow)[:, 2].max())
 
 
-def _draw_forces(axes: Any, recording: Recording, snapshot: CycleLike | None) -> None:
+def _plot_forces(axes: Any, recording: Recording, snapshot: CycleLike | None) -> None:
     """Estimated (line, with a band of two sd) and true (dashed) normal force per finger, phases
     shaded and named."""
     time = recording.columns["time"]
@@ -325,7 +333,7 @@ def _draw_forces(axes: Any, recording: Recording, snapshot: CycleLike | None) ->
                 label=f"{name}: true",
             )
     values = np.concatenate([estimated.ravel(), true.ravel()])
-    top = _draw_break_force(
+    top = _sample_break_force(
         axes, recording.notes.get("break_force_N"), 1.35 * float(np.nanmax(values, initial=0.2))
     )
     axes.set_ylim(min(-0.05 * top, 1.1 * float(np.nanmin(values, initial=0.0))), top)
@@ -337,7 +345,7 @@ def _draw_forces(axes: Any, recording: Recording, snapshot: CycleLike | None) ->
     axes.legend(loc="upper left", ncols=3, fontsize=9, framealpha=0.9)
 
 
-def _draw_break_force(axes: Any, force: Any, top: float) -> float:
+def _sample_break_force(axes: Any, force: Any, top: float) -> float:
     """A line where the object breaks, or a note when that is so far up that it would flatten the
     curves; the new top."""
     if not isinstance(force, (int, float)) or not np.isfinite(force):

@@ -21,7 +21,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, Image
 from mjtactile.recording.reader import Recording
 from mjtactile.report.overlay import with_ellipses
-from mjtactile.report.shape_cross_section import draw_section
+from mjtactile.report.shape_cross_section import plot_section
 from mjtactile.report.shape_wireframe import recorded_shape, true_lines
 from mjtactile.report.software_renderer import SceneCamera, picture_of
 from mjtactile.report.summary_figure import FINGER_COLOURS, PHASE_COLOURS
@@ -168,7 +168,7 @@ class _Film:
             else:
                 true = true_lines(shape, view, finger)
             part = picture[:, left + finger * _CAMERA : left + (finger + 1) * _CAMERA]
-            part[:] = draw_section(shape, true, (_SECTION, _CAMERA))
+            part[:] = plot_section(shape, true, (_SECTION, _CAMERA))
         self._bodies = (row, picture)
         return picture
 

@@ -17,18 +17,18 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.field_types import Numbers
 from mjtactile.core.relaxation import Relaxation, decades
 from mjtactile.core.types import Array
-from mjtactile.rig.camera_faults import UNTROUBLED, CameraTroubles
+from mjtactile.rig.camera_faults import UNTROUBLED, CameraFaults
 
 _CREEP_TIMES = (1.0, 1e3)  # s: shortest and longest
 
 
 @dataclass(frozen=True)
-class SpecimenConfig:
+class AsBuiltSensor:
     """How the sensor on one finger really is, against its file, SI. What has the group "sensor" or
     "gas" can be drawn by a variation, too."""
 
     finger: str
-    focal_share: float = number(
+    focal_fraction: float = number(
         "fx_percent", -50, 50, PERCENT, default=0.0, group="sensor", about="more focal length"
     )
     center: tuple[float, float] = numbers(
@@ -65,13 +65,13 @@ class SpecimenConfig:
         about="rotation vector of the camera, with its pane",
     )
     blur: float = number("blur_px", -5, 10, default=0.0, group="sensor", about="more blur, px (sd)")
-    noise_share: float = number(
+    noise_fraction: float = number(
         "noise_percent", -100, 1000, PERCENT, default=0.0, group="sensor", about="more noise"
     )
-    light_share: float = number(
+    light_fraction: float = number(
         "light_percent", -90, 35, PERCENT, default=0.0, group="sensor", about="more light"
     )
-    stiffness_share: float = number(
+    stiffness_fraction: float = number(
         "stiffness_percent",
         -90,
         400,
@@ -80,7 +80,7 @@ class SpecimenConfig:
         group="sensor",
         about="more Young's modulus",
     )
-    thickness_share: float = number(
+    thickness_fraction: float = number(
         "thickness_percent", -90, 400, PERCENT, default=0.0, group="sensor", about="thicker"
     )
     pre_stretch: float = number(
@@ -94,7 +94,7 @@ class SpecimenConfig:
         default=0.0,
         about="of the lasting stress, that fades in each decade from 1 to 1000 s",
     )
-    friction_share: float = number(
+    friction_fraction: float = number(
         "friction_percent", -100, 400, PERCENT, default=0.0, group="sensor", about="more friction"
     )
     radius: float = number(
@@ -114,26 +114,36 @@ class SpecimenConfig:
         "leak_mL_s_kPa", 0, 1e3, ML_S_KPA, default=0.0, group="gas", about="through a hole"
     )
     warming: float = number(
-        "warming_K_min", -60, 60, 1 / 60, default=0.0, group="gas", about="of gas and walls"
+        "temperature_drift_K_min",
+        -60,
+        60,
+        1 / 60,
+        default=0.0,
+        group="gas",
+        about="of gas and walls",
     )
     valve_zero: float = number(
-        "valve_zero_Pa", -1000, 1000, default=0.0, about="its pressure sensor shows so much more"
+        "pressure_offset_Pa",
+        -1000,
+        1000,
+        default=0.0,
+        about="its pressure sensor shows so much more",
     )
-    camera: CameraTroubles = part(
-        "camera", CameraTroubles, default=UNTROUBLED, about="what its pictures suffer"
+    camera: CameraFaults = part(
+        "camera", CameraFaults, default=UNTROUBLED, about="what its pictures suffer"
     )
 
 
-NOMINAL = SpecimenConfig("")
+NOMINAL = AsBuiltSensor("")
 """One that is as its file says."""
 
 
-def true_design(design: SensorDesign, specimen: SpecimenConfig) -> SensorDesign:
+def true_design(design: SensorDesign, specimen: AsBuiltSensor) -> SensorDesign:
     """The sensor as it is, but for the camera's pose (`camera_pose`), what is not drawn
     (`marker_radii`), and what goes on with its gas."""
     camera = design.camera
     k = design.camera.distortion
-    focal = 1 + specimen.focal_share
+    focal = 1 + specimen.focal_fraction
     du, dv = specimen.center
     k1 = (k[0] if specimen.k1 is None else specimen.k1) + specimen.k1_offset
     camera = replace(
@@ -144,17 +154,17 @@ def true_design(design: SensorDesign, specimen: SpecimenConfig) -> SensorDesign:
         cy=camera.cy + dv,
         distortion=(k1, *k[1:]),
         blur_px=max(camera.blur_px + specimen.blur, 0.0),
-        noise_dn=(1 + specimen.noise_share) * camera.noise_dn,
+        noise_dn=(1 + specimen.noise_fraction) * camera.noise_dn,
     )
     membrane = design.membrane
     membrane = replace(
         membrane,
-        young=(1 + specimen.stiffness_share) * membrane.young,
-        thickness=(1 + specimen.thickness_share) * membrane.thickness,
+        young=(1 + specimen.stiffness_fraction) * membrane.young,
+        thickness=(1 + specimen.thickness_fraction) * membrane.thickness,
         pre_stretch=membrane.pre_stretch + specimen.pre_stretch,
-        friction=(1 + specimen.friction_share) * membrane.friction,
+        friction=(1 + specimen.friction_fraction) * membrane.friction,
     )
-    light = 1 + specimen.light_share
+    light = 1 + specimen.light_fraction
     leds = design.leds
     leds = replace(leds, membrane_dn=light * leds.membrane_dn, marker_dn=light * leds.marker_dn)
     markers = replace(design.markers, radius=design.markers.radius + specimen.radius)
@@ -169,14 +179,14 @@ def true_design(design: SensorDesign, specimen: SpecimenConfig) -> SensorDesign:
     )
 
 
-def camera_pose(design: SensorDesign, specimen: SpecimenConfig) -> tuple[Array, Array]:
+def camera_pose(design: SensorDesign, specimen: AsBuiltSensor) -> tuple[Array, Array]:
     """Pose R_SC (3, 3), p_SC (3,) m of the camera, with its pane and LEDs, in S."""
     return geometry.rotation_from_vector(specimen.tilt), design.camera.p_SC + np.array(
         specimen.shift
     )
 
 
-def marker_radii(design: SensorDesign, specimen: SpecimenConfig) -> Array:
+def marker_radii(design: SensorDesign, specimen: AsBuiltSensor) -> Array:
     """Radius (N,) m of each marker of the true `design` as it is drawn: none of those that are
     missing."""
     radii = np.full(design.markers.count, design.markers.radius)

@@ -11,19 +11,19 @@ from mjtactile.core.config_fields import DEGREE, MS, PERCENT, number, numbers
 
 
 @dataclass(frozen=True)
-class CameraTroubles:
+class CameraFaults:
     """Troubles of one camera, in the order in which a picture meets them."""
 
     start: float = number(
         "from_s", 0, 1e6, default=0.0, about="when all of them begin, on the world's clock"
     )
     zoom: float = number(
-        "zoom_percent", -5, 5, PERCENT, default=0.0, about="larger picture: a lens that breathes"
+        "scale_percent", -5, 5, PERCENT, default=0.0, about="larger picture: a lens that breathes"
     )
     knock: tuple[float, float] = numbers(
-        "knock_px", "uv", -20, 20, default=(0.0, 0.0), about="shift of the picture"
+        "image_shift_px", "uv", -20, 20, default=(0.0, 0.0), about="shift of the picture"
     )
-    turn: float = number("turn_deg", -10, 10, DEGREE, default=0.0, about="about its middle")
+    turn: float = number("rotation_deg", -10, 10, DEGREE, default=0.0, about="about its middle")
     defocus: float = number("defocus_px", 0, 10, default=0.0, about="blur (sd) beside the lens's")
     fog: float = number("fog_percent", 0, 90, PERCENT, default=0.0, about="veil of even light")
     dust: float = number("dust_count", 0, 200, default=0.0, about="specks on the pane")
@@ -90,5 +90,5 @@ class CameraTroubles:
     )
 
 
-UNTROUBLED = CameraTroubles()
+UNTROUBLED = CameraFaults()
 """A camera with none."""

@@ -11,7 +11,7 @@ PRESSURE_STEP = 45.0
 
 
 @dataclass(frozen=True)
-class Limits:
+class CommandLimits:
     """What no controller can exceed: `opening` m (lowest, highest), `speed` m/s of the opening,
     `force` N of the servo, `lift` m (lowest, highest), `lift_speed` m/s; `pressure` Pa above
     ambient in the chambers (lowest, highest; None: no valve obeys, or has no gauge) and
@@ -35,7 +35,7 @@ class Limits:
             wanted.phase,
             wanted.memory,
             wanted.reason,
-            self._air(wanted.pressure_gauge, last.pressure_gauge, period),
+            self._air(wanted.gauge_pressure, last.gauge_pressure, period),
         )
 
     def _air(

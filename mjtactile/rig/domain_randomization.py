@@ -33,9 +33,10 @@ from mjtactile.core.config_fields import (
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.field_types import Number, Numbers
+from mjtactile.core.renamed import old_key
 from mjtactile.core.toml import Section, read_toml
-from mjtactile.rig.as_built_sensor import SpecimenConfig
-from mjtactile.rig.camera_faults import CameraTroubles
+from mjtactile.rig.as_built_sensor import AsBuiltSensor
+from mjtactile.rig.camera_faults import CameraFaults
 from mjtactile.rig.simulated import SimRigFile
 
 MISSING = "missing_markers"
@@ -43,7 +44,7 @@ NONE = "none"
 CAMERA = "camera"
 _CUT = 3.0
 """sd at which a normal distribution ends: what is drawn has bounds."""
-_MISSING_MOST = 40
+_MISSING_MAX = 40
 
 
 @dataclass(frozen=True)
@@ -108,19 +109,19 @@ class Drawn:
 
     object: ObjectChange = UNCHANGED
     rig: RigChange = FAULTLESS
-    specimens: tuple[SpecimenConfig, ...] = ()
+    specimens: tuple[AsBuiltSensor, ...] = ()
     values: Mapping[str, Any] = field(default_factory=dict)
 
-    def specimen(self, finger: str) -> SpecimenConfig:
+    def specimen(self, finger: str) -> AsBuiltSensor:
         """That finger's; one like the sensor file where nothing else is said."""
-        return next((one for one in self.specimens if one.finger == finger), SpecimenConfig(finger))
+        return next((one for one in self.specimens if one.finger == finger), AsBuiltSensor(finger))
 
 
 def _entries_of(group: str) -> tuple[Number, ...]:
     """What of a specimen a section of the file draws."""
-    found = [entry for entry in entries(SpecimenConfig).values() if entry.group == group]
+    found = [entry for entry in entries(AsBuiltSensor).values() if entry.group == group]
     # of missing markers their number is drawn, then which
-    count = Number(key=MISSING, low=0, high=_MISSING_MOST)
+    count = Number(key=MISSING, low=0, high=_MISSING_MAX)
     return tuple(count if entry.key == MISSING else entry for entry in found)
 
 
@@ -128,7 +129,7 @@ SECTIONS: dict[str, tuple[Number, ...]] = {
     "object": tuple(entries(ObjectChange).values()),
     "sensor": _entries_of("sensor"),
     "gas": _entries_of("gas"),
-    CAMERA: tuple(entries(CameraTroubles).values()),
+    CAMERA: tuple(entries(CameraFaults).values()),
     "rig": tuple(entries(RigChange).values()),
 }
 """What can vary; `sensor`, `gas` and `camera` are drawn for each finger."""
@@ -158,7 +159,7 @@ class Spread:
 
 
 @dataclass(frozen=True)
-class Variation:
+class Randomization:
     """A file of ranges: of each name ("object.size_percent") its entry and its distribution."""
 
     name: str
@@ -173,9 +174,10 @@ class Variation:
             section, _, key = name.partition(".")
             owners = fingers if section in _OF_FINGERS else [section]
             # a section of the finger's own, as in a rig file
-            place = f"{CAMERA}.{key}" if section == CAMERA else key
+            inner = f"{CAMERA}." if section == CAMERA else ""
+            place, stream = f"{inner}{key}", f"{inner}{old_key(key)}"
             values |= {
-                f"{owner}.{place}": _draw(f"{owner}.{place}", entry, spread, seed, markers)
+                f"{owner}.{place}": _draw(f"{owner}.{stream}", entry, spread, seed, markers)
                 for owner in owners
             }
         own: dict[str, dict[str, Any]] = {owner: {} for owner in ("object", "rig", *fingers)}
@@ -189,21 +191,21 @@ class Variation:
             from_table(ObjectChange, own["object"], self.name),
             from_table(RigChange, own["rig"], self.name),
             tuple(
-                from_table(SpecimenConfig, own[finger], self.name, finger=finger)
+                from_table(AsBuiltSensor, own[finger], self.name, finger=finger)
                 for finger in fingers
             ),
             values,
         )
 
 
-def load_variation(name_or_path: str | Path) -> Variation:
+def load_variation(name_or_path: str | Path) -> Randomization:
     """Read a variation by shipped name or from a TOML file; "none" varies nothing.
 
     Raises InputError naming file, field and valid choices for what is unknown, out of range or no
     distribution.
     """
     if name_or_path == NONE:
-        return Variation(NONE, {})
+        return Randomization(NONE, {})
     text = str(name_or_path)
     shipped = resources.names("models/randomization", ".toml")
     if not text.endswith(".toml") and "/" not in text and text not in shipped:
@@ -222,7 +224,7 @@ def draw(vary: str | Path, seed: int, design: SensorDesign, file: SimRigFile) ->
     )
 
 
-def variation_from_table(table: Mapping[str, Any], path: Path) -> Variation:
+def variation_from_table(table: Mapping[str, Any], path: Path) -> Randomization:
     """Validate a parsed TOML table; see `load_variation`."""
     root = Section(table, "", str(path))
     spreads = {}
@@ -237,7 +239,7 @@ def variation_from_table(table: Mapping[str, Any], path: Path) -> Variation:
         }
         section.done()
     root.done()
-    return Variation(path.stem, spreads, path)
+    return Randomization(path.stem, spreads, path)
 
 
 def _read_spread(section: Section, entry: Number) -> Spread | None:

@@ -35,7 +35,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.field_types import Pairs
 from mjtactile.core.toml import Section, read_toml
 from mjtactile.core.types import FINGERS
-from mjtactile.rig.as_built_sensor import SpecimenConfig
+from mjtactile.rig.as_built_sensor import AsBuiltSensor
 from mjtactile.rig.simulated import OPENING, SimRigFile, sim_rig_from_table
 
 _PORT_SCHEMES = ("socket", "rfc2217")
@@ -72,7 +72,7 @@ class ServoConfig:
     per_rad: float = number(
         "mm_per_rad", -500, 500, MM, default=0.0, required=True, only_if=_RATIO_LAWS
     )
-    opening_part: float = number("opening_part_mm", -500, 500, MM, default=0.0)
+    opening_part: float = number("jaw_offset_mm", -500, 500, MM, default=0.0)
     zero_ticks: int = whole("zero_ticks", -1_048_575, 1_048_575, default=2048)
     table: tuple[tuple[float, float], ...] = entry(
         Pairs(key="table_deg_mm", units=(DEGREE, MM), only_if=("law", ("table",))), ()
@@ -177,19 +177,19 @@ class ValveConfig:
 
 @dataclass(frozen=True)
 class EmulatorConfig:
-    """How to start the emulated hardware; the ports of such a file are "emulator". `torque_share`:
-    how much more torque per ampere its servos give than their data sheet says; `backlash` m of the
-    opening by which their shafts turn before the jaws follow; `servo_firmware`
+    """How to start the emulated hardware; the ports of such a file are "emulator".
+    `torque_fraction`: how much more torque per ampere its servos give than their data sheet says;
+    `backlash` m of the opening by which their shafts turn before the jaws follow; `servo_firmware`
     None: the newest; `watchdog`: what a tripped bus watchdog leaves of a servo, held where it is
     ("brake") or free ("limp")."""
 
     usb_latency: float = number("usb_latency_ms", 0, 100, MS, default=1e-3)
     valve_sensors: bool = flag("valve_sensors", default=True)
-    torque_share: float = number("torque_percent", -50, 100, PERCENT, default=0.0)
+    torque_fraction: float = number("torque_percent", -50, 100, PERCENT, default=0.0)
     backlash: float = number("backlash_mm", 0, 5, MM, default=0.0)
     servo_firmware: int | None = whole("servo_firmware", 1, 255, default=None)
     watchdog: str = text("watchdog", ("brake", "limp"), default="brake")
-    specimens: tuple[SpecimenConfig, ...] = ()
+    specimens: tuple[AsBuiltSensor, ...] = ()
 
     @classmethod
     def from_section(cls, section: Section) -> EmulatorConfig:
@@ -197,18 +197,18 @@ class EmulatorConfig:
         values = read_fields(cls, section)
         return cls(**values, specimens=_specimens(section.optional("specimen")))
 
-    def specimen(self, finger: str) -> SpecimenConfig:
+    def specimen(self, finger: str) -> AsBuiltSensor:
         """That finger's; one like the sensor file where nothing else is said."""
-        return next((s for s in self.specimens if s.finger == finger), SpecimenConfig(finger))
+        return next((s for s in self.specimens if s.finger == finger), AsBuiltSensor(finger))
 
 
-def _specimens(section: Section | None) -> tuple[SpecimenConfig, ...]:
+def _specimens(section: Section | None) -> tuple[AsBuiltSensor, ...]:
     """Those of the fingers that have one."""
     if section is None:
         return ()
     found = [(finger, section.optional(finger)) for finger in FINGERS]
     section.done()
-    return tuple(read(SpecimenConfig, own, finger=finger) for finger, own in found if own)
+    return tuple(read(AsBuiltSensor, own, finger=finger) for finger, own in found if own)
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,7 @@ class RigFile:
     cameras: tuple[CameraConfig, ...] = parts("camera", CameraConfig)
     valves: tuple[ValveConfig, ...] = parts("valve", ValveConfig, low=0)
     on_host_loss: str = text("on_host_loss", ("open", "hold"), default="open")
-    hold_time: float = number("hold_s", 0.1, 600, default=10.0)
+    hold_time: float = number("host_loss_hold_s", 0.1, 600, default=10.0)
     emulator: EmulatorConfig | None = part("emulator", EmulatorConfig, default=None)
 
     @property

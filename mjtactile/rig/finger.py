@@ -10,8 +10,8 @@ from typing import Any
 
 from mjtactile.core.calibration import Calibration, pressure_reading
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.types import TOLD, PressureReading, Told, ValveState
-from mjtactile.rig.command_limits import Limits
+from mjtactile.core.types import DEFAULT_GOAL, PressureReading, TaskGoal, ValveState
+from mjtactile.rig.command_limits import CommandLimits
 from mjtactile.rig.protocols import CameraDevice, Clock, Gripper, Valve
 
 
@@ -46,11 +46,11 @@ class Finger:
             return self.design.chamber.supply_gauge
         return reading if self.calibration is None else self.calibration.pressure(reading)
 
-    def follow(self, pressure_gauge: float | None) -> None:
+    def follow(self, gauge_pressure: float | None) -> None:
         """Have the valve keep the chamber at a pressure.
 
         Args:
-            pressure_gauge: Pa; the gauge's zero is added to it. None: seal the chamber as it is.
+            gauge_pressure: Pa; the gauge's zero is added to it. None: seal the chamber as it is.
 
         Raises:
             DeviceError: The valve does not obey.
@@ -59,7 +59,7 @@ class Finger:
             return
         measured = None if self.calibration is None else self.calibration.valve
         zero = 0.0 if measured is None else measured.offset
-        self.valve.follow(None if pressure_gauge is None else pressure_gauge + zero)
+        self.valve.follow(None if gauge_pressure is None else gauge_pressure + zero)
 
     def reading(self, valve: ValveState | None) -> PressureReading | None:
         """Find what the chamber's gauge says.
@@ -94,7 +94,8 @@ class Rig:
         flags: What makes the numbers of a simulation worse than usual, so far: the kind of doubt
             and its reason; of a replay those that were recorded.
         told: What the task asks of the robot.
-        touch_is_drawn: Whether its cameras hand over touch in place of images (`Felt`).
+        touch_is_synthetic: Whether its cameras hand over touch in place of images
+            (`FingerSnapshot`).
         scene: The simulated world, for scoring alone; None on a real rig. Sensing and controllers
             never see a `Rig`.
         truth: What really happens in an emulated world, likewise; None elsewhere.
@@ -104,7 +105,7 @@ class Rig:
     fingers: tuple[Finger, ...]
     gripper: Gripper
     clock: Clock
-    limits: Limits
+    limits: CommandLimits
     close: Callable[[], None]
     host_timeout: float = math.inf
     length: float = math.inf
@@ -113,8 +114,8 @@ class Rig:
     flags: Callable[[], Mapping[str, str]] = dict
     scene: Any = None
     truth: Callable[[], Mapping[str, Any]] | None = None
-    told: Told = TOLD
-    touch_is_drawn: bool = False
+    told: TaskGoal = DEFAULT_GOAL
+    touch_is_synthetic: bool = False
 
     @cached_property
     def period(self) -> float:

@@ -61,10 +61,10 @@ class Valve(Protocol):
         """Seal the chamber: from here on the amount of gas is kept."""
         ...
 
-    def follow(self, pressure_gauge: float | None) -> None:
-        """Keep the chamber at what its gauge shows as `pressure_gauge` Pa from now on; None: seal
-        it as it is, if it was kept so. Waits for nothing; asked of rigs whose `Limits` have a
-        pressure."""
+    def follow(self, gauge_pressure: float | None) -> None:
+        """Keep the chamber at what its gauge shows as `gauge_pressure` Pa from now on; None: seal
+        it as it is, if it was kept so. Waits for nothing; asked of rigs whose `CommandLimits` have
+        a pressure."""
         ...
 
 

@@ -55,7 +55,7 @@ def scenario_from_table(table: Mapping[str, Any], path: Path, label: str = "") -
     return read(Scenario, Section(table, label, str(path)))
 
 
-def complete_scenario(scenario: Scenario) -> Scenario:
+def resolve_scenario(scenario: Scenario) -> Scenario:
     """Fill in the sensor that each of the rig's fingers really has.
 
     A rig file's fingers may name their own, and so do those of a recording that is replayed. Where

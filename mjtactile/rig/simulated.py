@@ -84,7 +84,7 @@ class SimActuator:
             table = tuple((a * unit, x * MM) for a, x in section.pairs(key))
         else:
             ratio = section.number(key, -500, 500, _PER[key])
-            offset = section.number("opening_part_mm", -500, 500, MM, default=0.0)
+            offset = section.number("jaw_offset_mm", -500, 500, MM, default=0.0)
         try:
             return cls(section.text("name"), make_law(kind, offset, ratio, table))
         except ValueError as error:

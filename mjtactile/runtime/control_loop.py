@@ -26,7 +26,7 @@ from mjtactile.runtime.retreat import HEIGHT_TOLERANCE, may_hold
 from mjtactile.runtime.supervisor import Supervisor
 
 # 0.2 s of 0.25 s, so that the devices never take the loop for dead
-_STEP_SHARE = 0.8
+_STEP_FRACTION = 0.8
 _IN_THE_AIR = 5e-3  # m that the hand may be measured above where it is thought to be down
 
 
@@ -78,14 +78,14 @@ def run_loop(
     is_real = math.isfinite(rig.host_timeout)
     memory = memory_limit.limited() if is_real else contextlib.nullcontext(lambda: None)
     with (
-        ControllerThread(controller, min(_STEP_SHARE * rig.host_timeout, WAIT_TIME)) as guarded,
+        ControllerThread(controller, min(_STEP_FRACTION * rig.host_timeout, WAIT_TIME)) as guarded,
         perceivers as perceiving,
         memory as limit_memory,
     ):
         supervisor = supervisor or Supervisor(rig.period)
         cycle = ControlCycle.begin(rig, perceiving, supervisor, observer or Observer())
-        _turn_until_over(cycle, guarded, stop, limit_memory, time_limit)
-    _say_doubt(cycle)
+        _rotate_until_over(cycle, guarded, stop, limit_memory, time_limit)
+    _report_flag(cycle)
     if cycle.failure is not None:
         raise cycle.failure
     reason = cycle.supervisor.reason
@@ -96,7 +96,7 @@ def run_loop(
     return cycle.last
 
 
-def _say_doubt(cycle: ControlCycle) -> None:
+def _report_flag(cycle: ControlCycle) -> None:
     """Say and record that the safe state is not verified, whatever is raised then."""
     doubt = cycle.supervisor.doubt
     if doubt:
@@ -104,7 +104,7 @@ def _say_doubt(cycle: ControlCycle) -> None:
         cycle.attempt(lambda: cycle.observer.note(not_verified_safe=doubt))
 
 
-def _turn_until_over(
+def _rotate_until_over(
     cycle: ControlCycle,
     guarded: ControllerThread,
     stop: Stop,
@@ -188,7 +188,7 @@ def _turn(cycle: ControlCycle, controller: ControllerThread, deadline: float) ->
     cycle.attempt(lambda: cycle.observer.add(turn))
     if left_out and not cycle.left_out:
         cycle.left_out = left_out
-        cycle.attempt(lambda: _say_left_out(cycle))
+        cycle.attempt(lambda: _report_disabled_effects(cycle))
 
 
 def _make_room(cycle: ControlCycle) -> None:
@@ -201,7 +201,7 @@ def _make_room(cycle: ControlCycle) -> None:
         cycle.supervisor.latch("no memory is left", cycle.now, "the retreat was cut short")
 
 
-def _say_left_out(cycle: ControlCycle) -> None:
+def _report_disabled_effects(cycle: ControlCycle) -> None:
     names = ", ".join(cycle.left_out)
     cycle.observer.message(f"Command.memory: what cannot be written is not recorded: {names}")
     cycle.observer.note(memory_left_out=list(cycle.left_out))

@@ -23,7 +23,7 @@ from mjtactile.runtime.supervisor import Supervisor
 # host_timeout
 WAIT_TIME = 10.0
 # 0.1 s of 0.25 s, so that the devices never take the loop for dead
-_PERCEPTION_SHARE = 0.4
+_PERCEPTION_FRACTION = 0.4
 ENDS = ("done", "abort")  # phases
 _UNKNOWN_GRIPPER = GripperState(math.nan, math.nan, math.nan, math.nan)
 
@@ -51,7 +51,7 @@ class Perceiving(Protocol):
     """The chains of all fingers (`Perceivers`, `PerceptionPool`)."""
 
     def perceive(
-        self, images: Any, now: float, patience: float, readings: Any
+        self, images: Any, now: float, disk_wait_time: float, readings: Any
     ) -> tuple[Touch, ...]: ...
 
 
@@ -108,7 +108,7 @@ class ControlCycle:
         self.attempt(self.rig.gripper.ask)
         if not self.attempt(self._read_valves):
             self.valves = tuple(
-                replace(valve, pressure_gauge=None, time=math.nan, age=math.nan)
+                replace(valve, gauge_pressure=None, time=math.nan, age=math.nan)
                 for valve in self.valves
             )
         self.attempt(self.observer.on_images)
@@ -118,7 +118,7 @@ class ControlCycle:
         if self._blind:
             self._touch_unknown(Status(StatusCode.NO_IMAGE, self._blind))
         elif not self.attempt(self._perceive):
-            self._touch_unknown(Status(StatusCode.NO_ANSWER, self.supervisor.reason))
+            self._touch_unknown(Status(StatusCode.PERCEPTION_TIMEOUT, self.supervisor.reason))
         if not self.attempt(self._read_gripper):
             self.gripper = _UNKNOWN_GRIPPER
         self.perception_ms = 1e3 * (wall.perf_counter() - self._seen)
@@ -197,9 +197,9 @@ class ControlCycle:
         self.gripper = self.rig.gripper.state()
 
     def _perceive(self) -> None:
-        patience = min(_PERCEPTION_SHARE * self.rig.host_timeout, WAIT_TIME)
+        disk_wait_time = min(_PERCEPTION_FRACTION * self.rig.host_timeout, WAIT_TIME)
         readings = self.rig.readings(self.valves)
-        self.touch = self.perceptions.perceive(self.images, self.now, patience, readings)
+        self.touch = self.perceptions.perceive(self.images, self.now, disk_wait_time, readings)
 
     def _touch_unknown(self, status: Status) -> None:
         self.touch = tuple(unknown_touch(image, self.now, status) for image in self.images)

@@ -135,7 +135,7 @@ class GraspEstimate:
         for opening in openings:
             data.qpos[joint : joint + 7] = pose
             data.qvel[dof : dof + 6] = 0.0
-            world.place_hand(float(opening), float(lift[0]))
+            world.place_gripper(float(opening), float(lift[0]))
             world.step()
 
     @staticmethod

@@ -1,4 +1,4 @@
-"""`FlagNotes`: what a simulation says of its own numbers reaches whoever looks on, as a note."""
+"""`FlagObserver`: what a simulation says of its own numbers reaches whoever looks on, as a note."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from mjtactile.recording.observer import Observer
 
 
-class FlagNotes(Observer):
+class FlagObserver(Observer):
     """Notes `flags` (kind of doubt to reason) whenever `ask` has others; a context manager, which
     asks once more when the run has ended, however it did."""
 
@@ -16,7 +16,7 @@ class FlagNotes(Observer):
         self._observer = observer
         self._noted: dict[str, str] = {}
 
-    def __enter__(self) -> FlagNotes:
+    def __enter__(self) -> FlagObserver:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.errors import InputError, SimulationError
-from mjtactile.core.fidelity_levels import left_out_of
-from mjtactile.core.fidelity_levels import level_texts as level_texts
+from mjtactile.core.fidelity_levels import disabled_effects
+from mjtactile.core.fidelity_levels import fidelity_notes as fidelity_notes
 from mjtactile.core.scenario import TIME_LIMIT, Scenario
 from mjtactile.core.task import load_task
 from mjtactile.recording.observer import Observer, Observers
@@ -231,9 +231,9 @@ def _score(scenario: Scenario, rig: Rig, observer: Observer) -> Any:
     if rig.scene is None:
         return None
     from mjtactile.runtime.grasp_scoring import GraspScore
-    from mjtactile.runtime.task_scoring import Judge
+    from mjtactile.runtime.task_scoring import TaskScorer
 
-    score = GraspScore(rig.scene, Judge.of(scenario, rig))
+    score = GraspScore(rig.scene, TaskScorer.of(scenario, rig))
     rig.scene.after_each_stretch(score.after_stretch, score.due)
     force = rig.scene.object.break_force
     varied = {"varied": rig.varied} if rig.varied else {}
@@ -274,7 +274,7 @@ def _result(
         reason="; ".join(
             filter(None, [score.reason() if score else log.ended(), log.gave_up(period)])
         ),
-        left_out=() if score is None else left_out_of(score.world.effects),
+        left_out=() if score is None else disabled_effects(score.world.effects),
         peak_stress_true=score.peak_stress if score else math.nan,
         peak_energy_true=score.peak_energy if score else math.nan,
         measures=score.measures() if score else {},

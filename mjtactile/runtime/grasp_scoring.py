@@ -10,16 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.core.task import Counts
+from mjtactile.core.task import SuccessCriteria
 from mjtactile.core.types import Array, Touch
-from mjtactile.runtime.task_scoring import Judge
+from mjtactile.runtime.task_scoring import TaskScorer
 from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.scene_triangles import SceneView
 
 _RISEN = 0.01  # m of the hand, from where on it can be told whether the object comes along
 # the object counts as held when it rose by at least this share of what the hand rose,
-_HELD_SHARE = 0.5
+_HELD_FRACTION = 0.5
 # s between two looks at a soft object's strain, which changes no faster than the fingers
 _STRAIN_EVERY = 0.02
 _NO_MARKERS = np.zeros((0, 3))
@@ -32,7 +32,7 @@ class GraspScore:
     began it."""
 
     world: GraspWorld
-    judge: Judge | None = None
+    judge: TaskScorer | None = None
     phase: str = "approach"
     peak_force: float = 0.0
     peak_stress: float = math.nan
@@ -63,9 +63,9 @@ class GraspScore:
         self._friction = [sensor.design.membrane.friction for sensor in self.world.sensors]
         self._next_strain = -math.inf
         self._rest_height = self._object_position()[2]
-        self._hand_start = ground_truth.hand_position(self.world)[2]
+        self._gripper_start = ground_truth.gripper_position(self.world)[2]
 
-    def begin_cycle(self) -> None:
+    def start_cycle(self) -> None:
         """Images were taken: from now on the phase counts that was sent for."""
         self.phase = self._next_phase
 
@@ -76,7 +76,7 @@ class GraspScore:
     def snapshot(self, with_view: bool = True) -> None:
         """Keep the truth of this moment, at which the images were taken; the world must not be
         moving. To keep its view, too, takes a tenth of what a cycle without images does."""
-        self.begin_cycle()
+        self.start_cycle()
         sensors = range(len(self.world.sensors))
         self._wrenches = [ground_truth.contact_wrench(self.world, i) for i in sensors]
         # where touch is drawn nobody sees markers, and finding them takes a sixth of an episode
@@ -125,11 +125,11 @@ class GraspScore:
         if self.phase not in ("lift", "hold"):
             return
         p_WO = self._object_position()
-        p_WH = ground_truth.hand_position(self.world)
+        p_WH = ground_truth.gripper_position(self.world)
         self._track_slip(p_WO - p_WH)
         self._carried = max(self._carried, float((each @ self._friction).max()))
-        lifted = float(p_WH[2] - self._hand_start)
-        risen = bool(p_WO[2] - self._rest_height > _HELD_SHARE * lifted - _HELD_SLACK)
+        lifted = float(p_WH[2] - self._gripper_start)
+        risen = bool(p_WO[2] - self._rest_height > _HELD_FRACTION * lifted - _HELD_SLACK)
         self.lost |= lifted > _RISEN and not risen
         if self.phase == "hold":
             self._hold_sum += float(each.sum()) / each.shape[1]
@@ -148,7 +148,7 @@ class GraspScore:
         height = float(self._object_position()[2])
         if math.isnan(self._let_go_height):
             self._let_go_height = height
-        counts = Counts() if self.judge is None else self.judge.task.counts
+        counts = SuccessCriteria() if self.judge is None else self.judge.task.counts
         self.fell |= self._let_go_height - height > counts.fall
 
     def _is_torn(self) -> bool:

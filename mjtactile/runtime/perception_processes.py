@@ -21,13 +21,13 @@ from mjtactile.core.types import Image, PressureReading, Touch
 from mjtactile.runtime.perception_threads import (
     PATIENCE,
     Outcome,
-    late_touch,
     outcome_of,
+    timeout_touch,
     value_of,
     with_readings,
 )
 from mjtactile.runtime.worker_process import Channel, WorkerProcess
-from mjtactile.sensing.stateful_pipeline import Perception
+from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
 _START = 120.0  # s; a busy computer takes 10 to import what a chain needs
 
@@ -52,8 +52,8 @@ class PerceptionPool:
 
     @contextlib.contextmanager
     def at_work(self, perceptions: Sequence[Any], names: Sequence[str]) -> Iterator[PerceptionPool]:
-        """Feel with these chains (`Perception`), from the states that they are in; they are left in
-        those that the run ends in.
+        """Feel with these chains (`StatefulPipeline`), from the states that they are in; they are
+        left in those that the run ends in.
 
         Raises DeviceError for a process that does not start.
         """
@@ -76,7 +76,7 @@ class PerceptionPool:
         self,
         images: Sequence[Image],
         now: float,
-        patience: float = PATIENCE,
+        disk_wait_time: float = PATIENCE,
         readings: Sequence[PressureReading | None] = (),
     ) -> tuple[Touch, ...]:
         """What every sensor feels; see `mjtactile.runtime.perception_threads.Perceivers.perceive`.
@@ -86,7 +86,7 @@ class PerceptionPool:
         """
         for worker, own in self._shares(with_readings(images, readings)):
             worker.begin("feel", own, now)
-        end = scaled_clock.monotonic() + patience
+        end = scaled_clock.monotonic() + disk_wait_time
         felt = list[Outcome | None]([None] * len(images))
         for first, (worker, own) in enumerate(self._shares(self._perceptions)):
             answer = list[tuple[Outcome, Any]](
@@ -100,7 +100,7 @@ class PerceptionPool:
                 if tracks is not None:
                     perception.state = replace(perception.state, tracks=tracks)
         return tuple(
-            late_touch(name, image, now) if outcome is None else value_of(outcome)
+            timeout_touch(name, image, now) if outcome is None else value_of(outcome)
             for outcome, name, image in zip(felt, self._names, images, strict=True)
         )
 
@@ -130,7 +130,7 @@ def default_count(cameras: int) -> int:
 def serve(channel: Channel) -> None:
     """What a process does until its parent hangs up: takes chains, feels images, and gives the
     chains' states back."""
-    perceptions: list[Perception] = []
+    perceptions: list[StatefulPipeline] = []
     with contextlib.suppress(OSError):
         while True:
             match channel.receive(None):

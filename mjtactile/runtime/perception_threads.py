@@ -16,41 +16,41 @@ from typing import Any, Protocol
 
 from mjtactile.core import platform_support, scaled_clock
 from mjtactile.core.status import Status, StatusCode
-from mjtactile.core.types import Image, PressureReading, Touch, TouchImage
+from mjtactile.core.types import Image, PressureReading, SyntheticTouch, Touch
 
 # s for an answer where nobody says how long; a chain needs a hundredth of a second for an image
 PATIENCE = 10.0
 
 
 class Perceiver(Protocol):
-    """One sensor's perception; see `mjtactile.sensing.stateful_pipeline.Perception`."""
+    """One sensor's perception; see `mjtactile.sensing.stateful_pipeline.StatefulPipeline`."""
 
     shapes: bool
 
-    def take_flat(self, images: Sequence[Image]) -> Any: ...
-    def take_rest(
-        self, images: Sequence[Image], pressure_gauge: float, *, sealed: bool = True
+    def measure_flat_reference(self, images: Sequence[Image]) -> Any: ...
+    def measure_rest_reference(
+        self, images: Sequence[Image], gauge_pressure: float, *, sealed: bool = True
     ) -> Any: ...
     def perceive(
         self, image: Image, now: float, reading: PressureReading | None = None
     ) -> Touch: ...
 
 
-class DrawnPerception:
-    """In place of a chain where touch was drawn (`TouchImage`): it hands on what it is given.
+class SyntheticPerception:
+    """In place of a chain where touch was drawn (`SyntheticTouch`): it hands on what it is given.
     Shapes are not drawn."""
 
     shapes = False
     state: Any = None
 
-    def take_flat(self, images: Sequence[Image]) -> None: ...
+    def measure_flat_reference(self, images: Sequence[Image]) -> None: ...
 
-    def take_rest(
-        self, images: Sequence[Image], pressure_gauge: float, *, sealed: bool = True
+    def measure_rest_reference(
+        self, images: Sequence[Image], gauge_pressure: float, *, sealed: bool = True
     ) -> None: ...
 
     def perceive(self, image: Image, now: float, reading: PressureReading | None = None) -> Touch:
-        assert isinstance(image, TouchImage) and image.touch is not None
+        assert isinstance(image, SyntheticTouch) and image.touch is not None
         touch = image.touch
         return touch if now == touch.time else replace(touch, age=now - touch.time)
 
@@ -88,7 +88,7 @@ class Perceivers:
         self,
         images: Sequence[Image],
         now: float,
-        patience: float = PATIENCE,
+        disk_wait_time: float = PATIENCE,
         readings: Sequence[PressureReading | None] = (),
     ) -> tuple[Touch, ...]:
         """What every sensor feels, with its gauge's newest reading where there are any.
@@ -107,13 +107,13 @@ class Perceivers:
             outcome_of(chain.perceive, *seen) if thread is None else None
             for (chain, _, thread), seen in zip(self._chains, given, strict=True)
         ]
-        end = scaled_clock.monotonic() + patience
+        end = scaled_clock.monotonic() + disk_wait_time
         found = [
             mine if thread is None else thread.outcome(max(0.0, end - scaled_clock.monotonic()))
             for ((_, _, thread), _), mine in zip(pairs, own, strict=True)
         ]
         return tuple(
-            late_touch(name, image, now) if outcome is None else value_of(outcome)
+            timeout_touch(name, image, now) if outcome is None else value_of(outcome)
             for ((_, name, _), image), outcome in zip(pairs, found, strict=True)
         )
 
@@ -175,12 +175,12 @@ class _Thread:
             self._work.put((act, arguments))
             self._due += 1
 
-    def outcome(self, patience: float) -> Outcome | None:
+    def outcome(self, disk_wait_time: float) -> Outcome | None:
         """What came of it; None if it did not end within `patience` s."""
         if self._is_late:
             return None
         try:
-            done = self._done.get(timeout=scaled_clock.wall(patience))
+            done = self._done.get(timeout=scaled_clock.wall(disk_wait_time))
         except queue.Empty:
             return None
         self._due -= 1
@@ -209,7 +209,9 @@ def value_of(outcome: Outcome) -> Any:
     return value
 
 
-def late_touch(name: str, image: Image, now: float) -> Touch:
+def timeout_touch(name: str, image: Image, now: float) -> Touch:
     return unknown_touch(
-        image, now, Status(StatusCode.NO_ANSWER, f"{name} sensor: its perception does not answer")
+        image,
+        now,
+        Status(StatusCode.PERCEPTION_TIMEOUT, f"{name} sensor: its perception does not answer"),
     )

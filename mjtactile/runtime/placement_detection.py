@@ -15,7 +15,7 @@ _FOLLOWS = 0.2  # of a new shear in what is taken for the load's, against noise
 _UP = 2e-3  # m of the hand, from where on what it holds hangs on the fingers
 
 
-class HangingLoad:
+class SuspendedLoad:
     """What hangs on the fingers while the hand is up and does not go down."""
 
     def __init__(self) -> None:

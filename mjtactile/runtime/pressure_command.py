@@ -16,31 +16,31 @@ def check(rig: Rig, wanted: Command) -> None:
     Raises:
         InputError: No valve of it obeys, or the number is not that of its fingers.
     """
-    if wanted.pressure_gauge is None:
+    if wanted.gauge_pressure is None:
         return
     if rig.limits.pressure is None:
         raise InputError(
             f"rig {rig.name!r} has no valves with a pressure gauge that obey: the air in its "
             "fingers stays as it is",
             source="Command",
-            field="pressure_gauge",
+            field="gauge_pressure",
         )
-    if len(wanted.pressure_gauge) != len(rig.fingers):
+    if len(wanted.gauge_pressure) != len(rig.fingers):
         raise InputError(
-            f"{len(wanted.pressure_gauge)} pressures for {len(rig.fingers)} fingers",
+            f"{len(wanted.gauge_pressure)} pressures for {len(rig.fingers)} fingers",
             source="Command",
-            field="pressure_gauge",
+            field="gauge_pressure",
         )
 
 
 def started(rig: Rig, wanted: Command, last: Command, valves: Sequence[ValveState]) -> Command:
     """The command before, from which the limits reckon: the first pressures begin at what the
     gauges show; those that are silent at what is wanted."""
-    if wanted.pressure_gauge is None or last.pressure_gauge is not None:
+    if wanted.gauge_pressure is None or last.gauge_pressure is not None:
         return last
-    pairs = zip(wanted.pressure_gauge, rig.readings(valves), strict=True)
-    shown = tuple(one if gauge is None else gauge.pressure_gauge for one, gauge in pairs)
-    return replace(last, pressure_gauge=shown)
+    pairs = zip(wanted.gauge_pressure, rig.readings(valves), strict=True)
+    shown = tuple(one if gauge is None else gauge.gauge_pressure for one, gauge in pairs)
+    return replace(last, gauge_pressure=shown)
 
 
 def send(rig: Rig, command: Command, last: Command) -> None:
@@ -50,8 +50,8 @@ def send(rig: Rig, command: Command, last: Command) -> None:
     Raises:
         DeviceError: A valve does not obey.
     """
-    if command.pressure_gauge is None and last.pressure_gauge is None:
+    if command.gauge_pressure is None and last.gauge_pressure is None:
         return
-    pressures = command.pressure_gauge or (None,) * len(rig.fingers)
+    pressures = command.gauge_pressure or (None,) * len(rig.fingers)
     for finger, pressure in zip(rig.fingers, pressures, strict=True):
         finger.follow(pressure)

@@ -28,12 +28,12 @@ class ReferenceImages:
     Attributes:
         stage: "flat" (valves open to the air) or "rest" (inflated and sealed).
         images: One list a finger.
-        pressure_gauge: Pa, one a valve; None: it has no pressure sensor.
+        gauge_pressure: Pa, one a valve; None: it has no pressure sensor.
     """
 
     stage: str
     images: Shots
-    pressure_gauge: list[float | None]
+    gauge_pressure: list[float | None]
 
 
 def take_references(
@@ -64,7 +64,7 @@ def take_references(
     inflate(fingers, clock)
     readings: list[list[float | None]] = []
     images = settled_images(
-        fingers, clock, lambda: readings.append([v.state().pressure_gauge for v in valves])
+        fingers, clock, lambda: readings.append([v.state().gauge_pressure for v in valves])
     )
     yield ReferenceImages("rest", images, [_mean(each) for each in zip(*readings, strict=True)])
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from mjtactile.core.types import Command, Touch
-from mjtactile.runtime.placement_detection import HangingLoad
+from mjtactile.runtime.placement_detection import SuspendedLoad
 
 RETREAT_SPEED = 0.030  # m/s of opening, and of lowering
 RETREAT_OPENING = 0.015  # m to open: an object is released, and not thrown
@@ -37,7 +37,7 @@ class Retreat:
 
     def __init__(self, period: float):
         self._period = period
-        self._load = HangingLoad()
+        self._load = SuspendedLoad()
         self._stands = False
         self._lowering_time = self._down_time = self._open_time = 0.0
         self._lowering_time_max = RETREAT_TIME_MAX

@@ -25,15 +25,15 @@ from mjtactile.rig.registry import as_scenario, build_rig
 from mjtactile.runtime.control_loop import run_loop
 from mjtactile.runtime.controller import LoadedController
 from mjtactile.runtime.cycle import WAIT_TIME, Cycle
-from mjtactile.runtime.flag_observer import FlagNotes
+from mjtactile.runtime.flag_observer import FlagObserver
 from mjtactile.runtime.perception_processes import PerceptionPool, default_count
-from mjtactile.runtime.perception_threads import DrawnPerception, Perceiver
+from mjtactile.runtime.perception_threads import Perceiver, SyntheticPerception
 from mjtactile.runtime.references import ReferenceImages, inflate, take_references
-from mjtactile.runtime.stepwise_control import Steps
+from mjtactile.runtime.stepwise_control import StepwiseControl
 from mjtactile.runtime.supervisor import Supervisor
-from mjtactile.runtime.unsensed_force_monitor import PushWatch
+from mjtactile.runtime.unsensed_force_monitor import UnsensedForceMonitor
 from mjtactile.sensing.settings import DEFAULTS, Settings
-from mjtactile.sensing.stateful_pipeline import Perception
+from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
 Say = Callable[[str], None]
 
@@ -72,19 +72,19 @@ class Session:
         self._say = say
         self._supervisor = Supervisor(rig.period)
         names = tuple(finger.name for finger in rig.fingers)
-        self._push = PushWatch(names, rig.period)
-        if perceptions is None and rig.touch_is_drawn:
-            perceptions = [DrawnPerception() for _ in rig.fingers]
+        self._push = UnsensedForceMonitor(names, rig.period)
+        if perceptions is None and rig.touch_is_synthetic:
+            perceptions = [SyntheticPerception() for _ in rig.fingers]
         elif perceptions is None:
             perceptions = [
-                Perception.of(finger.design, finger.calibration, settings=settings)
+                StatefulPipeline.of(finger.design, finger.calibration, settings=settings)
                 for finger in rig.fingers
             ]
         self.perceptions: Sequence[Perceiver] = perceptions
-        self._ask_for_shapes(shapes)
+        self._require_shapes(shapes)
 
     @property
-    def patience(self) -> float:
+    def disk_wait_time(self) -> float:
         """s that this world waits for a disk that is behind: a real one does not."""
         return 0.0 if math.isfinite(self.rig.host_timeout) else WAIT_TIME
 
@@ -112,27 +112,27 @@ class Session:
             settings=self.settings.to_dict(),
             **simulated,
         )
-        self._say_what_was_measured(observer)
-        if rig.touch_is_drawn:  # nobody looks at references
+        self._report_references(observer)
+        if rig.touch_is_synthetic:  # nobody looks at references
             inflate(rig.fingers, rig.clock)
             return
         for reference in take_references(rig.fingers, rig.clock, self._say):
-            observer.add_reference(reference.stage, reference.images, reference.pressure_gauge)
+            observer.add_reference(reference.stage, reference.images, reference.gauge_pressure)
             self._zero(reference)
 
     def _zero(self, reference: ReferenceImages) -> None:
         """Have each chain take its own images as its reference."""
-        pressures = iter(reference.pressure_gauge)
+        pressures = iter(reference.gauge_pressure)
         for finger, perception, images in zip(
             self.rig.fingers, self.perceptions, reference.images, strict=True
         ):
             gauge = next(pressures) if finger.valve is not None else None
             if reference.stage == "flat":
-                perception.take_flat(images)
+                perception.measure_flat_reference(images)
             else:
-                perception.take_rest(images, finger.pressure(gauge))
+                perception.measure_rest_reference(images, finger.pressure(gauge))
 
-    def _say_what_was_measured(self, observer: Observer) -> None:
+    def _report_references(self, observer: Observer) -> None:
         """Name the parts of calibrations that do not count, and keep all of them with what is
         recorded."""
         known = {
@@ -188,8 +188,8 @@ class Session:
         if on_cycle is not None:
             watching.append(CycleCallback(on_cycle))
         reads = "shape" in getattr(controller, "reads", ())
-        self._ask_for_shapes(self._shapes or reads, controller.path if reads else None)
-        notes = FlagNotes(lambda: self.flags, Observers(watching))
+        self._require_shapes(self._shapes or reads, controller.path if reads else None)
+        notes = FlagObserver(lambda: self.flags, Observers(watching))
         # a simulated world knows what its frames carry
         is_real = math.isfinite(self.rig.host_timeout)
         watched = [notes, self._push] if is_real else [notes]
@@ -207,20 +207,20 @@ class Session:
             )
 
     @contextlib.contextmanager
-    def steps(self) -> Iterator[Steps]:
+    def steps(self) -> Iterator[StepwiseControl]:
         """Give the rig out step by step, in place of `run`, to whoever has a loop of his own.
 
         Yields:
             The steps: `observe`, then `send`, again and again.
         """
-        found = Steps(self.rig, self.perceptions, self._threads)
+        found = StepwiseControl(self.rig, self.perceptions, self._threads)
         try:
             yield found
         finally:
             found.close()
 
-    def _ask_for_shapes(self, asks: bool, source: Path | None = None) -> None:
-        if asks and self.rig.touch_is_drawn:
+    def _require_shapes(self, asks: bool, source: Path | None = None) -> None:
+        if asks and self.rig.touch_is_synthetic:
             who = "--shapes" if source is None else "a controller that reads shapes"
             raise InputError(f"{who} needs the chain", source=source, field="--effects -chain")
         for perception in self.perceptions:
@@ -283,7 +283,7 @@ def open_session(
 def _start_pool(rig: Rig, workers: int | None) -> PerceptionPool | None:
     """Processes for a simulated rig's fingers; they start while the references are taken. None: no
     use, or no room, for them."""
-    if rig.scene is None or rig.touch_is_drawn:
+    if rig.scene is None or rig.touch_is_synthetic:
         return None
     fingers = len(rig.fingers)
     count = default_count(fingers) if workers is None else min(workers, fingers)

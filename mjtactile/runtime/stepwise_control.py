@@ -1,4 +1,4 @@
-"""`Steps`: a rig step by step, for whoever has a loop of his own."""
+"""`StepwiseControl`: a rig step by step, for whoever has a loop of his own."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mjtactile.runtime.perception_threads import Perceiver, Perceivers
 from mjtactile.runtime.supervisor import Supervisor
 
 
-class Steps:
+class StepwiseControl:
     """The control cycle, one camera's period a step: `observe`, then `send`.
 
     As in `Session.run`, supervisor and limits stand between what is wanted and the rig, and the

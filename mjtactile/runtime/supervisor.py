@@ -20,12 +20,12 @@ from mjtactile.runtime.retreat import Retreat
 
 BLIND_TIME_MAX = 0.5  # s without a known force before the gripper opens by itself
 # of the sealed pressure; an object only ever raises it, temperature changes it by 1 % for 3 K
-_LEAK_SHARE = 0.8
+_LEAK_FRACTION = 0.8
 # in a row, by shape; one is enough by pressure, since a valve's driver asks again for what
 # surprises
 _SINK_CYCLES = 3
 # of the volume of the untouched bulge: the same sign of a leak where there is no pressure sensor
-_BULGE_SHARE = 0.6
+_BULGE_FRACTION = 0.6
 STATES = ("idle", "armed", "running", "holding", "safe", "latched")
 
 
@@ -51,7 +51,7 @@ class Supervisor:
         self._sealed: list[float] | None = None
         self._bulge: list[float] | None = None
         self._sink_cycles = 0
-        self._wanted_safe = ""
+        self._safe_requested = ""
         self._retreat = Retreat(period)
         self._opening = self._height = math.nan
         self.doubt = ""
@@ -77,8 +77,8 @@ class Supervisor:
         gripper measures (NaN: unknown)."""
         self._opening = opening
         self._height = height
-        if self._wanted_safe:
-            self.make_safe(self._wanted_safe, now)
+        if self._safe_requested:
+            self.make_safe(self._safe_requested, now)
         if self.state in ("safe", "latched"):
             return self._go_back(now, last, touch)
         self._retreat.watch(touch, last.lift_height)
@@ -101,7 +101,7 @@ class Supervisor:
 
     def want_safe(self, reason: str) -> None:
         """The same from the next `decide` on; for other threads, such as a person's red button."""
-        self._wanted_safe = reason
+        self._safe_requested = reason
 
     def latch(self, reason: str, now: float, doubt: str = "") -> None:
         """The end: nothing is sent any more. `doubt` is what of the safe state is not verified."""
@@ -126,7 +126,7 @@ class Supervisor:
             opening=max(wanted.opening, last.opening),
             force_limit=wanted.force_limit if last.force_limit is None else last.force_limit,
             lift_height=min(wanted.lift_height, last.lift_height),
-            pressure_gauge=last.pressure_gauge,
+            gauge_pressure=last.gauge_pressure,
         )
 
     def _go_back(self, now: float, last: Command, touch: Sequence[Touch]) -> Command:
@@ -143,18 +143,18 @@ class Supervisor:
         """Which sealed chamber loses gas, in words; "" for none."""
         if self._sealed is None or self._bulge is None:
             self._sealed = [
-                math.nan if v.is_open or v.pressure_gauge is None else v.pressure_gauge
+                math.nan if v.is_open or v.gauge_pressure is None else v.gauge_pressure
                 for v in valves
             ]
             self._bulge = [t.surface.volume if t.surface else math.nan for t in touch]
         for i, t in enumerate(touch):
             self._note_sealed(i, t, valves[i] if i < len(valves) else None)
         lost = [
-            f"chamber {i} lost pressure: {v.pressure_gauge:.0f} Pa, sealed at {sealed:.0f} Pa"
+            f"chamber {i} lost pressure: {v.gauge_pressure:.0f} Pa, sealed at {sealed:.0f} Pa"
             for i, (v, sealed) in enumerate(zip(valves, self._sealed, strict=True))
-            if v.pressure_gauge is not None
+            if v.gauge_pressure is not None
             and not v.is_open
-            and v.pressure_gauge < _LEAK_SHARE * sealed
+            and v.gauge_pressure < _LEAK_FRACTION * sealed
         ]
         sunk = [
             f"the membrane of chamber {i} has sunk to {1e9 * t.surface.volume:.0f} mm^3 from "
@@ -163,7 +163,7 @@ class Supervisor:
             if t.surface is not None
             and not t.touching
             and bulge > 0
-            and t.surface.volume < _BULGE_SHARE * bulge
+            and t.surface.volume < _BULGE_FRACTION * bulge
         ]
         self._sink_cycles = self._sink_cycles + 1 if sunk else 0
         if lost:
@@ -180,7 +180,7 @@ class Supervisor:
             return
         if touch.touching:
             return
-        gauge = None if valve is None else valve.pressure_gauge
+        gauge = None if valve is None else valve.gauge_pressure
         if gauge is not None and math.isnan(self._sealed[i]):
             self._sealed[i] = gauge
         if touch.surface is not None and math.isnan(self._bulge[i]):

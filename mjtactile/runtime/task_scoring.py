@@ -33,7 +33,7 @@ _GENEROUS = 2.0  # a grip of so many times the need is more than asked
 
 
 @dataclass
-class Judge:
+class TaskScorer:
     """Watches a world in which a task is done. `pulls` has when, s after the hand was up, somebody
     pulls with more than 0.3 N, NaN: nobody does."""
 
@@ -49,19 +49,19 @@ class Judge:
     """s after the hand was up; one finger alone holds nothing."""
     torn: bool = False
     """It slid out of a grip that was not opened."""
-    _next_look: float = -math.inf
+    _next_check: float = -math.inf
     _up_since: float = math.nan
 
     def __post_init__(self) -> None:
         model = self.world.model
         self._bodies = ground_truth.object_bodies(self.world)
         self._friction = [sensor.design.membrane.friction for sensor in self.world.sensors]
-        self._hand_start = float(ground_truth.hand_position(self.world)[2])
+        self._gripper_start = float(ground_truth.gripper_position(self.world)[2])
         self._places = model.body_weldid == 0
         self._start = self._standing()
 
     @classmethod
-    def of(cls, scenario: Scenario, rig: Rig) -> Judge:
+    def of(cls, scenario: Scenario, rig: Rig) -> TaskScorer:
         """Of what a scenario's seed has drawn for a simulated rig."""
         task = load_task(scenario.task)
         return cls(rig.scene, task, task.draw(scenario.seed, len(rig.fingers)).pulls())
@@ -83,8 +83,8 @@ class Judge:
             )
             self.bump = np.nan_to_num(self.bump) + pressed * steps * self.world.timestep
         is_pulled = time - self._up_since >= self.pulls  # then who pulls carries it, too
-        if phase in ("lift", "hold") and height > _IN_AIR and time >= self._next_look:
-            self._next_look = time + _EVERY
+        if phase in ("lift", "hold") and height > _IN_AIR and time >= self._next_check:
+            self._next_check = time + _EVERY
             need = self.need()
             if need > 0 and second > _LET_GO and not is_pulled:
                 grip = float(np.mean(forces))
@@ -131,7 +131,7 @@ class Judge:
         """What the task counts and was not done, "" for nothing."""
         counts = self.task.counts
         if math.isfinite(counts.let_go):
-            return self._hand_over_failure(counts.let_go)
+            return self._handover_failure(counts.let_go)
         if math.isfinite(counts.upright):
             tilt, height = self._standing()
             if math.degrees(abs(tilt)) > math.degrees(counts.upright):
@@ -144,7 +144,7 @@ class Judge:
 
     def measures(self) -> dict[str, float]:
         """What was measured, by its name in results; only what is known."""
-        found = {"bump_N_s_true": self.bump}
+        found = {"impact_N_s_true": self.bump}
         if self.margins:
             margins = np.array(self.margins)
             found["margin_true"] = float(np.median(margins))
@@ -154,10 +154,10 @@ class Judge:
         if math.isfinite(self.task.counts.upright):
             found["tilt_deg_true"] = math.degrees(self._standing()[0])
         if math.isfinite(self.pulls):
-            found["let_go_s_true"] = self.let_go_at - self.pulls
+            found["release_delay_s_true"] = self.let_go_at - self.pulls
         return {name: value for name, value in found.items() if math.isfinite(value)}
 
-    def _hand_over_failure(self, within: float) -> str:
+    def _handover_failure(self, within: float) -> str:
         late = self.let_go_at - self.pulls
         if math.isnan(late):
             return "it was never let go of"
@@ -192,7 +192,7 @@ class Judge:
 
     def _height(self) -> float:
         """m of the hand over where it began."""
-        return float(ground_truth.hand_position(self.world)[2]) - self._hand_start
+        return float(ground_truth.gripper_position(self.world)[2]) - self._gripper_start
 
     def _weight(self) -> float:
         model = self.world.model

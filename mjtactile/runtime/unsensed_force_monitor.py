@@ -1,4 +1,4 @@
-"""`PushWatch`: what a rig's servos push beyond what its fingers feel, as a flag.
+"""`UnsensedForceMonitor`: what a rig's servos push beyond what its fingers feel, as a flag.
 
 A membrane has no word of what leans on its frame, on a finger's side, or between the jaws. The
 servos' currents have, roughly: a data sheet's torque is good to 20 %, and gears take what moving
@@ -24,7 +24,7 @@ _LEAST = 0.5  # N that are never judged
 _SHARE = 0.3  # of what the servos push: torque of a data sheet, currents' resolution
 
 
-class PushWatch(Observer):
+class UnsensedForceMonitor(Observer):
     """Compares effort with felt forces, cycle by cycle.
 
     Args:

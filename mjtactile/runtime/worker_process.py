@@ -63,12 +63,12 @@ class WorkerProcess:
             self._channel.close()  # who has taken half of a question can be asked no other
             raise self._ended() from error
 
-    def outcome(self, patience: float) -> tuple[Any, ...] | None:
+    def outcome(self, disk_wait_time: float) -> tuple[Any, ...] | None:
         """The answer; None if there was none within `patience` s."""
         if self._is_late:
             return None
         try:
-            answer = self._channel.receive(patience)
+            answer = self._channel.receive(disk_wait_time)
         except OSError as error:
             raise self._ended() from error
         self._due -= answer is not None
@@ -149,10 +149,10 @@ class Channel:
             start += _even(array.nbytes)
         return True
 
-    def receive(self, patience: float | None) -> tuple[Any, ...] | None:
+    def receive(self, disk_wait_time: float | None) -> tuple[Any, ...] | None:
         """What was sent; None if it is not all there within `patience` s (None: wait), and then it
         is received on the next time. Raises OSError when there is no other end any more."""
-        end = math.inf if patience is None else scaled_clock.monotonic() + patience
+        end = math.inf if disk_wait_time is None else scaled_clock.monotonic() + disk_wait_time
         while self._filled < len(self._room) or not self._sized:
             if self._filled == len(self._room):
                 self._room = bytearray(_NUMBER.unpack(self._room)[0])

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from mjtactile.core.types import Array, Contact, FeltShape, Touch
+from mjtactile.core.types import Array, Contact, ContactShape, Touch
 from mjtactile.sensing.contact_shape.estimator import Found
-from mjtactile.sensing.contact_shape.force_fusion import Borne, with_load
-from mjtactile.sensing.contact_shape.relative_motion import RubberMotion, rubber_step
-from mjtactile.sensing.pipeline_state import ChainState, Reference
+from mjtactile.sensing.contact_shape.force_fusion import ContactLoad, with_load
+from mjtactile.sensing.contact_shape.relative_motion import MembraneMotion, rubber_step
+from mjtactile.sensing.pipeline_state import PipelineState, Reference
 from mjtactile.sensing.settings import SlipSettings
 from mjtactile.sensing.touch.slip_from_motion import with_motion
 
@@ -31,12 +31,15 @@ def finder_gauge(reference: Reference) -> float:
     """
     first = reference.first.gas.gauge
     rest = reference.rest
-    now = rest.pressure_gauge if math.isfinite(rest.pressure_gauge) else rest.gas.gauge
+    now = rest.gauge_pressure if math.isfinite(rest.gauge_pressure) else rest.gas.gauge
     return first * _GAUGE_STEP ** round(math.log(max(now, 1.0) / first) / math.log(_GAUGE_STEP))
 
 
-def with_shape(
-    touch: Touch, shape: FeltShape, load: Borne | None = None, sharpness: Array | None = None
+def attach_shape(
+    touch: Touch,
+    shape: ContactShape,
+    load: ContactLoad | None = None,
+    sharpness: Array | None = None,
 ) -> Touch:
     """A touch that knows what body it is of.
 
@@ -48,21 +51,21 @@ def with_shape(
 
     Returns:
         The touch with `shape`; where one is known, area and outline are the body's and
-        `contact.area_from` says so, and the wrench takes up what the body bears.
+        `contact.area_source` says so, and the wrench takes up what the body bears.
     """
     contact = touch.contact
     if contact is None or shape.kind == "unknown":
         return replace(touch, shape=shape)
     sharp = np.zeros(6) if sharpness is None else sharpness
     felt = touch if load is None else with_load(touch, load, sharp)
-    by_body = replace(contact, area=shape.area, outline=shape.outline, area_from=shape.family)
+    by_body = replace(contact, area=shape.area, outline=shape.outline, area_source=shape.family)
     patches = (by_body,) if len(touch.patches) == 1 else _patches_of(touch.patches, shape.parts)
     return replace(felt, shape=shape, contact=by_body, patches=patches)
 
 
-def after_shape(
-    touch: Touch, found: Found, after: ChainState, sharpness: Array, settings: SlipSettings
-) -> tuple[Touch, ChainState]:
+def apply_shape_and_motion(
+    touch: Touch, found: Found, after: PipelineState, sharpness: Array, settings: SlipSettings
+) -> tuple[Touch, PipelineState]:
     """A touch with the body that was `found`, by whose motion its slip is judged.
 
     Args:
@@ -75,7 +78,7 @@ def after_shape(
     Returns:
         The touch, and the state that remembers the press.
     """
-    felt = with_shape(touch, found.shape, found.load, sharpness)
+    felt = attach_shape(touch, found.shape, found.load, sharpness)
     after = replace(after, press=found.press)
     if felt.slip is None:
         return felt, after
@@ -83,7 +86,7 @@ def after_shape(
     return replace(felt, slip=judged), replace(after, slip=history)
 
 
-def rubber_between(before: ChainState, after: ChainState) -> RubberMotion | None:
+def membrane_displacement(before: PipelineState, after: PipelineState) -> MembraneMotion | None:
     """How the rubber that touches has moved from one image to the next; None: unknown."""
     if before.slip is None or after.slip is None:
         return None
@@ -92,7 +95,9 @@ def rubber_between(before: ChainState, after: ChainState) -> RubberMotion | None
     )
 
 
-def _patches_of(patches: tuple[Contact, ...], bodies: tuple[FeltShape, ...]) -> tuple[Contact, ...]:
+def _patches_of(
+    patches: tuple[Contact, ...], bodies: tuple[ContactShape, ...]
+) -> tuple[Contact, ...]:
     """Each with the area of the body that is nearest, if there are as many."""
     if len(bodies) != len(patches):
         return patches
@@ -102,6 +107,6 @@ def _patches_of(patches: tuple[Contact, ...], bodies: tuple[FeltShape, ...]) -> 
         nearest = min(left, key=lambda body: math.dist(body.p_SO[:2], patch.centroid))
         left.remove(nearest)
         found.append(
-            replace(patch, area=nearest.area, outline=nearest.outline, area_from=nearest.family)
+            replace(patch, area=nearest.area, outline=nearest.outline, area_source=nearest.family)
         )
     return tuple(found)

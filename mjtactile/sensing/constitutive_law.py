@@ -17,10 +17,10 @@ from mjtactile.core.types import Array
 # stretches of 0.47 to 2.7; linear between: q is good to 1e-6
 _LOG_DET = np.linspace(-3.0, 4.0, 7001)
 _NEWTON_STEPS = 10  # 8 take every Poisson's ratio to rounding
-_LEAST_POISSON = 0.005  # below, exp(1 / nu) is no number, and the thickness hardly changes
+_MIN_POISSON = 0.005  # below, exp(1 / nu) is no number, and the thickness hardly changes
 
 
-class SheetLaw:
+class ConstitutiveLaw:
     """Stress and moduli, N/m, of one sensor's sheet: what its thickness carries."""
 
     def __init__(self, sheet: Membrane):
@@ -28,7 +28,7 @@ class SheetLaw:
         self._nu = sheet.poisson
         self._plane = sheet.young * sheet.thickness / (1 - sheet.poisson**2)
         self._mu = sheet.young * sheet.thickness / (2 * (1 + sheet.poisson))
-        nu = max(sheet.poisson, _LEAST_POISSON)
+        nu = max(sheet.poisson, _MIN_POISSON)
         half = nu / (1 - 2 * nu)  # lambda / 2 mu
         c = _thickness(half)
         self._q = c * np.exp(-_LOG_DET)

@@ -14,7 +14,7 @@ from mjtactile.core.types import Contact, Touch, Traction
 from mjtactile.sensing.force import contact_detection
 from mjtactile.sensing.force.inverse_fem import InverseMembrane
 from mjtactile.sensing.membrane_estimator import Estimate
-from mjtactile.sensing.pipeline_state import ChainState
+from mjtactile.sensing.pipeline_state import PipelineState
 from mjtactile.sensing.settings import Settings
 from mjtactile.sensing.touch import slip
 from mjtactile.sensing.touch.patches import find_patches, together
@@ -22,7 +22,7 @@ from mjtactile.sensing.touch.patches import find_patches, together
 _OVERLOADS_SURE = 2  # images in a row: a torn picture is no overload
 
 
-class TouchJudge:
+class ContactDecision:
     """Judges estimates of one sensor; nothing changes.
 
     Args:
@@ -36,7 +36,7 @@ class TouchJudge:
         self._force = force
         self._settings = settings
 
-    def lost(self, state: ChainState) -> ChainState:
+    def lost(self, state: PipelineState) -> PipelineState:
         """After an image that nothing explains. The next one begins where the last that something
         did left off (a torn picture is gone then), unless that is long ago."""
         shape = state.shape
@@ -48,13 +48,13 @@ class TouchJudge:
             shape = None
         return replace(state.without_history(), shape=shape, unexplained=missed, lost_at=force)
 
-    def why_lost(self, state: ChainState) -> Status:
+    def failure_status(self, state: PipelineState) -> Status:
         """What an image that nothing explains says: one of several after a large force was too much
         of it."""
         force = state.lost_at
-        most = self._settings.inverse.overload_least
+        most = self._settings.inverse.overload_min
         if force is None or state.unexplained < _OVERLOADS_SURE or np.linalg.norm(force) < most:
-            return Status(StatusCode.NO_SHAPE, "the markers fit no membrane shape")
+            return Status(StatusCode.FIT_FAILED, "the markers fit no membrane shape")
         return Status(
             StatusCode.OVERLOADED,
             "overloaded: the markers fit no membrane shape since they showed "
@@ -90,7 +90,7 @@ class TouchJudge:
 
     def judge(
         self, touch: Touch, traction: Traction, estimate: Estimate, moved: float
-    ) -> tuple[Touch, ChainState]:
+    ) -> tuple[Touch, PipelineState]:
         """Whether it is touched, where, and whether it slips; or what is doubtful about it."""
         s = self._settings
         state = estimate.state
@@ -110,13 +110,13 @@ class TouchJudge:
         if quiet and before is not None:
             state = self._with_zero_followed(state, estimate, found.time - before.time)
         sd = float(np.sqrt(traction.wrench_cov[2, 2]))
-        if abs(moved) > s.gauge.moved_most:
+        if abs(moved) > s.gauge.moved_max:
             text = f"the chamber's pressure has moved by {moved:+.0f} Pa since the last image"
-            status = Status(StatusCode.AIR_MOVES, text)
+            status = Status(StatusCode.PRESSURE_CHANGING, text)
             lost = slip.unknown(status.code, "the air moves")
             return replace(touch, slip=lost, status=status), state
-        pulled = found.force < -max(s.zero.pull_most, s.zero.touch_sd * sd)
-        if quiet and (pulled or shape.drift > s.zero.drift_most):
+        pulled = found.force < -max(s.zero.pull_max, s.zero.touch_sd * sd)
+        if quiet and (pulled or shape.drift > s.zero.drift_max):
             status = Status(
                 StatusCode.REFERENCE_LOST,
                 "the membrane seems pulled, or shifted: the rest reference is lost (temperature, "
@@ -136,17 +136,17 @@ class TouchJudge:
         return felt, state
 
     def _with_zero_followed(
-        self, state: ChainState, estimate: Estimate, elapsed: float
-    ) -> ChainState:
+        self, state: PipelineState, estimate: Estimate, elapsed: float
+    ) -> PipelineState:
         """The rest reference follows a membrane that nothing has touched for a while."""
         if state.reference is None:
             return state
         rest = estimate.rest
         followed = contact_detection.follow(
             self._inverse,
-            contact_detection.Zero.of(rest)
+            contact_detection.RestTracker.of(rest)
             if state.apart is None
-            else contact_detection.Zero(rest, state.apart),
+            else contact_detection.RestTracker(rest, state.apart),
             estimate.shape,
             estimate.markers,
             elapsed,

@@ -9,16 +9,16 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.optics import Camera
-from mjtactile.core.types import Array, Ellipses, FiducialsSeen, Markers
-from mjtactile.sensing.force.camera_drift_estimator import KNOWN_MODES, CameraFinder
+from mjtactile.core.types import Array, Ellipses, FiducialDetections, Markers
+from mjtactile.sensing.force.camera_drift_estimator import OBSERVED_MODES, CameraDriftEstimator
 from mjtactile.sensing.force.rest_equilibrium import darker
-from mjtactile.sensing.pipeline_state import ChainState
+from mjtactile.sensing.pipeline_state import PipelineState
 from mjtactile.sensing.pose.fiducial_matching import FiducialFinder
 from mjtactile.sensing.pose.image_transform import UNCHANGED
 from mjtactile.sensing.settings import Settings
 
 
-class KnownCamera:
+class FiducialCompensation:
     """The camera of one sensor, known by its fiducials; nothing changes.
 
     Args:
@@ -34,9 +34,11 @@ class KnownCamera:
         self.fewest = settings.fiducials.fewest
         self._middle = np.array([camera.cx, camera.cy])
         self._circles = FiducialFinder(design, camera, fiducials)
-        self._camera = CameraFinder(design, camera, fiducials, settings.inverse, settings.fiducials)
+        self._camera = CameraDriftEstimator(
+            design, camera, fiducials, settings.inverse, settings.fiducials
+        )
 
-    def stand(self, seen: FiducialsSeen) -> tuple[Array, float]:
+    def stand(self, seen: FiducialDetections) -> tuple[Array, float]:
         """Say where fiducials stand in a picture.
 
         Args:
@@ -56,7 +58,7 @@ class KnownCamera:
         right, down, more = np.linalg.lstsq(rows.reshape(-1, 3), moved.ravel())[0]
         return np.array([right, down]), 1 + float(more)
 
-    def look(self, state: ChainState, ellipses: Ellipses) -> tuple[Ellipses, ChainState]:
+    def look(self, state: PipelineState, ellipses: Ellipses) -> tuple[Ellipses, PipelineState]:
         """Tell fiducials from markers, and the camera by them.
 
         Args:
@@ -73,12 +75,12 @@ class KnownCamera:
         markers, seen = self._circles.split(ellipses, before)
         camera = None if before is None else self._camera.find(seen, before)
         if camera is None and before is not None and state.camera is not None:
-            camera = replace(state.camera, root=np.eye(KNOWN_MODES), change=None)
+            camera = replace(state.camera, root=np.eye(OBSERVED_MODES), change=None)
         picture = UNCHANGED if camera is None else self._camera.picture(camera.mean, camera.darker)
         ellipses = picture.undone_ellipses(ellipses, markers)
         return ellipses, replace(state, camera=camera, fiducials=seen)
 
-    def undone(self, state: ChainState, markers: Markers) -> tuple[Markers, ChainState]:
+    def undone(self, state: PipelineState, markers: Markers) -> tuple[Markers, PipelineState]:
         """Take markers back to where the camera of the rest reference would see them.
 
         Args:

@@ -12,20 +12,20 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.optics import Camera
 from mjtactile.core.status import OK, Status, StatusCode
-from mjtactile.core.types import Array, Ellipses, Image, Markers, Sighting
-from mjtactile.sensing.fiducial_compensation import KnownCamera
-from mjtactile.sensing.force.temporal_blending import BlendFinder
+from mjtactile.core.types import Array, Ellipses, Image, Markers, SyntheticEllipses
+from mjtactile.sensing.fiducial_compensation import FiducialCompensation
+from mjtactile.sensing.force.temporal_blending import BlendEstimator
 from mjtactile.sensing.image import tracking
 from mjtactile.sensing.image.exposure import is_overexposed
 from mjtactile.sensing.image.markers import grey_image
-from mjtactile.sensing.membrane_estimator import ShapeEstimator
-from mjtactile.sensing.pipeline_state import ChainState
+from mjtactile.sensing.membrane_estimator import MembraneEstimator
+from mjtactile.sensing.pipeline_state import PipelineState
 from mjtactile.sensing.pose import fiducial_matching, marker_matching
 from mjtactile.sensing.pose.circles import estimate_poses
 from mjtactile.sensing.settings import Settings
 
 
-class MarkerSight:
+class MarkerDetector:
     """Sees the markers of one sensor; nothing changes.
 
     Args:
@@ -36,14 +36,16 @@ class MarkerSight:
     """
 
     def __init__(
-        self, design: SensorDesign, camera: Camera, estimator: ShapeEstimator, settings: Settings
+        self, design: SensorDesign, camera: Camera, estimator: MembraneEstimator, settings: Settings
     ):
         self.design = design
         self.camera = camera
         self.settings = settings
-        self.known = None if design.fiducials is None else KnownCamera(design, camera, settings)
-        self._blend = BlendFinder(design.markers.p_SM)
-        self._are_enough = estimator.are_enough
+        self.known = (
+            None if design.fiducials is None else FiducialCompensation(design, camera, settings)
+        )
+        self._blend = BlendEstimator(design.markers.p_SM)
+        self._are_enough = estimator.has_enough_markers
         self._circles = design.markers.count + (0 if self.known is None else self.known.count)
         # seen 60 degrees aslant and from half as far again
         self._smallest_px = max(
@@ -51,14 +53,14 @@ class MarkerSight:
         )
         self._largest_px = _largest_px(design, camera)
 
-    def see(self, state: ChainState, image: Image) -> tuple[Markers, ChainState]:
+    def see(self, state: PipelineState, image: Image) -> tuple[Markers, PipelineState]:
         """The markers of one image in S, and the state that expects them there; see
-        `Chain.see`."""
+        `SensingPipeline.see`."""
         return self._identified(state, *self._ellipses(state.tracks, image))
 
     def _identified(
-        self, state: ChainState, ellipses: Ellipses, tracks: tracking.Tracks | None
-    ) -> tuple[Markers, ChainState]:
+        self, state: PipelineState, ellipses: Ellipses, tracks: tracking.Tracks | None
+    ) -> tuple[Markers, PipelineState]:
         """The markers of the ellipses in one image, and the state that expects them there."""
         if self.known is not None:
             ellipses, state = self.known.look(state, ellipses)
@@ -86,7 +88,7 @@ class MarkerSight:
     ) -> tuple[Ellipses, tracking.Tracks | None]:
         """The markers' ellipses in the image, followed by `tracks`, and what finds them in the
         next."""
-        if isinstance(image, Sighting) and image.ellipses is not None:
+        if isinstance(image, SyntheticEllipses) and image.ellipses is not None:
             return image.ellipses, None
         return tracking.follow(
             image,
@@ -98,14 +100,15 @@ class MarkerSight:
         )
 
     def enough(self, markers: Markers) -> Status:
-        """Whether so many markers were seen that the shape is no guess; see `Chain.enough`."""
+        """Whether so many markers were seen that the shape is no guess; see
+        `SensingPipeline.enough`."""
         seen = len(markers)
         if self._are_enough(seen):
             return OK
         text = f"only {seen} of {self.design.markers.count} markers seen"
         return Status(StatusCode.TOO_FEW_MARKERS, text)
 
-    def locate(self, state: ChainState, image: Image, expected: Array, what: str) -> Markers:
+    def locate(self, state: PipelineState, image: Image, expected: Array, what: str) -> Markers:
         """Find the markers of one image for a reference.
 
         Args:
@@ -130,7 +133,7 @@ class MarkerSight:
     def _require_levels(self, image: Image, ellipses: Ellipses, what: str) -> None:
         """Raise DeviceError for a picture that is white around most circles: how large they are
         changes with the light then."""
-        if isinstance(image, Sighting):
+        if isinstance(image, SyntheticEllipses):
             return
         if is_overexposed(grey_image(image), ellipses, "dark", self.settings.locate):
             raise DeviceError(

@@ -10,16 +10,16 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Markers, PressureReading
-from mjtactile.sensing.force.camera_drift_estimator import CameraSeen
-from mjtactile.sensing.force.camera_drift_model import MODES, CameraBelief
-from mjtactile.sensing.force.gas_filter import GasState, GaugeFilter
+from mjtactile.sensing.force.camera_drift_estimator import CameraDriftEstimate
+from mjtactile.sensing.force.camera_drift_model import MODES, CameraDriftFilter
+from mjtactile.sensing.force.gas_filter import GasFilter, GasState
 from mjtactile.sensing.force.inverse_fem import InverseMembrane
 from mjtactile.sensing.force.linearization import Shape
 from mjtactile.sensing.force.rest_equilibrium import InverseRest
-from mjtactile.sensing.pipeline_state import KNOCKS_SURE, ChainState, Reference
+from mjtactile.sensing.pipeline_state import KNOCKS_SURE, PipelineState, Reference
 from mjtactile.sensing.settings import Settings
 
-_SET_ASIDE_SHARE = 0.03  # of the markers, and at least one: more are not dirt
+_SET_ASIDE_FRACTION = 0.03  # of the markers, and at least one: more are not dirt
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,11 +31,11 @@ class Estimate:
     markers: Markers
     shape: Shape
     rest: InverseRest
-    state: ChainState
+    state: PipelineState
     other: Shape | None = None
 
 
-class ShapeEstimator:
+class MembraneEstimator:
     """Finds the membrane's shape in what the images show; nothing changes.
 
     Args:
@@ -48,11 +48,11 @@ class ShapeEstimator:
         self._design = design
         self._inverse = inverse
         self._settings = settings
-        self.gauge = GaugeFilter(design.chamber, settings.gauge)
+        self.gauge = GasFilter(design.chamber, settings.gauge)
 
     def estimate(
         self,
-        state: ChainState,
+        state: PipelineState,
         reference: Reference,
         markers: Markers,
         time: float,
@@ -69,7 +69,7 @@ class ShapeEstimator:
             reading: Newest reading of the chamber's pressure gauge; None: there is none.
 
         Returns:
-            The estimate; `is_explained` says whether its shape fits.
+            The estimate; `fits_markers` says whether its shape fits.
         """
         known = without(markers, state.set_aside)
         found = self._with_gas(state, reference, known, time, reading)
@@ -78,42 +78,42 @@ class ShapeEstimator:
             state = replace(state, belief=None)
             found = self._with_gas(state, reference, known, time, reading)
         if state.shape is None and not is_seen and state.belief is None:
-            found = self._if_steady(state, reference, found, time, reading)
+            found = self._static_retry(state, reference, found, time, reading)
         elif state.shape is not None:
-            found = self._if_overlooked(state, state.shape, reference, found, time, reading)
+            found = self._missed_touch_retry(state, state.shape, reference, found, time, reading)
         # a camera that is seen is not knocked; gas that no gauge measures may be lost
         sure = state.knocked >= KNOCKS_SURE or (is_seen and found.state.gas is not None)
         if not sure:
-            found = self._if_knocked(state, reference, found, time, reading)
-        allowed = max(1, round(_SET_ASIDE_SHARE * self._design.markers.count))
-        if self.is_explained(found.shape) or len(state.set_aside) >= allowed:
+            found = self._knock_retry(state, reference, found, time, reading)
+        allowed = max(1, round(_SET_ASIDE_FRACTION * self._design.markers.count))
+        if self.fits_markers(found.shape) or len(state.set_aside) >= allowed:
             return found
         # whose misfit is largest
         worst = int(found.markers.ids[found.shape.excess[0, found.markers.ids].argmax()])
         fewer = without(found.markers, (worst,))
-        if not self.are_enough(len(fewer)):
+        if not self.has_enough_markers(len(fewer)):
             return found
         aside = replace(state, set_aside=(*state.set_aside, worst))
         again = self._with_gas(aside, reference, fewer, time, reading)
-        return again if self.is_explained(again.shape) else found
+        return again if self.fits_markers(again.shape) else found
 
-    def are_enough(self, seen: int) -> bool:
+    def has_enough_markers(self, seen: int) -> bool:
         """Whether from so many markers the shape is no guess."""
-        return seen >= self._settings.fewest_seen * self._design.markers.count
+        return seen >= self._settings.min_detected * self._design.markers.count
 
-    def is_explained(self, shape: Shape) -> bool:
+    def fits_markers(self, shape: Shape) -> bool:
         """Whether the markers fit this shape; where all of them have drifted together they do, and
         the reference is lost."""
         s = self._settings
-        drifted = shape.drift > s.zero.drift_most
+        drifted = shape.drift > s.zero.drift_max
         load = float(np.linalg.norm(self._inverse.force(shape)))
-        most = s.inverse.excess_most * max(1.0, load / s.inverse.overload_least) ** 2
+        most = s.inverse.excess_max * max(1.0, load / s.inverse.overload_min) ** 2
         sharp = float(shape.excess[0].mean()) > most and not drifted
-        return not sharp and shape.misfit < s.inverse.misfit_most
+        return not sharp and shape.misfit < s.inverse.misfit_max
 
-    def _if_steady(
+    def _static_retry(
         self,
-        state: ChainState,
+        state: PipelineState,
         reference: Reference,
         found: Estimate,
         time: float,
@@ -124,9 +124,9 @@ class ShapeEstimator:
         load = float(np.linalg.norm(self._inverse.force(found.shape)))
         if load < self._settings.inverse.cold_load:
             return found
-        steady = CameraBelief.unseen(self._settings.inverse, steady=True)
+        steady = CameraDriftFilter.unseen(self._settings.inverse, steady=True)
         again = self._with_gas(state, reference, found.markers, time, reading, camera=steady)
-        if not self.is_explained(again.shape):
+        if not self.fits_markers(again.shape):
             return found
         # which says nothing of the camera
         again = replace(again, state=replace(again.state, belief=None))
@@ -134,12 +134,12 @@ class ShapeEstimator:
 
     def _has_changed(self, shape: Shape) -> bool:
         """Whether the camera is not what images before have told."""
-        share = shape.camera**2 / shape.gain.drift_seen[1:]
-        return bool(share[:MODES].max() > self._settings.inverse.changed_least**2)
+        share = shape.camera**2 / shape.gain.observed_drift[1:]
+        return bool(share[:MODES].max() > self._settings.inverse.changed_min**2)
 
-    def _if_overlooked(
+    def _missed_touch_retry(
         self,
-        state: ChainState,
+        state: PipelineState,
         before: Shape,
         reference: Reference,
         found: Estimate,
@@ -163,9 +163,9 @@ class ShapeEstimator:
             fits = float(again.shape.excess[0].mean()) < excess / s.overlooked_rise
         return replace(again, state=replace(again.state, shape=before)) if fits else found
 
-    def _if_knocked(
+    def _knock_retry(
         self,
-        state: ChainState,
+        state: PipelineState,
         reference: Reference,
         found: Estimate,
         time: float,
@@ -174,23 +174,23 @@ class ShapeEstimator:
         """What is found if the camera was knocked, where that explains the markers; else what was
         `found`."""
         shape = found.shape
-        if shape.drift > self._settings.inverse.knock_least:
+        if shape.drift > self._settings.inverse.knock_min:
             sure = replace(state, knocked=KNOCKS_SURE, belief=None)
             again = self._with_gas(sure, reference, found.markers, time, reading)
             better = again.shape.drift < shape.drift and again.shape.misfit < shape.misfit
-            if better and self.is_explained(again.shape):
+            if better and self.fits_markers(again.shape):
                 return replace(again, state=replace(again.state, knocked=state.knocked + 1))
         return replace(found, state=replace(found.state, knocked=0))
 
     def _with_gas(
         self,
-        state: ChainState,
+        state: PipelineState,
         reference: Reference,
         markers: Markers,
         time: float,
         reading: PressureReading | None,
         *,
-        camera: CameraBelief | None = None,
+        camera: CameraDriftFilter | None = None,
     ) -> Estimate:
         """The shape, and the gas as well as it is known.
 
@@ -205,12 +205,12 @@ class ShapeEstimator:
             belief = self._belief(before, shape, reference, rest, time)
             return Estimate(markers, shape, rest, replace(state, belief=belief))
         shape, rest, volume = self._shape_with(before, gas, rest, state, markers, time)
-        seen = self.gauge.saw(gas, time, volume, self._settings.inverse.dent_share)
+        seen = self.gauge.saw(gas, time, volume, self._settings.inverse.dent_fraction)
         if reading is not None and not gas.is_open:
             seen, told = self.gauge.read(seen, reading)
             if told:
                 shape, rest, volume = self._shape_with(before, seen, rest, state, markers, time)
-                seen = seen.seen_again(volume)
+                seen = seen.refine_estimate(volume)
         belief = self._belief(before, shape, reference, rest, time)
         state = replace(state, gas=seen, reference=replace(reference, rest=rest), belief=belief)
         return Estimate(markers, shape, rest, state)
@@ -231,10 +231,10 @@ class ShapeEstimator:
 
     def _shape_with(
         self,
-        camera: CameraBelief | CameraSeen,
+        camera: CameraDriftFilter | CameraDriftEstimate,
         gas: GasState,
         rest: InverseRest,
-        state: ChainState,
+        state: PipelineState,
         markers: Markers,
         time: float,
     ) -> tuple[Shape, InverseRest, float]:
@@ -245,42 +245,42 @@ class ShapeEstimator:
         rest = self._inverse.with_gas(rest, now, sd, gas.seen[-1][1])
         shape = self._fit(camera, state, rest, markers)
         volume = self._inverse.volume(shape.c)
-        pressure = now.pressure_gauge(volume, chamber.ambient, chamber.heat_ratio)
-        return replace(shape, pressure_gauge=pressure), rest, volume
+        pressure = now.gauge_pressure(volume, chamber.ambient, chamber.polytropic_exponent)
+        return replace(shape, gauge_pressure=pressure), rest, volume
 
     def _fit(
         self,
-        camera: CameraBelief | CameraSeen,
-        state: ChainState,
+        camera: CameraDriftFilter | CameraDriftEstimate,
+        state: PipelineState,
         rest: InverseRest,
         markers: Markers,
     ) -> Shape:
         lost = state.knocked >= KNOCKS_SURE and state.camera is not None
         return self._inverse.estimate(markers, rest, state.shape, camera=camera, lost=lost)
 
-    def _camera(self, state: ChainState, time: float) -> CameraBelief | CameraSeen:
+    def _camera(self, state: PipelineState, time: float) -> CameraDriftFilter | CameraDriftEstimate:
         """What is known of the camera before the image is looked at."""
         s = self._settings.inverse
         if state.camera is not None:
             return state.camera
         if state.belief is not None:
             return state.belief.later(time, s)
-        return CameraBelief.unseen(s, knocked=state.knocked >= KNOCKS_SURE)
+        return CameraDriftFilter.unseen(s, knocked=state.knocked >= KNOCKS_SURE)
 
     def _belief(
         self,
-        before: CameraBelief | CameraSeen,
+        before: CameraDriftFilter | CameraDriftEstimate,
         shape: Shape,
         reference: Reference,
         rest: InverseRest,
         time: float,
-    ) -> CameraBelief | None:
+    ) -> CameraDriftFilter | None:
         """What is known of it afterwards, where it is not seen. How far the sheet bulges at another
         pressure than that of the reference, or under a load, is the model's word, and tells little
         of a camera."""
-        if not isinstance(before, CameraBelief):
+        if not isinstance(before, CameraDriftFilter):
             return None
-        moved = rest.pressure_gauge - reference.first.gas.gauge
+        moved = rest.gauge_pressure - reference.first.gas.gauge
         moved = moved if math.isfinite(moved) else 0.0  # no gauge
         load = float(np.linalg.norm(self._inverse.force(shape)))
         s = self._settings.inverse

@@ -1,15 +1,14 @@
 """One sensor's chain from an image to touch; the only place where the stages meet. Works from
 pixels alone.
 
-A `Chain` is what stays the same: the sensor and the operators made from its design. A `ChainState`
-is what one image leaves for the next. `step(state, image, now)` gives the touch and the next state
-and changes nothing, so that a state can be kept, replayed, handed to another process, or tried
-twice.
+A `SensingPipeline` is what stays the same: the sensor and the operators made from its design. A
+`PipelineState` is what one image leaves for the next. `step(state, image, now)` gives the touch and
+the next state and changes nothing, so that a state can be kept, replayed, handed to another
+process, or tried twice.
 
 A sensor first measures its own reference, as the real device must: the flat membrane with the valve
-open, then the inflated one with nothing touching. `Perception` keeps a chain and its newest state
-together for those that only go forward.
-"""
+open, then the inflated one with nothing touching. `StatefulPipeline` keeps a chain and its newest
+state together for those that only go forward."""
 
 from __future__ import annotations
 
@@ -24,24 +23,36 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.optics import Camera
 from mjtactile.core.status import OK, Status
-from mjtactile.core.types import Array, FeltShape, Image, Markers, PressureReading, Surface, Touch
-from mjtactile.sensing.apply_contact_shape import after_shape, finder_gauge, rubber_between
-from mjtactile.sensing.contact_decision import TouchJudge
-from mjtactile.sensing.contact_shape.estimator import ShapeFinder
+from mjtactile.core.types import (
+    Array,
+    ContactShape,
+    Image,
+    Markers,
+    PressureReading,
+    Surface,
+    Touch,
+)
+from mjtactile.sensing.apply_contact_shape import (
+    apply_shape_and_motion,
+    finder_gauge,
+    membrane_displacement,
+)
+from mjtactile.sensing.contact_decision import ContactDecision
+from mjtactile.sensing.contact_shape.estimator import ContactShapeEstimator
 from mjtactile.sensing.force import rest_shape_check
 from mjtactile.sensing.force.inverse_fem import InverseMembrane
 from mjtactile.sensing.force.rest_equilibrium import InverseRest
-from mjtactile.sensing.force.stress_relaxation import RubberMemory
-from mjtactile.sensing.marker_detection import MarkerSight, average, moved
-from mjtactile.sensing.membrane_estimator import ShapeEstimator
-from mjtactile.sensing.pipeline_state import ChainState, Reference
+from mjtactile.sensing.force.stress_relaxation import RelaxationState
+from mjtactile.sensing.marker_detection import MarkerDetector, average, moved
+from mjtactile.sensing.membrane_estimator import MembraneEstimator
+from mjtactile.sensing.pipeline_state import PipelineState, Reference
 from mjtactile.sensing.pose.flat_reference import FlatReference, measure_flat
 from mjtactile.sensing.settings import DEFAULTS, Settings
 from mjtactile.sensing.surface.surface import SurfaceFitter
 from mjtactile.sensing.touch import slip
 
 
-class Chain:
+class SensingPipeline:
     """The sensing chain of one sensor: operators made from its design once; nothing changes.
 
     What was measured of it stands in for what the sensor file says, but for parts that are
@@ -69,20 +80,20 @@ class Chain:
         self.inverse = InverseMembrane(
             design, settings.inverse, settings.prior, settings.doubt, settings.fiducials
         )
-        self.estimator = ShapeEstimator(design, self.inverse, settings)
+        self.estimator = MembraneEstimator(design, self.inverse, settings)
         self.fitter = SurfaceFitter(design, settings.surface)
-        self.sight = MarkerSight(design, self.camera, self.estimator, settings)
-        self._judge = TouchJudge(self.inverse, self._measured.force, settings)
+        self.sight = MarkerDetector(design, self.camera, self.estimator, settings)
+        self._judge = ContactDecision(self.inverse, self._measured.force, settings)
 
-    def begin(self) -> ChainState:
+    def begin(self) -> PipelineState:
         """Make the state before anything was measured: what the sensor file says.
 
         Returns:
             A state without references.
         """
-        return ChainState(FlatReference.nominal(self.design), self.design.markers.p_SM)
+        return PipelineState(FlatReference.nominal(self.design), self.design.markers.p_SM)
 
-    def recall(self) -> ChainState:
+    def recall(self) -> PipelineState:
         """Make the state with the references that `calibrate frame` measured, if there are any.
 
         Returns:
@@ -97,11 +108,15 @@ class Chain:
         rest = frame.rest
         if rest is None:
             return state
-        return self.set_rest(state, rest.markers, rest.pressure_gauge, sealed=rest.sealed)
+        return self.load_rest_reference(
+            state, rest.markers, rest.gauge_pressure, sealed=rest.sealed
+        )
 
     # -- the sensor's own reference
 
-    def take_flat(self, state: ChainState, images: Sequence[Image]) -> ChainState:
+    def measure_flat_reference(
+        self, state: PipelineState, images: Sequence[Image]
+    ) -> PipelineState:
         """Measure the camera's pose and each marker's radius on the flat membrane.
 
         Args:
@@ -123,20 +138,20 @@ class Chain:
         flat_at = max((image.time for image in images), default=-math.inf)
         return replace(nominal, flat=flat, expected=self.design.markers.p_SM, flat_at=flat_at)
 
-    def take_rest(
+    def measure_rest_reference(
         self,
-        state: ChainState,
+        state: PipelineState,
         images: Sequence[Image],
-        pressure_gauge: float,
+        gauge_pressure: float,
         *,
         sealed: bool = True,
-    ) -> ChainState:
+    ) -> PipelineState:
         """Measure the inflated membrane with nothing touching.
 
         Args:
             state: With the flat reference.
             images: Of the membrane at rest.
-            pressure_gauge: Pa in the chamber, above ambient.
+            gauge_pressure: Pa in the chamber, above ambient.
             sealed: Whether the chamber keeps its gas from here on; otherwise the valve keeps its
                 pressure.
 
@@ -147,11 +162,11 @@ class Chain:
             DeviceError: The membrane does not bulge as it must: a valve that did not move where no
                 pressure sensor says so, or another membrane.
         """
-        markers = self.rest_markers(state, images)
+        markers = self.detect_rest_markers(state, images)
         time = max(image.time for image in images)
-        return self.set_rest(state, markers, pressure_gauge, sealed=sealed, time=time)
+        return self.load_rest_reference(state, markers, gauge_pressure, sealed=sealed, time=time)
 
-    def rest_markers(self, state: ChainState, images: Sequence[Image]) -> Markers:
+    def detect_rest_markers(self, state: PipelineState, images: Sequence[Image]) -> Markers:
         """Find the markers of an inflated membrane that nothing touches.
 
         Args:
@@ -174,21 +189,21 @@ class Chain:
             raise DeviceError(f"sensor {self.design.name}: rest reference: no images")
         return average(seen)
 
-    def set_rest(
+    def load_rest_reference(
         self,
-        state: ChainState,
+        state: PipelineState,
         markers: Markers,
-        pressure_gauge: float,
+        gauge_pressure: float,
         *,
         sealed: bool = True,
         time: float = math.inf,
-    ) -> ChainState:
-        """Use a rest state that was measured before; see `take_rest`.
+    ) -> PipelineState:
+        """Use a rest state that was measured before; see `measure_rest_reference`.
 
         Args:
             state: With the flat reference.
             markers: At rest.
-            pressure_gauge: Pa in the chamber then.
+            gauge_pressure: Pa in the chamber then.
             sealed: Whether the chamber keeps its gas.
             time: When it was measured, s on the images' clock; left out: so long ago that rubber
                 that relaxes has done so.
@@ -202,7 +217,7 @@ class Chain:
         self.sight.require(markers, "rest reference")
         inflated_s = math.inf if math.isinf(time) else time - state.flat_at
         rest = self.inverse.rest_state(
-            markers, pressure_gauge, sealed=sealed, inflated_s=inflated_s
+            markers, gauge_pressure, sealed=sealed, inflated_s=inflated_s
         )
         rest_shape_check.require_bulge(
             self.design,
@@ -224,7 +239,9 @@ class Chain:
             rubber=self._remembered(rest, inflated_s, time),
         ).without_history()
 
-    def _remembered(self, rest: InverseRest, inflated_s: float, time: float) -> RubberMemory | None:
+    def _remembered(
+        self, rest: InverseRest, inflated_s: float, time: float
+    ) -> RelaxationState | None:
         """What the rubber remembers at the rest reference; None: it does not relax."""
         if self.inverse.rubber is None:
             return None
@@ -232,7 +249,7 @@ class Chain:
 
     # -- what touches
 
-    def shape_finder(self, state: ChainState) -> ShapeFinder:
+    def make_shape_estimator(self, state: PipelineState) -> ContactShapeEstimator:
         """Make what finds shapes with this rest; a tenth of a second, once for a rest.
 
         Args:
@@ -246,11 +263,13 @@ class Chain:
             DeviceError: The rest reference is missing.
         """
         reference = state.required(self.design.name, "a shape")
-        return ShapeFinder(self.design, reference.first, finder_gauge(reference), self.settings)
+        return ContactShapeEstimator(
+            self.design, reference.first, finder_gauge(reference), self.settings
+        )
 
-    def find_shape(
-        self, state: ChainState, touches: Sequence[Touch], finder: ShapeFinder
-    ) -> FeltShape:
+    def estimate_contact_shape(
+        self, state: PipelineState, touches: Sequence[Touch], finder: ContactShapeEstimator
+    ) -> ContactShape:
         """Say what body touches in the newest of some touches.
 
         Args:
@@ -266,9 +285,13 @@ class Chain:
         """
         return finder.find(touches, self._rest_markers(state))
 
-    def follow_shape(
-        self, before: ChainState, after: ChainState, touch: Touch, finder: ShapeFinder
-    ) -> tuple[Touch, ChainState]:
+    def track_contact_shape(
+        self,
+        before: PipelineState,
+        after: PipelineState,
+        touch: Touch,
+        finder: ContactShapeEstimator,
+    ) -> tuple[Touch, PipelineState]:
         """Find what body touches, from what the images before have told of it.
 
         Args:
@@ -283,14 +306,14 @@ class Chain:
         Raises:
             DeviceError: The rest reference is missing.
         """
-        rubber = rubber_between(before, after)
+        rubber = membrane_displacement(before, after)
         found = finder.follow(touch, before.press, self._rest_markers(after), rubber)
         sharpness = np.zeros(6)
         if after.shape is not None and touch.traction is not None:
             sharpness = self.inverse.sharpness(after.shape)
-        return after_shape(touch, found, after, sharpness, self.settings.slip)
+        return apply_shape_and_motion(touch, found, after, sharpness, self.settings.slip)
 
-    def _rest_markers(self, state: ChainState) -> Array:
+    def _rest_markers(self, state: PipelineState) -> Array:
         """Where they stand at rest, (N, 3) m in S."""
         rest = state.required(self.design.name, "a shape").rest
         return self.inverse.positions(rest.c) + rest.offset
@@ -298,8 +321,8 @@ class Chain:
     # -- an image
 
     def step(
-        self, state: ChainState, image: Image, now: float, reading: PressureReading | None = None
-    ) -> tuple[Touch, ChainState]:
+        self, state: PipelineState, image: Image, now: float, reading: PressureReading | None = None
+    ) -> tuple[Touch, PipelineState]:
         """Feel what one image shows. Changes nothing: the same state and image give the same touch.
 
         Args:
@@ -329,7 +352,7 @@ class Chain:
         touch, state = self.feel(state, markers, surface, image.time, reading)
         return replace(touch, age=unknown.age, camera=unknown.camera), state
 
-    def see(self, state: ChainState, image: Image) -> tuple[Markers, ChainState]:
+    def see(self, state: PipelineState, image: Image) -> tuple[Markers, PipelineState]:
         """Find and identify the markers in one image.
 
         Args:
@@ -354,12 +377,12 @@ class Chain:
 
     def feel(
         self,
-        state: ChainState,
+        state: PipelineState,
         markers: Markers,
         surface: Surface,
         time: float,
         reading: PressureReading | None = None,
-    ) -> tuple[Touch, ChainState]:
+    ) -> tuple[Touch, PipelineState]:
         """Find force, contact and slip from markers and surface.
 
         Args:
@@ -385,16 +408,16 @@ class Chain:
             state = replace(state, reference=reference)
         estimate = self.estimator.estimate(state, reference, markers, time, reading)
         unknown = replace(unknown, markers=estimate.markers)
-        if not self.estimator.is_explained(estimate.shape):
+        if not self.estimator.fits_markers(estimate.shape):
             state = self._judge.lost(estimate.state)
-            status = self._judge.why_lost(state)
+            status = self._judge.failure_status(state)
             lost = slip.unknown(status.code, "shape not explained")
             return replace(unknown, slip=lost, status=status), state
         if self.inverse.rubber is not None and state.rubber is not None:
             scale = estimate.rest.young
             rubber = self.inverse.rubber.after(state.rubber, estimate.shape.c, scale, time)
             estimate = replace(estimate, state=replace(estimate.state, rubber=rubber))
-        air_moved = estimate.rest.pressure_gauge - reference.rest.pressure_gauge
+        air_moved = estimate.rest.gauge_pressure - reference.rest.gauge_pressure
         air_moved = air_moved if math.isfinite(air_moved) else 0.0  # no gauge
         traction = self._judge.traction(estimate, air_moved, time)
         return self._judge.judge(replace(unknown, traction=traction), traction, estimate, air_moved)

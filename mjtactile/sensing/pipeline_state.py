@@ -6,15 +6,15 @@ import math
 from dataclasses import dataclass, replace
 
 from mjtactile.core.errors import DeviceError
-from mjtactile.core.types import Array, FiducialsSeen, Surface
-from mjtactile.sensing.contact_shape.hypotheses import Press
+from mjtactile.core.types import Array, FiducialDetections, Surface
+from mjtactile.sensing.contact_shape.hypotheses import PressHistory
 from mjtactile.sensing.force import contact_detection
-from mjtactile.sensing.force.camera_drift_estimator import CameraSeen
-from mjtactile.sensing.force.camera_drift_model import CameraBelief
+from mjtactile.sensing.force.camera_drift_estimator import CameraDriftEstimate
+from mjtactile.sensing.force.camera_drift_model import CameraDriftFilter
 from mjtactile.sensing.force.gas_filter import GasState
 from mjtactile.sensing.force.linearization import Shape
 from mjtactile.sensing.force.rest_equilibrium import InverseRest
-from mjtactile.sensing.force.stress_relaxation import RubberMemory
+from mjtactile.sensing.force.stress_relaxation import RelaxationState
 from mjtactile.sensing.force.temporal_blending import Blend
 from mjtactile.sensing.image import tracking
 from mjtactile.sensing.pose.flat_reference import FlatReference
@@ -32,11 +32,11 @@ class Reference:
     rest: InverseRest
     surface: Surface
     first: InverseRest
-    fiducials: FiducialsSeen | None = None
+    fiducials: FiducialDetections | None = None
 
 
 @dataclass(frozen=True, eq=False)
-class ChainState:
+class PipelineState:
     """What one image leaves for the next: the sensor's own references (`flat`, and `reference` once
     at rest), the marker positions `expected` (M, 3) m in S, the membrane's `shape`, the histories
     of touch and slip, the markers' `tracks`, how far they stand `apart` (M, 3) m from the
@@ -63,13 +63,13 @@ class ChainState:
     knocked: int = 0
     unexplained: int = 0
     lost_at: Array | None = None
-    fiducials: FiducialsSeen | None = None
-    camera: CameraSeen | None = None
-    belief: CameraBelief | None = None
+    fiducials: FiducialDetections | None = None
+    camera: CameraDriftEstimate | None = None
+    belief: CameraDriftFilter | None = None
     blend: Blend | None = None
-    press: Press | None = None
+    press: PressHistory | None = None
     flat_at: float = -math.inf
-    rubber: RubberMemory | None = None
+    rubber: RelaxationState | None = None
 
     def required(self, sensor: str, what: str) -> Reference:
         """The rest reference. Raises DeviceError, of `what` came before it, where there is none."""
@@ -77,7 +77,7 @@ class ChainState:
             raise DeviceError(f"sensor {sensor}: {what} before the rest reference")
         return self.reference
 
-    def without_history(self) -> ChainState:
+    def without_history(self) -> PipelineState:
         """The same references, as if no image had been seen since; what is known of the gas
         and of the rubber stays."""
         return replace(

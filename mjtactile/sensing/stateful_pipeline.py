@@ -6,17 +6,17 @@ from collections.abc import Sequence
 
 from mjtactile.core.calibration import Calibration
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.types import FeltShape, Image, Markers, PressureReading, Touch
-from mjtactile.sensing.apply_contact_shape import finder_gauge, with_shape
-from mjtactile.sensing.contact_shape.estimator import ShapeFinder, told_nothing
+from mjtactile.core.types import ContactShape, Image, Markers, PressureReading, Touch
+from mjtactile.sensing.apply_contact_shape import attach_shape, finder_gauge
+from mjtactile.sensing.contact_shape.estimator import ContactShapeEstimator, uninformative_status
 from mjtactile.sensing.force.rest_equilibrium import InverseRest
-from mjtactile.sensing.pipeline import Chain
-from mjtactile.sensing.pipeline_state import ChainState
+from mjtactile.sensing.pipeline import SensingPipeline
+from mjtactile.sensing.pipeline_state import PipelineState
 from mjtactile.sensing.pose.flat_reference import FlatReference
 from mjtactile.sensing.settings import DEFAULTS, Settings
 
 
-class Perception:
+class StatefulPipeline:
     """A chain and its newest state, for those that only go forward in time.
 
     Args:
@@ -25,11 +25,13 @@ class Perception:
         shapes: Whether every touch has its `shape`; docs/reference/effects.md has what that costs.
     """
 
-    def __init__(self, chain: Chain, state: ChainState | None = None, *, shapes: bool = False):
+    def __init__(
+        self, chain: SensingPipeline, state: PipelineState | None = None, *, shapes: bool = False
+    ):
         self.chain = chain
         self.state = chain.begin() if state is None else state
         self.shapes = shapes
-        self._finder: tuple[tuple[InverseRest, float], ShapeFinder] | None = None
+        self._finder: tuple[tuple[InverseRest, float], ContactShapeEstimator] | None = None
 
     @classmethod
     def of(
@@ -38,7 +40,7 @@ class Perception:
         calibration: Calibration | None = None,
         *,
         settings: Settings = DEFAULTS,
-    ) -> Perception:
+    ) -> StatefulPipeline:
         """Begin with a sensor that has no references yet.
 
         Args:
@@ -49,10 +51,10 @@ class Perception:
         Returns:
             Its chain, with the state before anything was measured.
         """
-        return cls(Chain(design, calibration, settings=settings))
+        return cls(SensingPipeline(design, calibration, settings=settings))
 
-    def take_flat(self, images: Sequence[Image]) -> FlatReference:
-        """Take the flat reference; see `Chain.take_flat`.
+    def measure_flat_reference(self, images: Sequence[Image]) -> FlatReference:
+        """Take the flat reference; see `SensingPipeline.measure_flat_reference`.
 
         Args:
             images: With the valve open to the air, nothing touching.
@@ -60,31 +62,31 @@ class Perception:
         Returns:
             The flat reference.
         """
-        self.state = self.chain.take_flat(self.state, images)
+        self.state = self.chain.measure_flat_reference(self.state, images)
         return self.state.flat
 
-    def take_rest(
-        self, images: Sequence[Image], pressure_gauge: float, *, sealed: bool = True
+    def measure_rest_reference(
+        self, images: Sequence[Image], gauge_pressure: float, *, sealed: bool = True
     ) -> Markers:
-        """Take the rest reference; see `Chain.take_rest`.
+        """Take the rest reference; see `SensingPipeline.measure_rest_reference`.
 
         Args:
             images: Of the membrane at rest.
-            pressure_gauge: Pa in the chamber, above ambient.
+            gauge_pressure: Pa in the chamber, above ambient.
             sealed: Whether the chamber keeps its gas.
 
         Returns:
             The markers at rest.
         """
-        markers = self.chain.rest_markers(self.state, images)
+        markers = self.chain.detect_rest_markers(self.state, images)
         time = max(image.time for image in images)
-        self.state = self.chain.set_rest(
-            self.state, markers, pressure_gauge, sealed=sealed, time=time
+        self.state = self.chain.load_rest_reference(
+            self.state, markers, gauge_pressure, sealed=sealed, time=time
         )
         return markers
 
     def perceive(self, image: Image, now: float, reading: PressureReading | None = None) -> Touch:
-        """Feel what one image shows, and keep the state; see `Chain.step`.
+        """Feel what one image shows, and keep the state; see `SensingPipeline.step`.
 
         Args:
             image: The image.
@@ -98,13 +100,15 @@ class Perception:
         touch, self.state = self.chain.step(before, image, now, reading)
         if not self.shapes:
             return touch
-        lacking = told_nothing(touch, self.chain.settings.body)
+        lacking = uninformative_status(touch, self.chain.settings.body)
         if lacking is not None and before.press is None:
-            return with_shape(touch, lacking)
-        touch, self.state = self.chain.follow_shape(before, self.state, touch, self._finder_now())
+            return attach_shape(touch, lacking)
+        touch, self.state = self.chain.track_contact_shape(
+            before, self.state, touch, self._finder_now()
+        )
         return touch
 
-    def shape(self, touches: Touch | Sequence[Touch]) -> FeltShape:
+    def shape(self, touches: Touch | Sequence[Touch]) -> ContactShape:
         """Say what body touches.
 
         Args:
@@ -118,17 +122,17 @@ class Perception:
             DeviceError: The rest reference is missing.
         """
         history = [touches] if isinstance(touches, Touch) else list(touches)
-        lacking = told_nothing(history[-1], self.chain.settings.body)
+        lacking = uninformative_status(history[-1], self.chain.settings.body)
         if lacking is not None:
             return lacking
-        return self.chain.find_shape(self.state, history, self._finder_now())
+        return self.chain.estimate_contact_shape(self.state, history, self._finder_now())
 
-    def _finder_now(self) -> ShapeFinder:
+    def _finder_now(self) -> ContactShapeEstimator:
         """Made when it is first asked for, and again for another rest or another amount of gas."""
         reference = self.state.reference
         key = None if reference is None else (reference.first, finder_gauge(reference))
         if self._finder is None or key is None or self._finder[0] != key:
-            finder = self.chain.shape_finder(self.state)
+            finder = self.chain.make_shape_estimator(self.state)
             assert key is not None
             self._finder = (key, finder)
         return self._finder[1]

@@ -2,7 +2,7 @@
 `mjtactile.attach` adds what feels.
 
     spec = mujoco.MjSpec.from_file("my_robot.xml")
-    recommend_options(spec)                                  # integrator, solver, cone, timestep
+    configure_options(spec)                                  # integrator, solver, cone, timestep
     left = attach_membrane(spec, "dense", site="left_fingertip", prefix="left_")
     right = attach_membrane(spec, "dense", site="right_fingertip", prefix="right_")
     model = spec.compile()
@@ -42,8 +42,8 @@ from mjtactile.sim.sensor.effect_switches import (
 from mjtactile.sim.sensor.membrane import ANYTHING, BODY, FLEX, add_membrane
 from mjtactile.sim.sensor.mesh import MembraneMesh, make_mesh
 from mjtactile.sim.sensor.mesh_sensor import TactileSensor
-from mjtactile.sim.sensor.quasistatic_cache import FILM_GRID, add_feeler
-from mjtactile.sim.sensor.quasistatic_sensor import FilmSensor
+from mjtactile.sim.sensor.quasistatic_cache import QS_GRID, add_feeler
+from mjtactile.sim.sensor.quasistatic_sensor import QuasistaticSensor
 
 TIMESTEP_RANGE = (1e-4, 8e-3)
 DEFAULT_MESH = (13, 11)
@@ -78,7 +78,7 @@ _NEEDED = {
     mujoco.mjtDisableBit.mjDSBL_DAMPER: "membrane and gas are passive forces",
 }
 _WALLS = 24  # around an outline: 0.1 mm off one of 30 mm
-_LEAST_MEMORY = 1 << 24  # bytes
+_MIN_MEMORY = 1 << 24  # bytes
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,7 @@ class Attachment:
     contact: str = "auto"
     effects: frozenset[Effect] = PHYSICS
 
-    def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> TactileSensor | FilmSensor:
+    def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> TactileSensor | QuasistaticSensor:
         """Return the sensor's runtime, and finish the model: pre-stretch and contact stiffness.
 
         Call it again after `spec.recompile`. Raises InputError when the model's options cannot
@@ -100,7 +100,7 @@ class Attachment:
         """
         check_options(model.opt, source="bind")
         if Effect.SHEET not in self.effects:
-            return FilmSensor(model, data, self.design, self.mesh, self.prefix, self.effects)
+            return QuasistaticSensor(model, data, self.design, self.mesh, self.prefix, self.effects)
         return TactileSensor(
             model, data, self.design, self.mesh, self.prefix, self.contact, self.effects
         )
@@ -130,7 +130,7 @@ def attach_membrane(
     on = effects_named(effects)
     design = set_law(load_sensor(sensor), on)
     if mesh is None:
-        mesh = default_mesh(design) if Effect.SHEET in on else FILM_GRID
+        mesh = default_mesh(design) if Effect.SHEET in on else QS_GRID
     check_options(spec.option, source="attach")
     validity_checks.check_design(design, mesh)
     _check_contact(contact)
@@ -202,7 +202,7 @@ def default_mesh(design: SensorDesign) -> tuple[int, int]:
     return 2 * math.ceil((along - 1) / 2) + 1, 2 * math.ceil((across - 1) / 2) + 1
 
 
-def recommend_options(spec: mujoco.MjSpec, timestep: float = 4e-3) -> tuple[str, ...]:
+def configure_options(spec: mujoco.MjSpec, timestep: float = 4e-3) -> tuple[str, ...]:
     """Set the options of a scene that membranes need or like best; gravity and all the rest stay.
 
     Args:
@@ -240,7 +240,7 @@ def recommend_options(spec: mujoco.MjSpec, timestep: float = 4e-3) -> tuple[str,
         changes.append(
             "flag override: enable -> disable (the membrane needs its own contact stiffness)"
         )
-    if 0 <= spec.memory < _LEAST_MEMORY:
+    if 0 <= spec.memory < _MIN_MEMORY:
         changes.append(
             f"size.memory: {spec.memory} bytes -> as needed (a touching membrane has hundreds "
             "of contacts)"

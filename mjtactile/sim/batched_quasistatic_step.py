@@ -1,7 +1,7 @@
-"""`FilmStepper`: many steps of a hand whose sensors are films without Python between them.
+"""`QuasistaticStepper`: many steps of a hand whose sensors are films without Python between them.
 
 Of a step of 2 ms MuJoCo and the films need some 40 us; calling them one after the other from Python
-takes several times that. Here one kernel (`kernels/qs_substeps.c`) does what `HandWorld` and
+takes several times that. Here one kernel (`kernels/qs_substeps.c`) does what `GripperWorld` and
 `Stepper` do step by step, calls MuJoCo by the addresses of its functions, and lets go of Python
 meanwhile, so that worlds in threads use all processors. It ends early where something must be
 looked at.
@@ -20,7 +20,7 @@ import numpy as np
 
 from mjtactile.core.types import Array
 from mjtactile.kernels import bound
-from mjtactile.sim.sensor.quasistatic_sensor import FilmSensor
+from mjtactile.sim.sensor.quasistatic_sensor import QuasistaticSensor
 
 MOST = 64
 """Steps in one go."""
@@ -47,7 +47,7 @@ class Drive:
     affine: Array
 
 
-class FilmStepper:
+class QuasistaticStepper:
     """Steps of one model and data, which `sensors` are bound to.
 
     Attributes:
@@ -60,7 +60,7 @@ class FilmStepper:
         self,
         model: mujoco.MjModel,
         data: mujoco.MjData,
-        sensors: Sequence[FilmSensor],
+        sensors: Sequence[QuasistaticSensor],
         drive: Drive,
         movers: Array,
         hurry: Array,
@@ -77,8 +77,8 @@ class FilmStepper:
         self._told = np.zeros(4, np.int64)
         self._hurry = np.ascontiguousarray(hurry, float)
         self._never = np.full(len(hurry), np.inf)
-        follows = np.array([sensor.follow_words() for sensor in sensors])
-        pushes = np.array([sensor.push_words() for sensor in sensors])
+        follows = np.array([sensor.follow_message() for sensor in sensors])
+        pushes = np.array([sensor.push_message() for sensor in sensors])
         self._hurries = self._hurry.copy()
         self._run = bound(
             "film_steps",
@@ -89,7 +89,7 @@ class FilmStepper:
             len(sensors),
             follows,
             pushes,
-            sensors[0].add_words(),
+            sensors[0].add_messages(),
             self._goals,
             len(drive.read),
             np.ascontiguousarray(drive.read, np.int64),

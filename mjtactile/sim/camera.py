@@ -6,11 +6,11 @@ import numpy as np
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Image
-from mjtactile.rig.as_built_sensor import NOMINAL, SpecimenConfig, camera_pose, marker_radii
-from mjtactile.sim.rendering.image_faults import TroubledPicture
+from mjtactile.rig.as_built_sensor import NOMINAL, AsBuiltSensor, camera_pose, marker_radii
+from mjtactile.sim.rendering.image_faults import FaultyImage
 from mjtactile.sim.rendering.renderer import Renderer
-from mjtactile.sim.rendering.synthetic_ellipses import Sighter
-from mjtactile.sim.sensor.effect_switches import CAMERA, Effect, set_picture
+from mjtactile.sim.rendering.synthetic_ellipses import EllipseSampler
+from mjtactile.sim.sensor.effect_switches import CAMERA, Effect, set_camera_effects
 from mjtactile.sim.sensor.sensor_types import AnySensor
 
 _EXPOSURE = 8e-3  # s, for motion blur
@@ -26,24 +26,26 @@ class SimCamera:
         sensor: AnySensor,
         seed: int,
         effects: frozenset[str] = CAMERA,
-        specimen: SpecimenConfig = NOMINAL,
+        specimen: AsBuiltSensor = NOMINAL,
     ):
-        """`effects`: what is drawn (without IMAGES nothing: `read` gives a `Sighting`); LATENCY
-        hands out the image before, MOTION_BLUR keeps the shutter open. `specimen` says where the
-        camera really is, which markers it does not see, and what its pictures suffer. Raises
-        InputError where that is something, and no pictures are drawn, or where touch is to be
-        drawn in their place, which grasps alone can do."""
+        """`effects`: what is drawn (without IMAGES nothing: `read` gives a `SyntheticEllipses`);
+        LATENCY hands out the image before, MOTION_BLUR keeps the shutter open. `specimen` says
+        where the camera really is, which markers it does not see, and what its pictures suffer.
+        Raises InputError where that is something, and no pictures are drawn, or where touch is to
+        be drawn in their place, which grasps alone can do."""
         if Effect.CHAIN not in effects:
             raise InputError("touch is drawn in grasps only", field="--effects -chain")
         self._sensor = sensor
-        self._suffered = TroubledPicture(specimen.camera, seed)
+        self._suffered = FaultyImage(specimen.camera, seed)
         if self._suffered.are_any and Effect.IMAGES not in effects:
             raise InputError(
                 "camera troubles need images, and none are drawn", field="--effects -images"
             )
-        design = set_picture(sensor.design, effects)
+        design = set_camera_effects(sensor.design, effects)
         place = {"pose": camera_pose(design, specimen), "radius": marker_radii(design, specimen)}
-        self._sighter = None if Effect.IMAGES in effects else Sighter(design, seed=seed, **place)
+        self._sighter = (
+            None if Effect.IMAGES in effects else EllipseSampler(design, seed=seed, **place)
+        )
         if self._sighter:
             self._renderer = None
         else:
@@ -58,7 +60,7 @@ class SimCamera:
         again."""
         # one of them is there
         (self._sighter or self._renderer).reseed(seed)  # pyright: ignore[reportOptionalMemberAccess]
-        self._suffered = TroubledPicture(self._suffered.troubles, seed)
+        self._suffered = FaultyImage(self._suffered.troubles, seed)
         self._drawn = None
 
     def draw(self) -> None:

@@ -21,8 +21,8 @@ from mjtactile.sim.sensor.sensor_types import AnySensor
 from mjtactile.sim.sensor.validity_checks import GROWS, Flags
 
 # s between the checks that cost more than a few microseconds; films see much by themselves
-_LOOK_PERIOD = 0.02
-_LOOK_PERIOD_OF_FILMS = 0.1
+_CHECK_PERIOD = 0.02
+_QS_CHECK_PERIOD = 0.1
 
 
 class Stepper:
@@ -44,8 +44,8 @@ class Stepper:
         self._monitor = SceneMonitor(model, data, self._sensors)
         self._unsolved = [0, 0]
         """Steps whose solver ran out of iterations, since the last look and in the one before."""
-        period = _LOOK_PERIOD_OF_FILMS if self._monitor.only_films else _LOOK_PERIOD
-        self._look_every = max(1, round(period / float(model.opt.timestep)))
+        period = _QS_CHECK_PERIOD if self._monitor.only_quasistatic else _CHECK_PERIOD
+        self._check_every = max(1, round(period / float(model.opt.timestep)))
         self.flags: Flags = self._monitor.built()
         self.step_count = 0
         self.watchers: list[Callable[[], Flags]] = []
@@ -67,9 +67,9 @@ class Stepper:
         return self._monitor.speeds
 
     @property
-    def until_look(self) -> int:
+    def until_check(self) -> int:
         """Steps until the next look."""
-        return self._look_every - self.step_count % self._look_every
+        return self._check_every - self.step_count % self._check_every
 
     def after_step(self, count: int = 1, unsolved: int | None = None) -> None:
         """Check the state after `count` steps, in `unsolved` of which the solver ran out of
@@ -95,7 +95,7 @@ class Stepper:
         self._unsolved[0] += unsolved
         if "speed" not in self.flags:
             self.flags = self.flags | self._monitor.hurried()
-        if self.step_count % self._look_every == 0:
+        if self.step_count % self._check_every == 0:
             self._look()
             return
         reason = self._monitor.passed(every=False)
@@ -104,7 +104,7 @@ class Stepper:
 
     def _look(self) -> None:
         flags, reason = self._monitor.look()
-        if min(self._unsolved) > 0.5 * self._look_every:
+        if min(self._unsolved) > 0.5 * self._check_every:
             flags["solver"] = (
                 f"the solver did not converge in {self._model.opt.iterations} iterations: forces "
                 "are rough; use a smaller timestep"

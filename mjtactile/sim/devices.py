@@ -128,7 +128,7 @@ class SimValve:
 
     def state(self) -> ValveState:
         sensor = self._sensor
-        shown = sensor.pressure_gauge + self._zero + GAUGE_SD * self._rng.standard_normal()
+        shown = sensor.gauge_pressure + self._zero + GAUGE_SD * self._rng.standard_normal()
         age = sensor.time - sensor.gas_time
         return ValveState(sensor.valve_is_open, float(round(shown)), sensor.gas_time, age)
 
@@ -138,8 +138,8 @@ class SimValve:
     def close(self) -> None:
         self._defer(self._close)
 
-    def follow(self, pressure_gauge: float | None) -> None:
-        self._defer(lambda: self._follow(pressure_gauge))
+    def follow(self, gauge_pressure: float | None) -> None:
+        self._defer(lambda: self._follow(gauge_pressure))
 
     def move(self) -> None:
         """One step of the world: the supply goes to the goal as through a hose."""
@@ -158,15 +158,15 @@ class SimValve:
         self._goal = None
         self._sensor.close_valve()
 
-    def _follow(self, pressure_gauge: float | None) -> None:
-        if pressure_gauge is None:
+    def _follow(self, gauge_pressure: float | None) -> None:
+        if gauge_pressure is None:
             if self._goal is not None:
                 self._close()
             return
         if self._goal is None:
-            self._supply = self._sensor.pressure_gauge
+            self._supply = self._sensor.gauge_pressure
             self._moved = self._sensor.time
-        self._goal = pressure_gauge - self._zero  # it goes by its own gauge
+        self._goal = gauge_pressure - self._zero  # it goes by its own gauge
 
 
 class SimGripper:

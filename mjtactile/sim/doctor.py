@@ -18,9 +18,9 @@ from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.core.types import Array
 from mjtactile.rig.doctor_finding import Finding
 from mjtactile.rig.simulated import SimRigFile
-from mjtactile.sim.attach import recommend_options
+from mjtactile.sim.attach import configure_options
 from mjtactile.sim.scenes.grasp_world import finger_designs
-from mjtactile.sim.scenes.gripper_world import HandWorld
+from mjtactile.sim.scenes.gripper_world import GripperWorld
 from mjtactile.sim.scenes.initial_contact_check import touched_by_sensors
 from mjtactile.sim.scenes.initial_state import arm_actuators, arm_joints, missing_names
 from mjtactile.sim.scenes.mjcf import read_mjcf
@@ -34,7 +34,7 @@ _UNEVEN = 2e-3  # m between the heights of the fingertips
 _OPENING_WRONG = 1e-3  # m between what the laws say and where the fingertips are
 _MOVES = 1e-3  # m, the least that the fingertips must follow
 _HEIGHT_WRONG = 2e-3  # m
-_FORCE_LEAST = 1.0  # N on each finger; the shipped controllers hold with 0.6
+_FORCE_MIN = 1.0  # N on each finger; the shipped controllers hold with 0.6
 _SLACK = 1.5  # of the time that a motion takes at the rig's speed
 
 
@@ -61,7 +61,7 @@ def examine_simulated(rig: SimRigFile, sensor: str = "dense") -> list[Finding]:
         return missing
     findings = [Finding("ok", "names", "sites, actuators and bodies are all there"), _options(spec)]
     try:
-        world = HandWorld(rig, designs, _tip_height(designs))
+        world = GripperWorld(rig, designs, _tip_height(designs))
     except InputError as error:
         return [
             *findings,
@@ -80,7 +80,7 @@ def examine_simulated(rig: SimRigFile, sensor: str = "dense") -> list[Finding]:
 
 
 def _options(spec: mujoco.MjSpec) -> Finding:
-    changed = [change.split(" (")[0] for change in recommend_options(spec)]
+    changed = [change.split(" (")[0] for change in configure_options(spec)]
     text = "are those that the sensors need"
     if changed:
         text = f"the sensors need other ones, and get them: {', '.join(changed)}"
@@ -91,7 +91,7 @@ def _tip_height(designs: tuple[SensorDesign, ...]) -> float:
     return max(max(d.frame.length, d.frame.width) / 2 + d.frame.rim for d in designs) + _ABOVE_TABLE
 
 
-def _fingers(world: HandWorld) -> Iterator[Finding]:
+def _fingers(world: GripperWorld) -> Iterator[Finding]:
     """Each fingertip's site: does it look at the others, is it level with them."""
     p_WS, z_W = _tips(world)
     centre = p_WS.mean(axis=0)
@@ -135,7 +135,7 @@ def _fingers(world: HandWorld) -> Iterator[Finding]:
             yield Finding("ok", what, f"site {finger.site!r} faces the middle of the fingertips")
 
 
-def _arm(world: HandWorld) -> Iterator[Finding]:
+def _arm(world: GripperWorld) -> Iterator[Finding]:
     """Whether every joint between the world and the hand is held."""
     model = world.model
     rig = world.rig
@@ -162,7 +162,7 @@ def _arm(world: HandWorld) -> Iterator[Finding]:
         )
 
 
-def _motions(world: HandWorld) -> Iterator[Finding]:
+def _motions(world: GripperWorld) -> Iterator[Finding]:
     """Inflate; then open, close and lift, and compare what is asked for with where the fingertips
     go."""
     rig = world.rig
@@ -190,10 +190,10 @@ def _motions(world: HandWorld) -> Iterator[Finding]:
 
 
 def _jaws(reached: dict[float, tuple[float, float]], low: float, high: float) -> Iterator[Finding]:
-    opened, seen_open = reached[high]
-    closed, seen_closed = reached[low]
-    way = f"from {_mm(seen_open)} to {_mm(seen_closed)} mm"
-    if seen_open - seen_closed < -_MOVES:
+    opened, response_open = reached[high]
+    closed, response_closed = reached[low]
+    way = f"from {_mm(response_open)} to {_mm(response_closed)} mm"
+    if response_open - response_closed < -_MOVES:
         yield Finding(
             "bad",
             "jaws",
@@ -201,7 +201,7 @@ def _jaws(reached: dict[float, tuple[float, float]], low: float, high: float) ->
             "turn the sign of mm_per_rad or mm_per_mm, or the table round",
         )
         return
-    if seen_open - seen_closed < _MOVES:
+    if response_open - response_closed < _MOVES:
         yield Finding(
             "bad",
             "jaws",
@@ -209,14 +209,14 @@ def _jaws(reached: dict[float, tuple[float, float]], low: float, high: float) ->
             "is it the right actuator? is its force enough? does something jam?",
         )
         return
-    wrong = max(abs(opened - seen_open), abs(closed - seen_closed))
+    wrong = max(abs(opened - response_open), abs(closed - response_closed))
     if wrong > _OPENING_WRONG:
         yield Finding(
             "warn",
             "jaws",
             f"are not where the law says: by it they go from {_mm(opened)} to {_mm(closed)} mm, by "
             f"the sites {way}",
-            "mend law, ratio or opening_part_mm",
+            "mend law, ratio or jaw_offset_mm",
         )
     elif max(abs(opened - high), abs(closed - low)) > _OPENING_WRONG:
         yield Finding(
@@ -248,7 +248,7 @@ def _touches(touched: dict[str, set[tuple[str, str, str]]]) -> Iterator[Finding]
         yield Finding("ok", "sensors", "touch nothing, inflated, opened or closed")
 
 
-def _lift(world: HandWorld, sag: float) -> Iterator[Finding]:
+def _lift(world: GripperWorld, sag: float) -> Iterator[Finding]:
     """Up by the whole travel."""
     lift = world.rig.lift
     if lift.kind == "none":
@@ -279,11 +279,11 @@ def _lift(world: HandWorld, sag: float) -> Iterator[Finding]:
         )
 
 
-def _force(world: HandWorld) -> Iterator[Finding]:
+def _force(world: GripperWorld) -> Iterator[Finding]:
     reached = world.grip_force_reached
     wanted = world.rig.gripper.force_max
     text = f"the actuators close each finger with at most {reached:.2g} N"
-    if reached < _FORCE_LEAST:
+    if reached < _FORCE_MIN:
         yield Finding(
             "bad",
             "force",
@@ -309,17 +309,17 @@ def _mm(metres: float) -> str:
     return f"{round(1e3 * metres, 1) + 0.0:.1f}"  # + 0.0: no -0.0
 
 
-def _wait(world: HandWorld, seconds: float) -> None:
+def _wait(world: GripperWorld, seconds: float) -> None:
     world.step(max(1, round(seconds / world.timestep)))
 
 
-def _tips(world: HandWorld) -> tuple[Array, Array]:
+def _tips(world: GripperWorld) -> tuple[Array, Array]:
     """Fingertips (n, 3) m and their sensors' outward directions (n, 3), frame W."""
     bodies = [sensor.body_id for sensor in world.sensors]
     return world.data.xpos[bodies].copy(), world.data.xmat[bodies].reshape(-1, 3, 3)[:, :, 2].copy()
 
 
-def _opening_seen(world: HandWorld) -> float:
+def _opening_seen(world: GripperWorld) -> float:
     """Twice the mean distance of the fingertips from their middle, along their sensors' directions,
     m."""
     p_WS, z_W = _tips(world)

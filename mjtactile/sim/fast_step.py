@@ -39,7 +39,7 @@ def advance(
     it is `mj_step`. A control callback is asked twice a step.
     """
     option = model.opt
-    if not _is_known(option):
+    if not _is_known_kind(option):
         mujoco.mj_step(model, data)
         return
     mujoco.mj_step1(model, data)
@@ -71,7 +71,7 @@ def _integrate(model: mujoco.MjModel, data: mujoco.MjData) -> None:
         option.disableflags = flags
 
 
-def _is_known(option: Any) -> bool:
+def _is_known_kind(option: Any) -> bool:
     return (
         option.integrator == mujoco.mjtIntegrator.mjINT_DISCRETE
         and option.solver != mujoco.mjtSolver.mjSOL_PGS

@@ -19,10 +19,10 @@ from mjtactile.kernels import kernel
 from mjtactile.sim.scenes.objects import PREFIX, moving_bodies
 from mjtactile.sim.sensor import contact_loads as loads
 from mjtactile.sim.sensor.contact_list import listed
-from mjtactile.sim.sensor.quasistatic_sensor import FilmSensor
+from mjtactile.sim.sensor.quasistatic_sensor import QuasistaticSensor
 
 if TYPE_CHECKING:
-    from mjtactile.sim.scenes.gripper_world import HandWorld
+    from mjtactile.sim.scenes.gripper_world import GripperWorld
     from mjtactile.sim.scenes.strain import SoftSolid
     from mjtactile.sim.scenes.world import World
     from mjtactile.sim.sensor.mesh_sensor import TactileSensor
@@ -34,7 +34,7 @@ def contact_forces(world: World, sensor: int) -> tuple[Array, Array, Array]:
     m, and penetration depths (n,) m, one row per contact, in the order of MuJoCo's contact list."""
     data = world.data
     device = world.sensors[sensor]
-    if isinstance(device, FilmSensor):
+    if isinstance(device, QuasistaticSensor):
         f_S, p_S = device.contact_forces()
         return f_S, p_S, np.zeros(len(f_S))
     R_WS, p_WS = _pose(world, device)
@@ -47,7 +47,7 @@ def patch(world: World, sensor: int) -> tuple[Array, float]:
     """Middle (3,) m in S of what presses on membrane `sensor`, and its mean distance from there, m,
     both by force; 0 where nothing presses."""
     device = world.sensors[sensor]
-    if isinstance(device, FilmSensor):
+    if isinstance(device, QuasistaticSensor):
         return device.middle, device.radius
     forces, points, _ = contact_forces(world, sensor)
     press = np.maximum(-forces[:, 2], 0.0)
@@ -67,7 +67,7 @@ def contact_force(world: World, sensor: int) -> Array:
 def contact_loads(world: World, devices: Sequence[AnySensor]) -> Array:
     """Total forces (n, 3) N that the world exerts on the membranes of `devices`, each in its frame
     S."""
-    if any(isinstance(device, FilmSensor) for device in devices):
+    if any(isinstance(device, QuasistaticSensor) for device in devices):
         return np.array([loads.membrane_wrench(world.data, device)[:3] for device in devices])
     f_W = np.empty((len(devices), 3))
     kernel("membrane_loads")(
@@ -177,7 +177,7 @@ def contact_area(world: World, sensor: int, spacing: float = 4e-4) -> float:
     less, that it crosses.
     """
     device = world.sensors[sensor]
-    if isinstance(device, FilmSensor):
+    if isinstance(device, QuasistaticSensor):
         return device.contact_area
     forces, points, _ = contact_forces(world, sensor)
     force = -float(forces[:, 2].sum())
@@ -200,7 +200,7 @@ def contact_area(world: World, sensor: int, spacing: float = 4e-4) -> float:
         _heights_of(world, device, x, y),
         inside,
         spacing,
-        pressure=device.pressure_gauge,
+        pressure=device.gauge_pressure,
         tension=tension,
         force=force,
     )
@@ -331,10 +331,10 @@ def object_pose(world: World, solid: SoftSolid | None = None) -> tuple[Array, Ar
     q_now = np.zeros(4)
     mujoco.mju_mat2Quat(turn, R.ravel())
     mujoco.mju_mulQuat(q_now, turn, q_WO)
-    return middle + R @ (p_WO - solid.rest_middle), q_now
+    return middle + R @ (p_WO - solid.rest_center), q_now
 
 
-def hand_position(world: HandWorld) -> Array:
+def gripper_position(world: GripperWorld) -> Array:
     """Position (3,) m of the hand that carries the fingers, frame W."""
     return world.data.xpos[world.start.hand].copy()
 

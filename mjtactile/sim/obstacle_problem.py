@@ -29,7 +29,7 @@ _TINY = 1e-9  # of a cell's pressure, and m
 
 
 @dataclass(frozen=True, eq=False)
-class FilmContact:
+class ObstacleContact:
     """Heights `w` (nx, ny) m of the film, the share (nx, ny) of each cell of `spacing` m that
     touches, the force (nx, ny) N that it carries, and whether the set of cells came to rest."""
 
@@ -57,7 +57,7 @@ def lie_on(
     pressure: float,
     tension: float,
     force: float,
-) -> FilmContact:
+) -> ObstacleContact:
     """The film that carries `force` N on `obstacle` (nx, ny) m, which is meant up to a shift, and
     inf where nothing is.
 
@@ -88,7 +88,7 @@ def lie_on(
     share = np.where(q > 0, _share(stiffness, psi, q, load), 0.0)  # pyright: ignore[reportPossiblyUnboundVariable]
     fields = np.zeros((3, *inside.shape))
     fields[:, inside] = w, share, tension * q
-    return FilmContact(fields[0], fields[1], fields[2], spacing, settled)
+    return ObstacleContact(fields[0], fields[1], fields[2], spacing, settled)
 
 
 def _carry(

@@ -9,9 +9,9 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.scenario import Scenario
-from mjtactile.core.task import DrawnTask, Task, load_task
-from mjtactile.rig.as_built_sensor import SpecimenConfig, true_design
-from mjtactile.rig.command_limits import Limits
+from mjtactile.core.task import SampledTask, Task, load_task
+from mjtactile.rig.as_built_sensor import AsBuiltSensor, true_design
+from mjtactile.rig.command_limits import CommandLimits
 from mjtactile.rig.domain_randomization import Drawn, ObjectChange, draw
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.finger import Rig, make_fingers
@@ -19,20 +19,20 @@ from mjtactile.rig.registry import RigRequest
 from mjtactile.rig.simulated import SimRigFile
 from mjtactile.sim.camera import SimCamera
 from mjtactile.sim.devices import SimClock, SimGripper, SimValve
-from mjtactile.sim.effects.catalog import Chosen, choose, film_serves
+from mjtactile.sim.effects.catalog import Chosen, choose, quasistatic_is_valid
 from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR, Fidelity
-from mjtactile.sim.scenes.disturbances import Happenings
+from mjtactile.sim.scenes.disturbances import DisturbanceSchedule
 from mjtactile.sim.scenes.grasp_world import GraspWorld, finger_designs
 from mjtactile.sim.scenes.objects import ObjectModel, load_object
 from mjtactile.sim.sensing_error_model import load_errors
 from mjtactile.sim.sensor.effect_switches import Effect, set_design
 from mjtactile.sim.sensor.sensor_types import AnySensor
-from mjtactile.sim.synthetic_touch import TouchDrawer
+from mjtactile.sim.synthetic_touch import SyntheticTouchSource
 
 _SCATTER = 2e-3  # m, to each side
 _LARGEST_STEP = 6.7e-3  # s; against 1 ms, forces change by 1 mN (docs/validation/accuracy.md)
 # s; at 4 ms what is light and stands in a cup is held back by the damping that keeps it stable
-_LARGEST_STEP_OF_A_FILM = 2.1e-3
+_QS_STEP_MAX = 2.1e-3
 
 
 @dataclass(frozen=True)
@@ -47,13 +47,13 @@ class _Plan:
     file: SimRigFile
     drawn: Drawn
     task: Task
-    drawn_task: DrawnTask
+    sample_task: SampledTask
     object: ObjectModel
     fidelity: Fidelity | None
     chosen: Chosen
     on: frozenset[Effect]
     designs: tuple[SensorDesign, ...]
-    specimens: tuple[SpecimenConfig, ...]
+    specimens: tuple[AsBuiltSensor, ...]
 
     @property
     def steps_per_second(self) -> float:
@@ -62,7 +62,7 @@ class _Plan:
         if self.fidelity is not None:
             largest = self.fidelity.timestep * (1 + 1e-9)
         if Effect.SHEET not in self.on:
-            largest = min(largest, _LARGEST_STEP_OF_A_FILM)
+            largest = min(largest, _QS_STEP_MAX)
         rate = min(design.camera.rate for design in self.designs)
         return rate * int(np.ceil(1 / (rate * largest)))
 
@@ -98,16 +98,16 @@ def _plan(scenario: Scenario, file: SimRigFile, drawn: Drawn) -> _Plan:
     design = scenario.design()
     fingers = len(file.fingers)
     task = load_task(scenario.task)
-    drawn_task = task.draw(scenario.seed, fingers)
+    sample_task = task.draw(scenario.seed, fingers)
     grasped = load_object(scenario.object)
     overrides = scenario.effects
     fidelity = None
     if scenario.accuracy:
-        films = film_serves(design, grasped, overrides)
+        films = quasistatic_is_valid(design, grasped, overrides)
         fidelity = Fidelity.parse(scenario.accuracy, films=films)
         overrides = fidelity.with_effects(overrides)
-    drawn = replace(drawn, object=_with_task(drawn.object, drawn_task, grasped, design))
-    grasped = _breaking(grasped.changed(drawn.object), task, drawn_task, fingers)
+    drawn = replace(drawn, object=_with_task(drawn.object, sample_task, grasped, design))
+    grasped = _breaking(grasped.changed(drawn.object), task, sample_task, fingers)
     wanted = DEFAULT_FORCE_ERROR if fidelity is None else fidelity.asked
     chosen = choose(design, grasped, force_error=wanted, overrides=overrides)
     specimens = tuple(drawn.specimen(finger.name) for finger in file.fingers)
@@ -118,7 +118,7 @@ def _plan(scenario: Scenario, file: SimRigFile, drawn: Drawn) -> _Plan:
         file,
         drawn,
         task,
-        drawn_task,
+        sample_task,
         grasped,
         fidelity,
         chosen,
@@ -151,8 +151,8 @@ def _world(plan: _Plan) -> GraspWorld:
     )
     if fidelity is not None:
         world.model.opt.tolerance = fidelity.tolerance
-    if plan.drawn_task.events:
-        happens = Happenings(world, plan.drawn_task.events, plan.task.orders.lift_height)
+    if plan.sample_task.events:
+        happens = DisturbanceSchedule(world, plan.sample_task.events, plan.task.orders.lift_height)
         world.after_each_stretch(happens.step, happens.due)
     for sensor, own in zip(world.sensors, plan.specimens, strict=True):
         if own.leak or own.warming:
@@ -187,9 +187,9 @@ def _rig(plan: _Plan, world: GraspWorld) -> Rig:
         clock=clock,
         limits=_limits(file),
         close=clock.close,
-        varied={**plan.drawn.values, **plan.drawn_task.values},
+        varied={**plan.drawn.values, **plan.sample_task.values},
         flags=lambda: world.flags,
-        touch_is_drawn=Effect.CHAIN not in plan.on,
+        touch_is_synthetic=Effect.CHAIN not in plan.on,
         scene=world,
         simulated={
             "mesh": (sheet.nx, sheet.ny),
@@ -204,9 +204,9 @@ def _cameras(
     seeds: Sequence[int],
     on: frozenset[str],
     designs: Sequence[SensorDesign],
-    specimens: Sequence[SpecimenConfig],
+    specimens: Sequence[AsBuiltSensor],
     drawn: Drawn,
-) -> tuple[SimCamera, ...] | tuple[TouchDrawer, ...]:
+) -> tuple[SimCamera, ...] | tuple[SyntheticTouchSource, ...]:
     """What sees each sensor: a camera, or where the chain is left out what draws its touches."""
     if Effect.CHAIN in on:
         return tuple(
@@ -214,14 +214,16 @@ def _cameras(
             for sensor, seed, own in zip(sensors, seeds, specimens, strict=True)
         )
     return tuple(
-        TouchDrawer(sensor, load_errors(own, drawn.values != {}), own.membrane.friction, seed)
+        SyntheticTouchSource(
+            sensor, load_errors(own, drawn.values != {}), own.membrane.friction, seed
+        )
         for sensor, own, seed in zip(sensors, designs, seeds, strict=True)
     )
 
 
-def _limits(file: SimRigFile) -> Limits:
+def _limits(file: SimRigFile) -> CommandLimits:
     """What the rig file allows."""
-    return Limits(
+    return CommandLimits(
         file.gripper.opening,
         file.gripper.speed,
         file.gripper.force_max,
@@ -233,7 +235,7 @@ def _limits(file: SimRigFile) -> Limits:
 
 
 def _with_task(
-    change: ObjectChange, task: DrawnTask, grasped: ObjectModel, design: SensorDesign
+    change: ObjectChange, task: SampledTask, grasped: ObjectModel, design: SensorDesign
 ) -> ObjectChange:
     """The object's changes with the mass and the friction that the task says, if it does."""
     if task.mass is not None:
@@ -244,13 +246,13 @@ def _with_task(
     return change
 
 
-def _breaking(grasped: ObjectModel, task: Task, drawn: DrawnTask, fingers: int) -> ObjectModel:
+def _breaking(grasped: ObjectModel, task: Task, drawn: SampledTask, fingers: int) -> ObjectModel:
     """The object with the break force that the task says, if it does: it goes with what the task
     needs of a finger."""
     if drawn.breaking is None or drawn.friction is None:
         return grasped
     need = drawn.need(grasped.mass, drawn.friction, fingers)
-    return replace(grasped, break_force=max(task.thing.breaking_least, drawn.breaking * need))
+    return replace(grasped, break_force=max(task.thing.breaking_min, drawn.breaking * need))
 
 
 def build(request: RigRequest) -> Rig:
@@ -275,7 +277,7 @@ def place(grasped: ObjectModel, pose: tuple[float, float, float]) -> tuple[float
     return x, y, min(max(yaw, -grasped.turn), grasped.turn)
 
 
-def _true_design(design: SensorDesign, specimen: SpecimenConfig, drawn: Drawn) -> SensorDesign:
+def _true_design(design: SensorDesign, specimen: AsBuiltSensor, drawn: Drawn) -> SensorDesign:
     """The sensor as it is; the friction of a pair is the membrane's alone (it has the higher
     priority)."""
     true = true_design(design, specimen)

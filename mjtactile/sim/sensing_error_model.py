@@ -32,7 +32,7 @@ FOLDER = "models/fidelity/chain"
 
 
 @dataclass(frozen=True, eq=False)
-class ChainErrors:
+class SensingErrorModel:
     """Errors of one design's chain. SI units, frame S; k loads, six parts of a wrench.
 
     Attributes:
@@ -43,7 +43,7 @@ class ChainErrors:
         fresh: (k, 6) of what of that is new in each image.
         correlation: (6, 6) of that.
         said: (k, 6) standard deviations that the chain says of its wrench.
-        said_correlation: (6, 6).
+        reported_correlation: (6, 6).
         shear_gain: Standard deviation of the share by which a grasp's shear is felt too large.
         between: (k,) standard deviation of the logarithm of a grasp's factor.
         slow_time: s, time constant of what lasts.
@@ -56,7 +56,7 @@ class ChainErrors:
         area_sd: (k,) its standard deviation.
         centroid_sd: (k,) m.
         depth: Share of the true depth that is felt.
-        slip_way: m that is slid before it is called so.
+        slip_displacement: m that is slid before it is called so.
         incipient: Share of friction's limit from which on a slip is near.
     """
 
@@ -67,7 +67,7 @@ class ChainErrors:
     fresh: Array
     correlation: Array
     said: Array
-    said_correlation: Array
+    reported_correlation: Array
     shear_gain: float
     between: Array
     slow_time: float
@@ -80,7 +80,7 @@ class ChainErrors:
     area_sd: Array
     centroid_sd: Array
     depth: float
-    slip_way: float
+    slip_displacement: float
     incipient: float
 
     def __post_init__(self) -> None:
@@ -89,24 +89,24 @@ class ChainErrors:
 
     @cached_property
     def at_loads(self) -> Array:
-        """(k, 30) All that goes with the load, in the order of `AtLoad`."""
-        return np.column_stack([getattr(self, name) for name in AtLoad._fields])
+        """(k, 30) All that goes with the load, in the order of `ErrorsAtLoad`."""
+        return np.column_stack([getattr(self, name) for name in ErrorsAtLoad._fields])
 
-    def at(self, load: float) -> AtLoad:
+    def at(self, load: float) -> ErrorsAtLoad:
         """All that goes with the load, at `load` N; beyond the last one as there."""
         columns = [np.interp(load, self.loads, column) for column in self.at_loads.T]
-        return AtLoad.of(np.array(columns))
+        return ErrorsAtLoad.of(np.array(columns))
 
     def table(self) -> dict[str, Any]:
-        """As JSON has it; the inverse of `errors_from`."""
+        """As JSON has it; the inverse of `parse_error_model`."""
         return {
             name: getattr(self, name).tolist() if name in _ARRAYS else getattr(self, name)
             for name in self.__dataclass_fields__
         }
 
 
-class AtLoad(NamedTuple):
-    """`ChainErrors` at one load."""
+class ErrorsAtLoad(NamedTuple):
+    """`SensingErrorModel` at one load."""
 
     mean: Array
     sd: Array
@@ -120,23 +120,23 @@ class AtLoad(NamedTuple):
     between: float
 
     @classmethod
-    def of(cls, row: Array) -> AtLoad:
+    def of(cls, row: Array) -> ErrorsAtLoad:
         """Of the 30 numbers in this order."""
         return cls(row[:6], row[6:12], row[12:18], row[18:24], *row[24:].tolist())
 
 
 _ARRAYS = frozenset(
-    name for name, field in ChainErrors.__dataclass_fields__.items() if field.type == "Array"
+    name for name, field in SensingErrorModel.__dataclass_fields__.items() if field.type == "Array"
 )
 
 
-def errors_from(table: Mapping[str, Any]) -> ChainErrors:
-    """Read what `ChainErrors.table` wrote. Raises KeyError, TypeError or ValueError."""
+def parse_error_model(table: Mapping[str, Any]) -> SensingErrorModel:
+    """Read what `SensingErrorModel.table` wrote. Raises KeyError, TypeError or ValueError."""
     values: dict[str, Any] = {
         name: np.array(table[name], float) if name in _ARRAYS else float(table[name])
-        for name in ChainErrors.__dataclass_fields__
+        for name in SensingErrorModel.__dataclass_fields__
     }
-    return ChainErrors(**values)
+    return SensingErrorModel(**values)
 
 
 def path_of(design: SensorDesign) -> Path:
@@ -144,7 +144,7 @@ def path_of(design: SensorDesign) -> Path:
     return resources.folder(FOLDER) / f"{design.name}.json"
 
 
-def load_errors(design: SensorDesign, varied: bool = False) -> ChainErrors:
+def load_errors(design: SensorDesign, varied: bool = False) -> SensingErrorModel:
     """The errors of a design's chain.
 
     Args:
@@ -162,12 +162,12 @@ def load_errors(design: SensorDesign, varied: bool = False) -> ChainErrors:
 
 
 @cache
-def _load(path: Path, wanted: str, name: str) -> dict[str, ChainErrors]:
+def _load(path: Path, wanted: str, name: str) -> dict[str, SensingErrorModel]:
     how = f"mjtactile bench drawn --sensor {name}"
     try:
         table = json.loads(path.read_text(encoding="utf-8"))
         measured_of = table["fingerprint"]
-        errors = {name: errors_from(table[name]) for name in ("errors", "varied")}
+        errors = {name: parse_error_model(table[name]) for name in ("errors", "varied")}
     except FileNotFoundError:
         raise InputError(
             f"the errors of its chain were never measured: {how}", source=name, field="--effects"

@@ -2,7 +2,7 @@
 sensing chain has at that load. A model of the sensor with its software, which may read the truth as
 a camera's may; what comes out is a measurement.
 
-It stands where a camera does, and gives `TouchImage` in place of an image.
+It stands where a camera does, and gives `SyntheticTouch` in place of an image.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import numpy as np
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.status import OK, Status, StatusCode
-from mjtactile.core.types import Array, Contact, Slip, SlipState, Touch, TouchImage, Traction
+from mjtactile.core.types import Array, Contact, Slip, SlipState, SyntheticTouch, Touch, Traction
 from mjtactile.core.types.arrays import fixed
 from mjtactile.kernels import bound
-from mjtactile.sim.sensing_error_model import AtLoad, ChainErrors
-from mjtactile.sim.sensor.quasistatic_sensor import FilmSensor
+from mjtactile.sim.sensing_error_model import ErrorsAtLoad, SensingErrorModel
+from mjtactile.sim.sensor.quasistatic_sensor import QuasistaticSensor
 from mjtactile.sim.sensor.sensor_types import AnySensor
 
 _RECENT = 0.12  # s over which a slip is told, as by the chain
@@ -37,10 +37,10 @@ METHOD = "drawn"
 """`Traction.method` of a touch that no chain has felt."""
 
 
-class Erring:
+class SensingErrorSampler:
     """The errors of one sensor's wrench, image after image."""
 
-    def __init__(self, errors: ChainErrors):
+    def __init__(self, errors: SensingErrorModel):
         self._errors = errors
         self._spread = np.linalg.cholesky(errors.correlation)
         self._slow = np.zeros(6)
@@ -57,7 +57,7 @@ class Erring:
             errors.at_loads,
             errors.gain,
             self._spread,
-            errors.said_correlation,
+            errors.reported_correlation,
             self._settings,
             errors.outlier_size,
             self._normals,
@@ -76,7 +76,7 @@ class Erring:
 
     def felt(
         self, true: Array, elapsed: float, rng: np.random.Generator
-    ) -> tuple[Array, Array, AtLoad]:
+    ) -> tuple[Array, Array, ErrorsAtLoad]:
         """The wrench that the chain would say.
 
         Args:
@@ -92,10 +92,10 @@ class Erring:
         rng.standard_normal(out=self._normals)
         self._settings[_ELAPSED:] = elapsed, rng.random()
         self._draw()
-        return self._wrench, self._cov, AtLoad.of(self._row)
+        return self._wrench, self._cov, ErrorsAtLoad.of(self._row)
 
 
-class TouchDrawer:
+class SyntheticTouchSource:
     """Stands for one sensor's camera and chain.
 
     Args:
@@ -107,8 +107,8 @@ class TouchDrawer:
     Raises InputError for a sensor whose sheet is a mesh.
     """
 
-    def __init__(self, sensor: AnySensor, errors: ChainErrors, friction: float, seed: int):
-        if not isinstance(sensor, FilmSensor):
+    def __init__(self, sensor: AnySensor, errors: SensingErrorModel, friction: float, seed: int):
+        if not isinstance(sensor, QuasistaticSensor):
             raise InputError(
                 "touch is drawn of a film, not of a mesh",
                 field="--effects",
@@ -117,11 +117,11 @@ class TouchDrawer:
         self._sensor = sensor
         self._errors = errors
         self._friction = friction
-        self._erring = Erring(errors)
+        self._erring = SensingErrorSampler(errors)
         self._time = math.nan
         self._touching = False
         self._slides: deque[tuple[float, float]] = deque()
-        self._drawn: TouchImage | None = None
+        self._drawn: SyntheticTouch | None = None
         self.reseed(seed)
 
     def reseed(self, seed: int) -> None:
@@ -132,9 +132,9 @@ class TouchDrawer:
 
     def draw(self) -> None:
         """Have the touch of now ready for `read`."""
-        self._drawn = TouchImage.of(self._touch())
+        self._drawn = SyntheticTouch.of(self._touch())
 
-    def read(self) -> TouchImage:
+    def read(self) -> SyntheticTouch:
         """What is felt now."""
         if self._drawn is None or self._drawn.time != self._sensor.time:
             self.draw()
@@ -150,10 +150,10 @@ class TouchDrawer:
         self._time = time
         wrench, cov, here = self._erring.felt(sensor.look(), elapsed, self._rng)
         if self._rng.random() < here.unknown:
-            status = Status(StatusCode.NO_SHAPE, "the markers fit no membrane shape")
+            status = Status(StatusCode.FIT_FAILED, "the markers fit no membrane shape")
             lost = Slip("unknown", _NOWHERE, math.nan, math.nan, status)
             return Touch(time, 0.0, math.nan, math.nan, False, slip=lost, status=status)
-        traction = Traction(_NONE, _NONE, _NO_FORCES, wrench, cov, sensor.pressure_gauge, METHOD)
+        traction = Traction(_NONE, _NONE, _NO_FORCES, wrench, cov, sensor.gauge_pressure, METHOD)
         wrench = traction.wrench
         force = -float(wrench[2])
         self._detect(force)
@@ -175,7 +175,7 @@ class TouchDrawer:
         release = self._errors.release if self._touching else 1.0
         self._touching = force > release * self._errors.touch_force
 
-    def _contact(self, wrench: Array, here: AtLoad, new: list[float]) -> Contact:
+    def _contact(self, wrench: Array, here: ErrorsAtLoad, new: list[float]) -> Contact:
         sensor = self._sensor
         if not self._touching:
             return _NO_CONTACT
@@ -212,9 +212,9 @@ class TouchDrawer:
         pressed = max(-float(wrench[2]), 1e-6)
         shear = wrench[:2]
         used = float(math.hypot(*shear)) / (self._friction * pressed)
-        if way > self._errors.slip_way:
+        if way > self._errors.slip_displacement:
             velocity = shear / max(math.hypot(*shear), 1e-9) * (way / max(elapsed, 1e-9))
             return Slip("slipping", velocity, slid, 0.0)
         state: SlipState = "incipient" if used > self._errors.incipient else "sticking"
-        told = slid if slid > self._errors.slip_way else 0.0
+        told = slid if slid > self._errors.slip_displacement else 0.0
         return Slip(state, _STILL, told, max(0.0, 1 - used) ** (2 / 3))

@@ -22,12 +22,12 @@ import numpy as np
 
 from mjtactile.core.errors import DeviceError, SimulationError
 from mjtactile.core.types import Array
-from mjtactile.sim_comparison.discrepancy_parameters import Cause
+from mjtactile.sim_comparison.discrepancy_parameters import DiscrepancyParameter
 from mjtactile.sim_comparison.signals import KINDS, TOLERANCE, Signals, apart
 
 POINTS = 90
 """Of time, at which rigs are compared."""
-_LEAST_EXPLAINED = 0.5
+_MIN_EXPLAINED = 0.5
 _LESS_LEFT = 0.6
 """Of what is left without a cause, at most so much may be left with one that is named."""
 
@@ -42,18 +42,18 @@ Simulate = Callable[[Mapping[str, Sequence[float]]], Signals]
 
 
 @dataclass(frozen=True)
-class TriedCause:
+class TestedParameter:
     """A cause: its `amounts` on each finger, SI, their sd, and the share of the difference that it
     explains, with what is allowed for."""
 
-    cause: Cause
+    cause: DiscrepancyParameter
     amounts: tuple[float, ...]
     sd: tuple[float, ...]
     explains: float
 
 
 @dataclass(frozen=True, eq=False)
-class Shadow:
+class SimComparison:
     """A recording beside its simulation.
 
     Attributes:
@@ -75,10 +75,10 @@ class Shadow:
     explained: Signals | None
     apart: Mapping[str, Array]
     left: Mapping[str, Array]
-    tried: tuple[TriedCause, ...]
-    named: TriedCause | None
+    tried: tuple[TestedParameter, ...]
+    named: TestedParameter | None
     differs: bool
-    alike: tuple[TriedCause, ...] = ()
+    alike: tuple[TestedParameter, ...] = ()
     allowed: Mapping[str, float] = field(default_factory=dict)
     explains: float = 0.0
 
@@ -98,9 +98,9 @@ class _Rows:
         known = {}
         weight = {}
         for kind in KINDS:
-            is_known = np.all([np.isfinite(one.of(kind)) for one in signals], axis=0)
-            known[kind] = is_known
-            weight[kind] = np.sqrt(1.0 / max(int(is_known.sum()), 1)) / TOLERANCE[kind]
+            is_finite_value = np.all([np.isfinite(one.of(kind)) for one in signals], axis=0)
+            known[kind] = is_finite_value
+            weight[kind] = np.sqrt(1.0 / max(int(is_finite_value.sum()), 1)) / TOLERANCE[kind]
         return cls(signals[0].time, signals[0].fingers, known, weight)
 
     def vector(self, signals: Signals, finger: int | None = None) -> Array:
@@ -124,12 +124,12 @@ def compare_times(recorded: Signals, simulated: Signals) -> Array:
 def explain(
     recorded: Signals,
     simulate: Simulate,
-    causes: Sequence[Cause],
+    causes: Sequence[DiscrepancyParameter],
     *,
     many: Callable[[Sequence[Mapping[str, Sequence[float]]]], Sequence[Signals | None]]
     | None = None,
     say: Callable[[str], None] = lambda _: None,
-) -> Shadow:
+) -> SimComparison:
     """Simulate the recording, and where it differs with each cause.
 
     Args:
@@ -150,7 +150,7 @@ def explain(
     tolerances = {kind: found[kind] / TOLERANCE[kind] for kind in KINDS}
     differs = any(np.nanmax(values, initial=0.0) > 1.0 for values in tolerances.values())
     if not differs:
-        return Shadow(there, here, None, found, {}, (), None, differs=False)
+        return SimComparison(there, here, None, found, {}, (), None, differs=False)
     say(f"they differ: {len(causes)} causes are tried")
     fingers = there.fingers
     asked = [{cause.name: (cause.probe,) * fingers} for cause in causes]
@@ -167,7 +167,7 @@ def explain(
     linear = next(one for one in tried if one.cause is best.tried.cause)
     is_named = _is_named(best, linear, allowed[""]["left"])
     alike = [one.tried for one in checked[1:] if best.explains - one.explains < _ALIKE]
-    return Shadow(
+    return SimComparison(
         there,
         here,
         best.signals if is_named else None,
@@ -186,20 +186,20 @@ def explain(
 class _Checked:
     """A cause whose amount the simulator was given: what it said, and the share explained."""
 
-    tried: TriedCause
+    tried: TestedParameter
     signals: Signals
     explains: float
 
 
-def _is_named(best: _Checked, linear: TriedCause, left: float) -> bool:
+def _is_named(best: _Checked, linear: TestedParameter, left: float) -> bool:
     """Whether a cause explains enough to be named: simulated, and by its slope; `left` is the share
     that stays unexplained by what is usual."""
-    explains = min(best.explains, linear.explains) >= _LEAST_EXPLAINED
+    explains = min(best.explains, linear.explains) >= _MIN_EXPLAINED
     return explains and (linear.cause.spread > 0 or 1 - linear.explains <= _LESS_LEFT * left)
 
 
 def _checked(
-    one: TriedCause,
+    one: TestedParameter,
     allowed: Mapping[str, float],
     there: Signals,
     here: Signals,
@@ -228,13 +228,13 @@ def _checked(
 
 
 def _on_each_finger(
-    one: TriedCause,
+    one: TestedParameter,
     allowed: Mapping[str, float],
     there: Signals,
     here: Signals,
     simulate: Simulate,
     time: Array,
-) -> TriedCause:
+) -> TestedParameter:
     """The same with what each finger's own share does to all fingers: what one of them lets go of,
     the other has to hold."""
     fingers = there.fingers
@@ -265,7 +265,7 @@ def attempted(simulate: Simulate, amounts: Mapping[str, Sequence[float]]) -> Sig
         return None
 
 
-def _amounts(best: TriedCause, allowed: Mapping[str, float]) -> dict[str, Sequence[float]]:
+def _amounts(best: TestedParameter, allowed: Mapping[str, float]) -> dict[str, Sequence[float]]:
     count = len(best.amounts)
     beside: dict[str, Sequence[float]] = {
         name: (value,) * count for name, value in allowed.items() if name not in ("left", "time")
@@ -285,10 +285,10 @@ _CLOCK = 0.05  # s, sd of how far the clocks are apart
 def _tried(
     there: Signals,
     here: Signals,
-    causes: Sequence[Cause],
+    causes: Sequence[DiscrepancyParameter],
     probes: Sequence[Signals],
     shifted: tuple[Signals, Signals],
-) -> tuple[list[TriedCause], dict[str, dict[str, float]]]:
+) -> tuple[list[TestedParameter], dict[str, dict[str, float]]]:
     """Each cause, best first; and what was allowed for beside each ("": beside none)."""
     rows = _Rows.of([there, here, *probes, *shifted])
     base = rows.vector(here)
@@ -320,7 +320,7 @@ def _tried(
         allowed[cause.name] = found
         everywhere = tuple(np.broadcast_to(amounts, there.fingers).tolist())
         sds = tuple(np.broadcast_to(sd, there.fingers).tolist())
-        tried.append(TriedCause(cause, everywhere, sds, 1 - found["left"] / total))
+        tried.append(TestedParameter(cause, everywhere, sds, 1 - found["left"] / total))
     for found in allowed.values():
         found["left"] /= total
     return sorted(tried, key=lambda one: -one.explains), allowed

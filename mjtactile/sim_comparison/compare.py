@@ -13,9 +13,14 @@ from joblib import Parallel, delayed
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.export.episode import RecordedEpisode
-from mjtactile.sim_comparison.attribution import Shadow, attempted, explain
+from mjtactile.sim_comparison.attribution import SimComparison, attempted, explain
 from mjtactile.sim_comparison.discrepancy_parameters import causes_of
-from mjtactile.sim_comparison.resimulate import Amounts, HandAgain, StageAgain, undrawn
+from mjtactile.sim_comparison.resimulate import (
+    Amounts,
+    GripperReplay,
+    StageReplay,
+    without_rendering,
+)
 from mjtactile.sim_comparison.signals import Signals, recorded
 
 
@@ -28,7 +33,7 @@ def shadow_of(
     causes: Sequence[str] = (),
     workers: int = 1,
     say: Callable[[str], None] = lambda _: None,
-) -> tuple[Shadow, RecordedEpisode]:
+) -> tuple[SimComparison, RecordedEpisode]:
     """Simulate again what was recorded, and say where the two part.
 
     Args:
@@ -48,7 +53,7 @@ def shadow_of(
     """
     episode = RecordedEpisode(folder)
     staged = "stage" in episode.recording.notes
-    again = StageAgain(folder, until) if staged else _hand(episode, folder, rig, thing, until)
+    again = StageReplay(folder, until) if staged else _hand(episode, folder, rig, thing, until)
     found = recorded(episode)
     if math.isfinite(until):
         found = found.at(found.time[found.time <= until])
@@ -62,7 +67,9 @@ def shadow_of(
     return explain(found, again.run, chosen, many=many, say=say), episode
 
 
-def _hand(episode: RecordedEpisode, folder: Path, rig: str, thing: str, until: float) -> HandAgain:
+def _hand(
+    episode: RecordedEpisode, folder: Path, rig: str, thing: str, until: float
+) -> GripperReplay:
     header = episode.recording.header
     name = thing or header.get("object")
     if not name:
@@ -70,4 +77,4 @@ def _hand(episode: RecordedEpisode, folder: Path, rig: str, thing: str, until: f
             "the recording does not say what was grasped", source=folder, field="--object"
         )
     scenario = Scenario(object=name, rig=rig, sensor=episode.design, seed=header.get("seed") or 0)
-    return HandAgain(folder, replace(scenario, effects=undrawn("auto")), until)
+    return GripperReplay(folder, replace(scenario, effects=without_rendering("auto")), until)

@@ -13,7 +13,7 @@ from mjtactile.core.config_fields import ML_S_KPA
 
 
 @dataclass(frozen=True)
-class Cause:
+class DiscrepancyParameter:
     """One number in which a rig may differ.
 
     Attributes:
@@ -42,8 +42,8 @@ class Cause:
 
 
 _FIT = "mjtactile fit --recording RECORDING finds it, from presses with a known indenter"
-CAUSES: tuple[Cause, ...] = (
-    Cause(
+CAUSES: tuple[DiscrepancyParameter, ...] = (
+    DiscrepancyParameter(
         "leak",
         "gas leaks, {amount}",
         "",
@@ -53,7 +53,7 @@ CAUSES: tuple[Cause, ...] = (
         "look for the hole; doctor measures a chamber's loss, and fit what it is",
         low=0.0,
     ),
-    Cause(
+    DiscrepancyParameter(
         "stiffness",
         "the rubber is stiffer by {amount}",
         "the rubber is softer by {amount}",
@@ -63,7 +63,7 @@ CAUSES: tuple[Cause, ...] = (
         _FIT,
         low=-0.8,
     ),
-    Cause(
+    DiscrepancyParameter(
         "pre_stretch",
         "the sheet is stretched more, by {amount}",
         "the sheet is stretched less, by {amount}",
@@ -72,7 +72,7 @@ CAUSES: tuple[Cause, ...] = (
         "of its length",
         _FIT,
     ),
-    Cause(
+    DiscrepancyParameter(
         "creep",
         "the rubber's stress fades by {amount} more in each decade of time",
         "",
@@ -82,7 +82,7 @@ CAUSES: tuple[Cause, ...] = (
         "mjtactile fit --relaxation RECORDING finds it, from a membrane that is left inflated",
         low=0.0,
     ),
-    Cause(
+    DiscrepancyParameter(
         "friction",
         "the membrane is rougher by {amount}",
         "the membrane is slipperier by {amount}",
@@ -92,7 +92,7 @@ CAUSES: tuple[Cause, ...] = (
         "drag a pressed indenter (protocol drag), and fit",
         low=-0.95,
     ),
-    Cause(
+    DiscrepancyParameter(
         "gauge",
         "the pressure sensor shows {amount} more",
         "the pressure sensor shows {amount} less",
@@ -101,7 +101,7 @@ CAUSES: tuple[Cause, ...] = (
         "Pa",
         "mjtactile calibrate valve measures its zero",
     ),
-    Cause(
+    DiscrepancyParameter(
         "focal",
         "the lens is longer by {amount}",
         "the lens is shorter by {amount}",
@@ -110,7 +110,7 @@ CAUSES: tuple[Cause, ...] = (
         "%",
         "mjtactile calibrate camera measures the lens",
     ),
-    Cause(
+    DiscrepancyParameter(
         "opening",
         "the jaws stand {amount} farther apart than they say, or the thing is thinner",
         "the jaws stand {amount} closer than they say, or the thing is thicker",
@@ -121,7 +121,7 @@ CAUSES: tuple[Cause, ...] = (
         spread=3e-4,
         on="hand",
     ),
-    Cause(
+    DiscrepancyParameter(
         "along",
         "the thing stands {amount} farther along the table's x",
         "the thing stands {amount} less far along the table's x",
@@ -132,7 +132,7 @@ CAUSES: tuple[Cause, ...] = (
         spread=2e-3,
         on="thing",
     ),
-    Cause(
+    DiscrepancyParameter(
         "mass",
         "the thing is heavier by {amount}",
         "the thing is lighter by {amount}",
@@ -143,7 +143,7 @@ CAUSES: tuple[Cause, ...] = (
         on="thing",
         low=-0.9,
     ),
-    Cause(
+    DiscrepancyParameter(
         "touch",
         "the indenter is {amount} deeper than said",
         "the indenter is {amount} less deep than said",
@@ -155,20 +155,20 @@ CAUSES: tuple[Cause, ...] = (
         on="stage",
     ),
 )
-ON_HAND = ("sensor", "hand", "thing")
+IN_STOCK = ("sensor", "hand", "thing")
 ON_STAGE = ("sensor", "stage")
 
 
-def causes_of(staged: bool, names: tuple[str, ...] = ()) -> tuple[Cause, ...]:
+def causes_of(staged: bool, names: tuple[str, ...] = ()) -> tuple[DiscrepancyParameter, ...]:
     """Those that a recording of a stage, or of a hand, can have; of `names` alone, if there are
     any."""
-    places = ON_STAGE if staged else ON_HAND
+    places = ON_STAGE if staged else IN_STOCK
     return tuple(
         cause for cause in CAUSES if cause.on in places and (not names or cause.name in names)
     )
 
 
-def words(cause: Cause, amount: float) -> str:
+def words(cause: DiscrepancyParameter, amount: float) -> str:
     """What the number says."""
     text = cause.more if amount >= 0 or not cause.less else cause.less
     shown = abs(amount) / cause.scale

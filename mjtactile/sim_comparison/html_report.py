@@ -10,7 +10,7 @@ import numpy as np
 
 from mjtactile.core.types import Array
 from mjtactile.report import html
-from mjtactile.sim_comparison.attribution import Shadow, TriedCause
+from mjtactile.sim_comparison.attribution import SimComparison, TestedParameter
 from mjtactile.sim_comparison.discrepancy_parameters import words
 from mjtactile.sim_comparison.signals import KINDS, TOLERANCE, UNIT, Signals
 
@@ -22,7 +22,7 @@ _TOP = 10
 _BOTTOM = 26
 
 
-def verdict(shadow: Shadow) -> str:
+def verdict(shadow: SimComparison) -> str:
     """One line: whether the rig does as the simulator, and what explains it where it does not."""
     if not shadow.differs:
         return "does as the simulator does, as far as the tolerances go"
@@ -35,14 +35,14 @@ def verdict(shadow: Shadow) -> str:
     return f"parts from the simulator in {where}: {named} ({100 * shadow.explains:.0f} % of it)"
 
 
-def parting(shadow: Shadow) -> list[str]:
+def parting(shadow: SimComparison) -> list[str]:
     """The kinds that are farther apart than their tolerances."""
     return [
         kind for kind in KINDS if np.nanmax(shadow.apart[kind] / TOLERANCE[kind], initial=0.0) > 1.0
     ]
 
 
-def say(one: TriedCause, fingers: Sequence[str] = ()) -> str:
+def say(one: TestedParameter, fingers: Sequence[str] = ()) -> str:
     """A cause with its amount: of a sensor, that of each finger where they differ."""
     amounts = one.amounts
     largest = max(range(len(amounts)), key=lambda k: abs(amounts[k]))
@@ -56,7 +56,7 @@ def say(one: TriedCause, fingers: Sequence[str] = ()) -> str:
     return "; ".join(own)
 
 
-def numbers(shadow: Shadow, fingers: Sequence[str]) -> dict[str, Any]:
+def numbers(shadow: SimComparison, fingers: Sequence[str]) -> dict[str, Any]:
     """The result as JSON has it."""
 
     def rms(found: Any) -> dict[str, Any]:
@@ -68,7 +68,7 @@ def numbers(shadow: Shadow, fingers: Sequence[str]) -> dict[str, Any]:
             if kind in found
         }
 
-    def tried(one: TriedCause) -> dict[str, Any]:
+    def tried(one: TestedParameter) -> dict[str, Any]:
         scale = one.cause.scale
         return {
             "cause": one.cause.name,
@@ -92,7 +92,7 @@ def numbers(shadow: Shadow, fingers: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def page(shadow: Shadow, fingers: Sequence[str], title: str) -> str:
+def page(shadow: SimComparison, fingers: Sequence[str], title: str) -> str:
     """The page."""
     body = [f"<h1>{escape(title)}</h1>", f"<p><b>{escape(verdict(shadow))}</b></p>"]
     if shadow.named is not None:
@@ -114,7 +114,7 @@ def page(shadow: Shadow, fingers: Sequence[str], title: str) -> str:
     return html.document(title, body)
 
 
-def _apart_rows(shadow: Shadow) -> list[tuple[str, ...]]:
+def _apart_rows(shadow: SimComparison) -> list[tuple[str, ...]]:
     rows = []
     for kind in KINDS:
         scale, unit = UNIT[kind]
@@ -126,7 +126,7 @@ def _apart_rows(shadow: Shadow) -> list[tuple[str, ...]]:
     return rows
 
 
-def _legend(shadow: Shadow) -> str:
+def _legend(shadow: SimComparison) -> str:
     shown = list(_COLOURS)[: 3 if shadow.explained is not None else 2]
     marks = [f'<span style="color:{_COLOURS[name]}">&#9644; {name}</span>' for name in shown]
     return f"<p>{' &nbsp; '.join(marks)}</p>"
@@ -155,7 +155,7 @@ _WHAT = {
 }
 
 
-def _chart(kind: str, shadow: Shadow, finger: int) -> str:
+def _chart(kind: str, shadow: SimComparison, finger: int) -> str:
     """One kind over time, as SVG."""
     there = shadow.recorded
     curves = {"recorded": _curve(kind, there, there, finger)}

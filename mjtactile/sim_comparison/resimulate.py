@@ -20,21 +20,21 @@ from mjtactile.export.episode import RecordedEpisode
 from mjtactile.recording.observer import Observer
 from mjtactile.recording.reader import Recording
 from mjtactile.recording.stage_protocol import Stage, stage_from_note
-from mjtactile.rig.as_built_sensor import NOMINAL, SpecimenConfig, true_design
+from mjtactile.rig.as_built_sensor import NOMINAL, AsBuiltSensor, true_design
 from mjtactile.rig.domain_randomization import UNCHANGED, Drawn
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.runtime.session import Session
-from mjtactile.sensing.stateful_pipeline import Perception
+from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 from mjtactile.sim.rig import build_sim_rig, start_of
-from mjtactile.sim_comparison.signals import Gathered, Signals, gauges
+from mjtactile.sim_comparison.signals import CollectedSignals, Signals, gauges
 
 Amounts = Mapping[str, Sequence[float]]
 """Cause to its amount, SI, on each finger; of the hand or of the thing one number."""
-_NOT_DRAWN = "-images"  # markers with an image's errors in place of images: the same, sooner
+_NOT_SAMPLED = "-images"  # markers with an image's errors in place of images: the same, sooner
 
 
 @dataclass(frozen=True)
-class HandAgain:
+class GripperReplay:
     """A hand that is told what the hand of `folder` was told.
 
     Attributes:
@@ -87,7 +87,7 @@ class HandAgain:
 
 
 @dataclass(frozen=True)
-class StageAgain:
+class StageReplay:
     """A sensor under a simulated stage that makes the moves of `folder`.
 
     Attributes:
@@ -127,21 +127,21 @@ class _Watch(Observer):
     """A sensing chain that looks on while a stage is recorded."""
 
     def __init__(self, design: SensorDesign, zero: float):
-        self._perception = Perception.of(design, None)
+        self._perception = StatefulPipeline.of(design, None)
         self._zero = zero
-        self.gathered = Gathered([design.markers.count])
+        self.gathered = CollectedSignals([design.markers.count])
 
     def add_reference(
-        self, stage: str, images: Sequence[Sequence[Image]], pressure_gauge: Sequence[Any]
+        self, stage: str, images: Sequence[Sequence[Image]], gauge_pressure: Sequence[Any]
     ) -> None:
         if stage == "flat":
-            self._perception.take_flat(list(images[0]))
+            self._perception.measure_flat_reference(list(images[0]))
         else:
-            self._perception.take_rest(list(images[0]), pressure_gauge[0] + self._zero)
+            self._perception.measure_rest_reference(list(images[0]), gauge_pressure[0] + self._zero)
 
     def add(self, cycle: Any, view: Any = None, **truth: Any) -> None:
         valve = cycle.valves[0]
-        shown = valve.pressure_gauge + self._zero
+        shown = valve.gauge_pressure + self._zero
         reading = PressureReading(shown, 5.0, valve.time)
         touch = self._perception.perceive(cycle.images[0], cycle.time, reading)
         self.gathered.add(cycle.time, (touch,), (shown,))
@@ -154,7 +154,7 @@ def _deeper(stage: Stage, offset: float) -> Stage:
     return replace(stage, moves=moves)
 
 
-def _specimen(amounts: Amounts, finger: int) -> SpecimenConfig:
+def _specimen(amounts: Amounts, finger: int) -> AsBuiltSensor:
     def own(name: str) -> float:
         given = amounts.get(name, ())
         return float(given[finger]) if finger < len(given) else 0.0
@@ -162,12 +162,12 @@ def _specimen(amounts: Amounts, finger: int) -> SpecimenConfig:
     return replace(
         NOMINAL,
         leak=max(own("leak"), 0.0),
-        stiffness_share=own("stiffness"),
+        stiffness_fraction=own("stiffness"),
         pre_stretch=own("pre_stretch"),
         creep=max(own("creep"), 0.0),
-        friction_share=own("friction"),
+        friction_fraction=own("friction"),
         valve_zero=own("gauge"),
-        focal_share=own("focal"),
+        focal_fraction=own("focal"),
     )
 
 
@@ -175,7 +175,7 @@ def _follow(session: Session, recording: Recording, offset: float, until: float)
     """Send the recorded commands at their times, jaws `offset` m farther apart than they say."""
     times = recording.columns["time"] - recording.columns["time"][0]
     last = min(float(times[-1]), until)
-    gathered = Gathered([finger.design.markers.count for finger in session.rig.fingers])
+    gathered = CollectedSignals([finger.design.markers.count for finger in session.rig.fingers])
     start = session.rig.clock.now()
     with session.steps() as steps:
         for _ in range(round(last / session.rig.period) + 1):
@@ -197,10 +197,10 @@ def _command(recording: Recording, times: Array, now: float, offset: float) -> C
         force_limit=None if math.isnan(limit) else limit,
         lift_height=float(columns["command_lift_height"][k]),
         phase=phase if phase not in ("done", "abort") else "release",
-        pressure_gauge=recording.command_pressure(k),
+        gauge_pressure=recording.command_pressure(k),
     )
 
 
-def undrawn(effects: str) -> str:
+def without_rendering(effects: str) -> str:
     """`effects` with no images: a simulation's own errors of ellipses stand for them."""
-    return _NOT_DRAWN if effects in ("", "auto") else f"{effects},{_NOT_DRAWN}"
+    return _NOT_SAMPLED if effects in ("", "auto") else f"{effects},{_NOT_SAMPLED}"

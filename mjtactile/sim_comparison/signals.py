@@ -47,7 +47,7 @@ class Signals:
         return getattr(self, kind)
 
 
-class Gathered:
+class CollectedSignals:
     """Signals that are being gathered, for `counts` markers of each finger."""
 
     def __init__(self, counts: Sequence[int]):
@@ -75,7 +75,7 @@ class Gathered:
 
 def gauges(valves: Sequence[ValveState], episode: Any = None) -> list[float | None]:
     """What each valve's pressure sensor shows, Pa, its measured zero taken off."""
-    shown = [valve.pressure_gauge for valve in valves]
+    shown = [valve.gauge_pressure for valve in valves]
     if episode is None:
         return shown
     calibrations = [episode.calibrations[name] for name in episode.fingers]
@@ -88,14 +88,14 @@ def gauges(valves: Sequence[ValveState], episode: Any = None) -> list[float | No
 def recorded(episode: RecordedEpisode) -> Signals:
     """What a recording says: felt again from its images where it has all, else as it was felt."""
     counts = [episode.design_of(name).markers.count for name in episode.fingers]
-    gathered = Gathered(counts)
+    gathered = CollectedSignals(counts)
     rows = []
     for number, seen in enumerate(episode.cycles()):
         pressures = gauges(episode.recording.valves(number), episode)
         gathered.add(seen.time, seen.touch, pressures)
         rows.append(np.asarray(seen.row["wrench"], float).reshape(len(counts), -1)[:, :3])
     found = gathered.signals()
-    if episode.felt_again:
+    if episode.re_estimate:
         return found
     return Signals(found.time, np.array(rows), found.markers, found.pressure)
 

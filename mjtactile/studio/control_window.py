@@ -1,5 +1,5 @@
-"""`Desk`: the window from which a session is asked for things: pause, again, valves, by hand, a
-puncture, the red button."""
+"""`ControlWindow`: the window from which a session is asked for things: pause, again, valves, by
+hand, a puncture, the red button."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from mjtactile.core.errors import MjtactileError
 from mjtactile.experiments.fidelity_options import effects_of
 from mjtactile.runtime.session import Session
 from mjtactile.studio.callback_guard import guarded
-from mjtactile.studio.layout import ABOVE_LOOK, LEFT, RED, WindowLayout
-from mjtactile.studio.manual_control import HandGoal
-from mjtactile.studio.session_bridge import Show
-from mjtactile.studio.snapshot import Moment
+from mjtactile.studio.layout import ABOVE_CAMERA, LEFT, RED, WindowLayout
+from mjtactile.studio.manual_control import ManualGoal
+from mjtactile.studio.session_bridge import SessionBridge
+from mjtactile.studio.snapshot import StudioSnapshot
 
 _OPEN = int(imgui.TreeNodeFlags.DefaultOpen)
 _WHITE = imgui.Vec4(1.0, 1.0, 1.0, 1.0)
@@ -32,10 +32,10 @@ _SUPPLY = (0.0, 3.0)  # kPa
 _PULL_SHOWN = 0.005  # N
 
 
-class Desk(plugin.ViewerPlugin):
+class ControlWindow(plugin.ViewerPlugin):
     """What can be done to the session that `show` shows."""
 
-    def __init__(self, show: Show):
+    def __init__(self, show: SessionBridge):
         self.show = show
         self.complain = show.message
         self._layout = WindowLayout()
@@ -54,18 +54,18 @@ class Desk(plugin.ViewerPlugin):
             self._pierced = set()
             self._next = show.scenario
         self._layout.begin(imgui.GetIO().DisplaySize)
-        self._layout.place(8, 0, LEFT, ABOVE_LOOK)
+        self._layout.place(8, 0, LEFT, ABOVE_CAMERA)
         if imgui.Begin("Session")[0]:
             self._build_state(moment)
             self._build_buttons()
             if show.session is not None:
                 self._build_valves(show.session)
                 if moment is not None and moment.session is not None:
-                    self._build_hand(show.session, moment)
+                    self._build_gripper(show.session, moment)
             self._build_next()
         imgui.End()
 
-    def _build_state(self, moment: Moment | None) -> None:
+    def _build_state(self, moment: StudioSnapshot | None) -> None:
         show = self.show
         if moment is None or moment.session is None:
             imgui.TextUnformatted("references are being taken" if not show.outcome else "")
@@ -124,7 +124,7 @@ class Desk(plugin.ViewerPlugin):
                 self._pierced ^= {k}
                 self._ask(_puncture, k, _HOLE if pierced else 0.0)
 
-    def _build_hand(self, session: Session, moment: Moment) -> None:
+    def _build_gripper(self, session: Session, moment: StudioSnapshot) -> None:
         """Jaws and lift by hand: sliders in place of the controller."""
         if not imgui.CollapsingHeader("by hand"):
             return
@@ -135,7 +135,7 @@ class Desk(plugin.ViewerPlugin):
         wish = show.wish
         changed, on = imgui.Checkbox("in place of the controller", wish is not None)
         if changed:
-            show.wish = HandGoal(state.opening, state.lift_height) if on else None
+            show.wish = ManualGoal(state.opening, state.lift_height) if on else None
         if wish is None or not on:
             return
         most = min(limits.opening[1], 0.1), min(limits.lift[1], 0.1)
@@ -152,7 +152,7 @@ class Desk(plugin.ViewerPlugin):
             _, force = imgui.SliderFloat("felt, N", force, *_SQUEEZE, "%.2f")
         if changed and not squeezes:
             opening = 1e3 * state.opening
-        now = HandGoal(1e-3 * opening, 1e-3 * lift, force)
+        now = ManualGoal(1e-3 * opening, 1e-3 * lift, force)
         if now != wish:
             show.wish = now
 

@@ -42,4 +42,4 @@ class WindowLayout:
         imgui.SetNextWindowSize(imgui.Vec2(*(max(one, _LEAST) for one in size)), self._when)
 
 
-ABOVE_LOOK = -(LOOK + _GAP)  # px, a height that leaves it its place
+ABOVE_CAMERA = -(LOOK + _GAP)  # px, a height that leaves it its place

@@ -33,7 +33,7 @@ _SHOWS = "/state"
 _OURS = ("same-origin", "none")
 """What a browser says of a request (Sec-Fetch-Site) that a page of ours, or its user, asked for."""
 _serve_unguarded = web_server.serve
-looked_at = threading.Event()
+checked_at = threading.Event()
 """Set when a page has asked for what there is to see."""
 
 
@@ -61,7 +61,7 @@ def serve(*args: Any, process_request: Any, process_response: Any, **options: An
         if why:
             return Response(403, "Forbidden", Headers(), f"{why}\n".encode())
         if request.path.partition("?")[0] == _SHOWS:
-            looked_at.set()
+            checked_at.set()
         return process_request(connection, request)
 
     def answer(

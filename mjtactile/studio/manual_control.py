@@ -1,5 +1,5 @@
-"""A person's hand on the gripper: `ByHand` asks the controller, or does what was wished for in its
-place.
+"""A person's hand on the gripper: `ManualControl` asks the controller, or does what was wished for
+in its place.
 
 Both go through the supervisor and the rig's limits, as any command does.
 """
@@ -24,7 +24,7 @@ _SERVO_FORCE = 4.0  # N, the most that the servo may push
 
 
 @dataclass(frozen=True)
-class HandGoal:
+class ManualGoal:
     """Where jaws and lift shall go, m; `force` N: how hard to squeeze, as felt, instead of an
     opening (NaN: the opening)."""
 
@@ -66,13 +66,13 @@ def _towards(start: float, goal: float, most: float) -> float:
     return start + max(-most, min(most, goal - start))
 
 
-class ByHand:
+class ManualControl:
     """A controller that can be taken over from: while there is a `wish`, it is not asked."""
 
     def __init__(self, controller: LoadedController):
         self._controller = controller
         self.reads = getattr(controller, "reads", ())
-        self.wish: HandGoal | None = None
+        self.wish: ManualGoal | None = None
 
     @property
     def path(self) -> Path:

@@ -19,8 +19,8 @@ from mjtactile.report.overlay import find_ellipses, followed, with_ellipses
 from mjtactile.studio import plots, scene_overlays, surface_colormap
 from mjtactile.studio.callback_guard import guarded
 from mjtactile.studio.layout import LEFT, LOOK, RED, WindowLayout
-from mjtactile.studio.snapshot import Felt, History, Moment, Pose, finger_lines
-from mjtactile.studio.user_scene import OwnFingers
+from mjtactile.studio.snapshot import FingerSnapshot, History, Pose, StudioSnapshot, finger_lines
+from mjtactile.studio.user_scene import UserFingers
 
 # that travel to the browser at most (mujoco.studio.web.state_payload.MAX_EXTRA_GEOMS)
 _GEOMS = 1024
@@ -35,15 +35,15 @@ _FINGER = (364, 294)  # px, a finger's window
 _CURVES = 250  # px, the height of the curves
 
 
-class MomentSource(Protocol):
+class SnapshotSource(Protocol):
     """Where moments come from."""
 
     history: History
 
-    def moment(self) -> Moment | None: ...
+    def moment(self) -> StudioSnapshot | None: ...
 
 
-def ellipses_of(felt: Felt) -> Ellipses:
+def ellipses_of(felt: FingerSnapshot) -> Ellipses:
     """Those in its image: as sensing followed them, if all of them were there, else found anew,
     with what is wrong with each."""
     ellipses = followed(felt.image, felt.tracks)
@@ -57,14 +57,14 @@ class Panel(plugin.ViewerPlugin):
     may be filled later, or another source of moments.
     """
 
-    def __init__(self, fingers: Sequence[Any] | MomentSource):
-        self.source: MomentSource = (
-            OwnFingers(fingers) if isinstance(fingers, Sequence) else fingers
+    def __init__(self, fingers: Sequence[Any] | SnapshotSource):
+        self.source: SnapshotSource = (
+            UserFingers(fingers) if isinstance(fingers, Sequence) else fingers
         )
-        self.look = scene_overlays.Look()
+        self.look = scene_overlays.OverlayOptions()
         self._layout = WindowLayout()
         self.error = ""
-        self._brush = scene_overlays.Brush()
+        self._brush = scene_overlays.GeomPool()
         self._mine = []
         self._marked: tuple[Any, ...] = (None, None)
         self._textures: dict[tuple[int, str], int] = {}
@@ -104,7 +104,7 @@ class Panel(plugin.ViewerPlugin):
         if (moment, self.look.surface) != self._pictured and now - self._when > 1 / _RATE:
             self._pictured = (moment, self.look.surface)
             self._when = now
-            self._make_pictures(fingers)
+            self._make_figures(fingers)
 
     @messages.handler
     def on_model(self, _: messages.PostModelEvent) -> None:
@@ -113,11 +113,11 @@ class Panel(plugin.ViewerPlugin):
         self._marked = (None, None)
 
     @staticmethod
-    def _has_membranes(moment: Moment) -> bool:
+    def _has_membranes(moment: StudioSnapshot) -> bool:
         """Whether the scene has them itself: then only what is pushed in is coloured."""
         return moment.scene is not None or any(felt.body is not None for felt in moment.fingers)
 
-    def _placed(self, fingers: Sequence[Felt]) -> tuple[Felt, ...]:
+    def _placed(self, fingers: Sequence[FingerSnapshot]) -> tuple[FingerSnapshot, ...]:
         """With their poses in the viewer's scene, where only the body is known."""
         data = self.viewer.data
         placed = []
@@ -128,7 +128,7 @@ class Panel(plugin.ViewerPlugin):
             placed.append(felt)
         return tuple(placed)
 
-    def _make_pictures(self, fingers: Sequence[Felt]) -> None:
+    def _make_figures(self, fingers: Sequence[FingerSnapshot]) -> None:
         """Each camera's image with its ellipses, and each membrane."""
         kind = "indentation" if self.look.surface == "none" else self.look.surface
         fields = [surface_colormap.field_of(felt, kind) for felt in fingers]
@@ -168,7 +168,7 @@ class Panel(plugin.ViewerPlugin):
     def on_build_gui(self, _: messages.BuildGuiEvent) -> None:
         moment = self.source.moment()
         self._layout.begin(imgui.GetIO().DisplaySize)
-        self._build_look({} if moment is None else moment.flags)
+        self._build_overlay({} if moment is None else moment.flags)
         if moment is None:
             return
         for k, felt in enumerate(moment.fingers):
@@ -180,7 +180,7 @@ class Panel(plugin.ViewerPlugin):
             plots.build(self.source.history.curves(), [felt.name for felt in moment.fingers])
         imgui.End()
 
-    def _build_look(self, flags: Mapping[str, str]) -> None:
+    def _build_overlay(self, flags: Mapping[str, str]) -> None:
         """What is drawn into the scene, and what the simulation doubts of its own numbers."""
         self._layout.place(8, -LOOK, LEFT, LOOK)
         if imgui.Begin("Touch in the scene")[0]:
@@ -196,7 +196,9 @@ class Panel(plugin.ViewerPlugin):
                     ("what the cameras see", look.camera),
                 )
             )
-            self.look = scene_overlays.Look(choices[chosen], forces, field, contacts, camera)
+            self.look = scene_overlays.OverlayOptions(
+                choices[chosen], forces, field, contacts, camera
+            )
             imgui.TextUnformatted(self._scale)
             for kind, reason in flags.items():
                 imgui.TextWrapped(f"doubt ({kind}): {reason}")
@@ -204,13 +206,13 @@ class Panel(plugin.ViewerPlugin):
                 imgui.TextColored(RED, self.error)
         imgui.End()
 
-    def _build_finger(self, felt: Felt, k: int, perception_ms: float) -> None:
+    def _build_finger(self, felt: FingerSnapshot, k: int, perception_ms: float) -> None:
         self._layout.place(-_FINGER[0] - 8, (_FINGER[1] + 4) * k, *_FINGER)
         if imgui.Begin(f"Finger {felt.name}")[0]:
-            self._build_picture(k, "image")
-            self._tell_of_ellipse(k, felt)
+            self._build_image(k, "image")
+            self._describe_ellipse(k, felt)
             imgui.SameLine()
-            self._build_picture(k, "membrane")
+            self._build_image(k, "membrane")
             for line in finger_lines(felt, perception_ms):
                 imgui.TextUnformatted(line)
             if flagged := flagged_text(self._ellipses.get(k)):
@@ -219,11 +221,11 @@ class Panel(plugin.ViewerPlugin):
                 imgui.TextColored(RED, str(felt.touch.status))
         imgui.End()
 
-    def _build_picture(self, k: int, what: str) -> None:
+    def _build_image(self, k: int, what: str) -> None:
         if (k, what) in self._textures:
             imgui.Image(self._textures[k, what], imgui.Vec2(_WIDTH, _WIDTH * self._shapes[k, what]))
 
-    def _tell_of_ellipse(self, k: int, felt: Felt) -> None:
+    def _describe_ellipse(self, k: int, felt: FingerSnapshot) -> None:
         """A tooltip: what is said of the ellipse under the mouse."""
         ellipses = self._ellipses.get(k)
         if ellipses is None or not len(ellipses) or not imgui.IsItemHovered():

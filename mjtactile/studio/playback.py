@@ -18,12 +18,12 @@ from mjtactile.core.types import Image
 from mjtactile.recording.reader import Recording
 from mjtactile.runtime.cycle import Cycle
 from mjtactile.studio.callback_guard import guarded
-from mjtactile.studio.layout import ABOVE_LOOK, LEFT, WindowLayout
-from mjtactile.studio.session_bridge import ChamberReadings, Show, moment_of
-from mjtactile.studio.snapshot import Curves, History, Moment
+from mjtactile.studio.layout import ABOVE_CAMERA, LEFT, WindowLayout
+from mjtactile.studio.session_bridge import ChamberReadings, SessionBridge, moment_of
+from mjtactile.studio.snapshot import Curves, History, StudioSnapshot
 
 
-class TapePlayer(Show):
+class RecordingPlayer(SessionBridge):
     """Shows what was felt at the time `at`, s from the first cycle, which goes with the clock while
     `playing`."""
 
@@ -32,15 +32,15 @@ class TapePlayer(Show):
     ):
         super().__init__(scenario, say)
         self.recording = recording
-        self.history = TapeHistory(self)
-        self._moments: list[Moment] = []
+        self.history = RecordingHistory(self)
+        self._moments: list[StudioSnapshot] = []
         self._times: list[float] = []
         self._true = recording.column("force_normal_true")
         self._lock = threading.Lock()
         self._from = 0.0
         self._since = wall.monotonic()
         self._playing = True
-        self._shown: Moment | None = None
+        self._shown: StudioSnapshot | None = None
 
     # what the session's thread calls
 
@@ -89,7 +89,7 @@ class TapePlayer(Show):
         self.at = 0.0 if playing and self.at >= self.length else self.at
         self._playing = playing
 
-    def moment(self) -> Moment | None:
+    def moment(self) -> StudioSnapshot | None:
         """What was felt then, with its images from the disk."""
         with self._lock:
             if not self._times:
@@ -106,10 +106,10 @@ class TapePlayer(Show):
             return self._shown
 
 
-class TapeHistory(History):
+class RecordingHistory(History):
     """All of a recording, and where it is looked at."""
 
-    def __init__(self, tape: TapePlayer):
+    def __init__(self, tape: RecordingPlayer):
         super().__init__(seconds=math.inf)
         self._tape = tape
 
@@ -120,10 +120,10 @@ class TapeHistory(History):
         return replace(found, now=found.time[0] + self._tape.at)
 
 
-class Deck(plugin.ViewerPlugin):
+class PlaybackWindow(plugin.ViewerPlugin):
     """The window from which a recording is played."""
 
-    def __init__(self, tape: TapePlayer):
+    def __init__(self, tape: RecordingPlayer):
         self.tape = tape
         self.complain = tape.message
         self._layout = WindowLayout()
@@ -133,7 +133,7 @@ class Deck(plugin.ViewerPlugin):
     def on_build_gui(self, _: messages.BuildGuiEvent) -> None:
         tape = self.tape
         self._layout.begin(imgui.GetIO().DisplaySize)
-        self._layout.place(8, 0, LEFT, ABOVE_LOOK)
+        self._layout.place(8, 0, LEFT, ABOVE_CAMERA)
         if imgui.Begin("Recording")[0]:
             imgui.TextWrapped(str(tape.recording.folder))
             moment = tape.moment()

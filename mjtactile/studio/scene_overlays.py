@@ -13,13 +13,13 @@ from mjtactile.core.types import Array
 from mjtactile.report.shape_wireframe import lines_of
 from mjtactile.report.summary_figure import FINGER_COLOURS
 from mjtactile.studio import surface_colormap
-from mjtactile.studio.snapshot import Felt, Pose
+from mjtactile.studio.snapshot import FingerSnapshot, Pose
 
 _G = mujoco.mjtGeom
 _METRES_PER_NEWTON = 0.03  # of a net force
 _FIELD_METRES_PER_NEWTON = 0.15  # of the share of a force that one arrow stands for
 _ARROWS = (7, 5)  # of the field along x and y
-_LEAST_ARROW = 1.5e-3  # m; shorter ones are not drawn
+_MIN_ARROW = 1.5e-3  # m; shorter ones are not drawn
 _OUTLINE = 24  # pieces of an outline, at most
 _ABOVE = 4e-4  # m that the felt surface is drawn above itself, out of the simulated one
 _DARK = (0.1, 0.1, 0.1, 1.0)
@@ -28,7 +28,7 @@ _RED = (0.9, 0.2, 0.15, 1.0)
 
 
 @dataclass(frozen=True)
-class Look:
+class OverlayOptions:
     """What of it is wanted: `surface` "none" or one of `surface.KINDS`."""
 
     surface: str = "indentation"
@@ -38,7 +38,7 @@ class Look:
     camera: bool = False
 
 
-class Brush:
+class GeomPool:
     """Geoms for one picture after the other. Each is made once and changed from then on: making one
     takes 25 us, changing 6."""
 
@@ -100,7 +100,9 @@ class Brush:
         return made[used]
 
 
-def draw(brush: Brush, fingers: Sequence[Felt], look: Look, *, least: float = 0.0) -> None:
+def draw(
+    brush: GeomPool, fingers: Sequence[FingerSnapshot], look: OverlayOptions, *, least: float = 0.0
+) -> None:
     """Draw all fingers whose pose is known; of their surfaces what is `least` of the colours' scale
     (0: all)."""
     brush.begin()
@@ -130,7 +132,9 @@ def draw(brush: Brush, fingers: Sequence[Felt], look: Look, *, least: float = 0.
             _camera(brush, felt, felt.pose)
 
 
-def _touches(brush: Brush, felt: Felt, pose: Pose, look: Look, rgba: Sequence[float]) -> None:
+def _touches(
+    brush: GeomPool, felt: FingerSnapshot, pose: Pose, look: OverlayOptions, rgba: Sequence[float]
+) -> None:
     """What touches the finger: outlines and the centre of pressure; what it feels to push with, as
     a whole and by place."""
     centre = surface_colormap.centre_of_pressure(felt.touch)
@@ -153,18 +157,18 @@ def _touches(brush: Brush, felt: Felt, pose: Pose, look: Look, rgba: Sequence[fl
         _field(brush, felt, pose, rgba)
 
 
-def _over(felt: Felt, p_S: Array) -> Array:
+def _over(felt: FingerSnapshot, p_S: Array) -> Array:
     return surface_colormap.height_at(felt.touch, p_S) + [0.0, 0.0, 2 * _ABOVE]
 
 
-def _outline(brush: Brush, felt: Felt, pose: Pose, outline: Array) -> None:
+def _outline(brush: GeomPool, felt: FingerSnapshot, pose: Pose, outline: Array) -> None:
     every = -(-len(outline) // _OUTLINE)
     points = pose.place(_over(felt, outline[::every]))
     for a, b in zip(points, np.roll(points, -1, axis=0), strict=True):
         brush.connect(_G.mjGEOM_LINE, 3.0, a, b, _DARK)
 
 
-def _line(brush: Brush, points: Array) -> None:
+def _line(brush: GeomPool, points: Array) -> None:
     """Of the body that is believed: the true one is in the scene."""
     every = -(-len(points) // _OUTLINE)
     points = np.concatenate([points[:-1:every], points[-1:]])
@@ -172,14 +176,14 @@ def _line(brush: Brush, points: Array) -> None:
         brush.connect(_G.mjGEOM_LINE, 3.0, a, b, _BODY)
 
 
-def _field(brush: Brush, felt: Felt, pose: Pose, rgba: Sequence[float]) -> None:
+def _field(brush: GeomPool, felt: FingerSnapshot, pose: Pose, rgba: Sequence[float]) -> None:
     """The traction by place, as the membrane pushes: an arrow for each block of nodes."""
     t = felt.touch.traction
     assert t is not None
     for rows in np.array_split(np.arange(len(t.y)), _ARROWS[1]):
         for columns in np.array_split(np.arange(len(t.x)), _ARROWS[0]):
             push = -t.force[np.ix_(rows, columns)].sum(axis=(0, 1))
-            if np.linalg.norm(push) * _FIELD_METRES_PER_NEWTON > _LEAST_ARROW:
+            if np.linalg.norm(push) * _FIELD_METRES_PER_NEWTON > _MIN_ARROW:
                 tip = pose.place(_over(felt, np.array([[t.x[columns].mean(), t.y[rows].mean()]])))[
                     0
                 ]
@@ -192,7 +196,7 @@ def _field(brush: Brush, felt: Felt, pose: Pose, rgba: Sequence[float]) -> None:
                 )
 
 
-def _camera(brush: Brush, felt: Felt, pose: Pose) -> None:
+def _camera(brush: GeomPool, felt: FingerSnapshot, pose: Pose) -> None:
     """The frustum: from the camera's centre to the corners of what it sees of the flat membrane's
     plane."""
     camera = felt.design.camera

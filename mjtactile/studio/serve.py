@@ -18,12 +18,12 @@ from mjtactile.core import signals
 from mjtactile.core.errors import Interrupted, MjtactileError
 from mjtactile.runtime.controller import load_controller
 from mjtactile.runtime.grasp import run_grasp
-from mjtactile.studio.control_window import Desk
-from mjtactile.studio.local_server import launch, looked_at
+from mjtactile.studio.control_window import ControlWindow
+from mjtactile.studio.local_server import checked_at, launch
 from mjtactile.studio.panel import Panel
-from mjtactile.studio.playback import Deck, TapePlayer
-from mjtactile.studio.session_bridge import RestartAsked, Show
-from mjtactile.studio.state_sync import Mirror
+from mjtactile.studio.playback import PlaybackWindow, RecordingPlayer
+from mjtactile.studio.session_bridge import RestartRequested, SessionBridge
+from mjtactile.studio.state_sync import StateSync
 
 _PERIOD = 0.005  # s between two looks at the session,
 # s: sensing lets go of the interpreter for each kernel, and waited up to 5 ms for the windows each
@@ -54,7 +54,7 @@ def launch_window(
 
 
 def watch(
-    show: Show,
+    show: SessionBridge,
     *,
     port: int = 0,
     browser: bool = True,
@@ -74,9 +74,9 @@ def watch(
         open_browser=browser,
         gfx="" if native else "web",
     )
-    mirror = Mirror(show)
+    mirror = StateSync(show)
     studio_app = app.App(app.Config(show_options=False, show_inspector=False))
-    desk = Deck(show) if isinstance(show, TapePlayer) else Desk(show)
+    desk = PlaybackWindow(show) if isinstance(show, RecordingPlayer) else ControlWindow(show)
     plugins = [studio_app, desk, Panel(show), mirror]
     handle = launch_window(config, plugins) if native else launch(config, plugins=plugins)
     studio = threading.Thread(target=_sync, args=(handle, mirror, show), name="studio", daemon=True)
@@ -99,15 +99,15 @@ def watch(
         sys.setswitchinterval(before)
 
 
-def _wait_for_page(show: Show) -> None:
+def _wait_for_page(show: SessionBridge) -> None:
     """Until a page looks: who opens it misses nothing. Raises Interrupted."""
-    if not looked_at.is_set():
+    if not checked_at.is_set():
         show.message("the grasp begins when the page is open (--no-wait: at once)")
-    while not (looked_at.wait(0.1) or show.closed.is_set()):
+    while not (checked_at.wait(0.1) or show.closed.is_set()):
         signals.check()
 
 
-def _run(show: Show) -> None:
+def _run(show: SessionBridge) -> None:
     """One grasp; what fails is shown, and raised where nothing has been shown yet."""
     before = show.runs
     try:
@@ -116,7 +116,7 @@ def _run(show: Show) -> None:
         controller = show.take_over(load_controller(scenario.controller))
         result = run_grasp(scenario, [show], controller=controller)
         show.outcome = f"{result.outcome}" + (f": {result.reason}" if result.reason else "")
-    except RestartAsked:
+    except RestartRequested:
         show.outcome = "again"
     except Interrupted:
         raise
@@ -126,7 +126,7 @@ def _run(show: Show) -> None:
         show.outcome = str(error)
 
 
-def _sync(handle: viewer_handle.ViewerHandle, mirror: Mirror, show: Show) -> None:
+def _sync(handle: viewer_handle.ViewerHandle, mirror: StateSync, show: SessionBridge) -> None:
     """Studio's simulation loop. A state is sent when it is new, and now and then: the viewer
     computes a frame of each."""
     try:

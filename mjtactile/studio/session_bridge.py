@@ -1,5 +1,5 @@
-"""`Show`: what a session shows and what is asked of it. The session's thread writes, the viewer's
-reads, neither waits.
+"""`SessionBridge`: what a session shows and what is asked of it. The session's thread writes, the
+viewer's reads, neither waits.
 
 It observes a run. What is asked of the world (a valve, a pull) is done by the session's own thread
 when a cycle's images were taken and the world stands still, as a command of a controller would be.
@@ -25,8 +25,8 @@ from mjtactile.recording.observer import Observer
 from mjtactile.runtime.controller import LoadedController
 from mjtactile.runtime.cycle import Cycle
 from mjtactile.runtime.session import Session
-from mjtactile.studio.manual_control import ByHand, HandGoal
-from mjtactile.studio.snapshot import Felt, History, Moment, Pose, SessionState
+from mjtactile.studio.manual_control import ManualControl, ManualGoal
+from mjtactile.studio.snapshot import FingerSnapshot, History, Pose, SessionState, StudioSnapshot
 
 RED_BUTTON = "somebody pressed the red button"
 _PAUSED = 0.02  # s between two looks at whether it still is
@@ -34,7 +34,7 @@ _PAUSED = 0.02  # s between two looks at whether it still is
 Task = Callable[[Session], None]
 
 
-class RestartAsked(SimulationError):
+class RestartRequested(SimulationError):
     """Somebody asked for another run: the world that was is given up as it is."""
 
     def __init__(self) -> None:
@@ -50,7 +50,7 @@ class ChamberReadings:
     temperature: tuple[float, ...] = ()
 
 
-class Show(Observer):
+class SessionBridge(Observer):
     """An observer of `run_grasp`; its `take_over` wraps the controller. `scenario` is the next
     run's."""
 
@@ -59,7 +59,7 @@ class Show(Observer):
     ):
         self.scenario = scenario or Scenario()
         self.session: Session | None = None
-        self.latest: Moment | None = None
+        self.latest: StudioSnapshot | None = None
         self.history = History()
         self.said = ""
         self.outcome = ""
@@ -71,8 +71,8 @@ class Show(Observer):
         self.closed = threading.Event()
         self.pull: Array | None = None
         """What the mouse pulls at (bodies, 6), N and N m, from now on."""
-        self._wish: HandGoal | None = None
-        self._hand: ByHand | None = None
+        self._wish: ManualGoal | None = None
+        self._hand: ManualControl | None = None
         self._single = False
         self._halted = False
         self._flagged: set[str] = set()
@@ -97,18 +97,18 @@ class Show(Observer):
 
     def take_over(self, controller: LoadedController) -> LoadedController:
         """The controller, with a hand that can take over from it."""
-        self._hand = ByHand(controller)
+        self._hand = ManualControl(controller)
         self._hand.wish = self._wish
         return self._hand
 
     def add_reference(
-        self, stage: str, images: Sequence[Sequence[Image]], pressure_gauge: Sequence[float | None]
+        self, stage: str, images: Sequence[Sequence[Image]], gauge_pressure: Sequence[float | None]
     ) -> None:
         self.said = ""  # that it is taken
         if self._halted:  # nothing moves yet that the supervisor could retreat
             raise DeviceError(RED_BUTTON)
         if self.restart.is_set() or self.closed.is_set():
-            raise RestartAsked
+            raise RestartRequested
 
     def message(self, text: str) -> None:
         self.said = text
@@ -137,7 +137,7 @@ class Show(Observer):
         scene = None if self.session is None else self.session.rig.scene
         if scene is not None:
             self._gas = ChamberReadings(
-                tuple(s.pressure_gauge for s in scene.sensors),
+                tuple(s.gauge_pressure for s in scene.sensors),
                 tuple(s.temperature for s in scene.sensors),
             )
 
@@ -152,7 +152,7 @@ class Show(Observer):
 
     # what the viewer's thread calls
 
-    def moment(self) -> Moment | None:
+    def moment(self) -> StudioSnapshot | None:
         """What is to be shown now."""
         return self.latest
 
@@ -176,13 +176,13 @@ class Show(Observer):
         return self.session is None or not math.isfinite(self.session.rig.host_timeout)
 
     @property
-    def wish(self) -> HandGoal | None:
+    def wish(self) -> ManualGoal | None:
         """What is wished for by hand in place of the controller's commands; None: the controller is
         asked."""
         return self._wish
 
     @wish.setter
-    def wish(self, wish: HandGoal | None) -> None:
+    def wish(self, wish: ManualGoal | None) -> None:
         self._wish = wish
         if self._hand is not None:
             self._hand.wish = wish
@@ -219,7 +219,7 @@ class Show(Observer):
         if not (self.restart.is_set() or self.closed.is_set()):
             return
         if self.session is None or self.may_pause:
-            raise RestartAsked
+            raise RestartRequested
         self.session.make_safe(
             "Studio was closed" if self.closed.is_set() else "another run was asked for"
         )
@@ -254,7 +254,7 @@ def moment_of(
     truth: Mapping[str, Any],
     gas: ChamberReadings,
     number: int,
-) -> Moment:
+) -> StudioSnapshot:
     """What a cycle shows, with what is true of it, where that is known."""
     fingers = []
     count = len(cycle.touch)
@@ -263,7 +263,7 @@ def moment_of(
     for k, (touch, image) in enumerate(zip(cycle.touch, cycle.images, strict=True)):
         finger = None if session is None else session.rig.fingers[k]
         fingers.append(
-            Felt(
+            FingerSnapshot(
                 str(k) if finger is None else finger.name,
                 image,
                 touch,
@@ -287,7 +287,7 @@ def moment_of(
         cycle.gripper.lift_height,
         cycle.perception_ms,
     )
-    return Moment(
+    return StudioSnapshot(
         number,
         cycle.time,
         tuple(fingers),

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.types import Array, Image, Surface, Touch, ValveState
-from mjtactile.report.shape_wireframe import words_of
+from mjtactile.report.shape_wireframe import describe_shape
 
 HISTORY = 20.0  # s that the plots show
 _CURVE = 300  # points of a curve, at most
@@ -31,9 +31,9 @@ class Pose:
 
 
 @dataclass(frozen=True, eq=False)
-class Felt:
+class FingerSnapshot:
     """One finger: its camera's `image` and the `touch` in it. `rest` is its membrane with nothing
-    touching, `design` its sensor, `true` N what really presses, `pressure_gauge` Pa and
+    touching, `design` its sensor, `true` N what really presses, `gauge_pressure` Pa and
     `temperature` K of the chamber: NaN where nobody knows. It is at `pose`, or where the scene's
     `body` is. `tracks`: what its sensing follows from image to image, with this one's ellipses."""
 
@@ -45,21 +45,21 @@ class Felt:
     pose: Pose | None = None
     valve: ValveState | None = None
     true: float = math.nan
-    pressure_gauge: float = math.nan
+    gauge_pressure: float = math.nan
     temperature: float = math.nan
     body: int | None = None
     tracks: Any = None
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
+class StudioSnapshot:
     """One cycle. `scene` is MuJoCo's model and state (mjSTATE_INTEGRATION) then, where there is
     one; `session` says what only a session has: phase, supervisor's state and reason, opening and
     lift, m, ms of perception; `flags` what makes a simulation's numbers worse than usual."""
 
     number: int
     time: float
-    fingers: tuple[Felt, ...]
+    fingers: tuple[FingerSnapshot, ...]
     session: SessionState | None = None
     scene: Any = None
     flags: Mapping[str, str] = field(default_factory=dict)
@@ -77,7 +77,7 @@ class SessionState:
     perception_ms: float
 
 
-def finger_lines(felt: Felt, perception_ms: float = math.nan) -> list[str]:
+def finger_lines(felt: FingerSnapshot, perception_ms: float = math.nan) -> list[str]:
     """What the panel says of a finger."""
     touch = felt.touch
     shear = math.nan if touch.traction is None else float(np.hypot(*touch.traction.wrench[:2]))
@@ -92,7 +92,7 @@ def finger_lines(felt: Felt, perception_ms: float = math.nan) -> list[str]:
             f"area   {1e6 * touch.contact.area:.0f} mm2, {1e3 * touch.contact.depth:.2f} mm deep"
         )
     if touch.shape is not None:
-        lines.append(f"body   {words_of(touch.shape)}")
+        lines.append(f"body   {describe_shape(touch.shape)}")
     lines.append(f"slip   {_slip(touch)}")
     lines.append(f"gas    {_gas(felt)}")
     thought = f"; perception {perception_ms:.1f} ms" if math.isfinite(perception_ms) else ""
@@ -120,14 +120,14 @@ def _slip(touch: Touch) -> str:
     return f"{slip.state}, {1e3 * slip.distance:.1f} mm so far{speed}"
 
 
-def _gas(felt: Felt) -> str:
+def _gas(felt: FingerSnapshot) -> str:
     """Valve, pressure and temperature, as far as they are known."""
     parts = [] if felt.valve is None else ["open" if felt.valve.is_open else "closed"]
-    measured = felt.valve.pressure_gauge if felt.valve is not None else None
+    measured = felt.valve.gauge_pressure if felt.valve is not None else None
     if measured is not None:
         parts.append(f"{1e-3 * measured:.2f} kPa")
-    elif math.isfinite(felt.pressure_gauge):
-        parts.append(f"{1e-3 * felt.pressure_gauge:.2f} kPa (true)")
+    elif math.isfinite(felt.gauge_pressure):
+        parts.append(f"{1e-3 * felt.gauge_pressure:.2f} kPa (true)")
     if math.isfinite(felt.temperature):
         parts.append(f"{felt.temperature - 273.15:.1f} C")
     return ", ".join(parts) or "sealed by hand"
@@ -148,7 +148,7 @@ class Row:
     state: str
 
 
-def row_of(moment: Moment) -> Row:
+def row_of(moment: StudioSnapshot) -> Row:
     fingers = moment.fingers
     session = moment.session
     return Row(
@@ -163,9 +163,9 @@ def row_of(moment: Moment) -> Row:
     )
 
 
-def _pressure(felt: Felt) -> float:
-    measured = None if felt.valve is None else felt.valve.pressure_gauge
-    return felt.pressure_gauge if measured is None else measured
+def _pressure(felt: FingerSnapshot) -> float:
+    measured = None if felt.valve is None else felt.valve.gauge_pressure
+    return felt.gauge_pressure if measured is None else measured
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +226,7 @@ class History:
     rows: deque[Row] = field(default_factory=deque)
     _made: tuple[Row | None, Curves | None] = (None, None)
 
-    def add(self, moment: Moment) -> None:
+    def add(self, moment: StudioSnapshot) -> None:
         row = row_of(moment)
         if self.rows and row.time < self.rows[-1].time:  # it began again
             self.rows.clear()

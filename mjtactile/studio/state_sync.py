@@ -1,4 +1,4 @@
-"""`Mirror`, on Studio's simulation thread: Studio's scene is the session's, and what the mouse
+"""`StateSync`, on Studio's simulation thread: Studio's scene is the session's, and what the mouse
 pulls at is pulled there."""
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import numpy as np
 from mujoco.studio import messages, plugin
 
 from mjtactile.studio.callback_guard import guarded
-from mjtactile.studio.session_bridge import Show
-from mjtactile.studio.snapshot import Felt, Moment
+from mjtactile.studio.session_bridge import SessionBridge
+from mjtactile.studio.snapshot import FingerSnapshot, StudioSnapshot
 
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _OFF = mujoco.mjtDisableBit
@@ -43,7 +43,7 @@ _STAGE = """
   <worldbody><light pos="0 -0.5 1"/></worldbody></mujoco>"""
 
 
-def shown_model(model: mujoco.MjModel, fingers: Sequence[Felt]) -> mujoco.MjModel:
+def displayed_model(model: mujoco.MjModel, fingers: Sequence[FingerSnapshot]) -> mujoco.MjModel:
     """A copy for pictures: where things are is in the state, so that the viewer and the page, which
     compute each of their frames anew, need find no forces (an eighth of the time); they would not
     be ours, whose contacts change from step to step."""
@@ -64,14 +64,14 @@ def shown_model(model: mujoco.MjModel, fingers: Sequence[Felt]) -> mujoco.MjMode
     return shown
 
 
-class Mirror(plugin.SimPlugin):
+class StateSync(plugin.SimPlugin):
     """Takes the session's state over. Where there is no scene, Studio's is empty but for the
     membranes that are felt."""
 
-    def __init__(self, show: Show):
+    def __init__(self, show: SessionBridge):
         self.show = show
         self.complain = show.message
-        self._moment: Moment | None = None
+        self._moment: StudioSnapshot | None = None
         self._model: Any = None
         self._pulled = 0.0
 
@@ -87,7 +87,7 @@ class Mirror(plugin.SimPlugin):
             if model is None:
                 shown = mujoco.MjModel.from_xml_string(_STAGE)
             else:
-                shown = shown_model(model, moment.fingers)
+                shown = displayed_model(model, moment.fingers)
             self.handle.set_model(shown)
         return moment is not self._moment
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array, Touch
-from mjtactile.studio.snapshot import Felt
+from mjtactile.studio.snapshot import FingerSnapshot
 
 KINDS = ("indentation", "traction")
 _LEAST = {"indentation": 1e-3, "traction": 1e3}  # m, Pa: the scale's end while less is felt
@@ -36,7 +36,7 @@ class Field:
     values: Array
 
 
-def field_of(felt: Felt, kind: str) -> Field | None:
+def field_of(felt: FingerSnapshot, kind: str) -> Field | None:
     """None where it is not known: no rest shape, no surface."""
     touch = felt.touch
     rest = felt.rest
@@ -103,7 +103,9 @@ def colours(values: Array, scale: float) -> NDArray[np.uint8]:
     )
 
 
-def picture(felt: Felt, field: Field, scale: float, size: tuple[int, int]) -> NDArray[np.uint8]:
+def picture(
+    felt: FingerSnapshot, field: Field, scale: float, size: tuple[int, int]
+) -> NDArray[np.uint8]:
     """The membrane as its camera sees it (x right, y down), red, green, blue (h, w, 3): colours,
     outlines of what touches, the centre of pressure, and how it is dragged."""
     width, height = size
@@ -134,7 +136,7 @@ def picture(felt: Felt, field: Field, scale: float, size: tuple[int, int]) -> ND
 
 
 def sheet(
-    felt: Felt, field: Field, scale: float, *, least: float = 0.0
+    felt: FingerSnapshot, field: Field, scale: float, *, least: float = 0.0
 ) -> tuple[Array, Array] | None:
     """Triangles of the felt surface: corners (m, 3, 3) m in S, and colours (m, 3) from 0 to 1; None
     without a surface. Only those where the field is `least` of its scale, if that is not 0."""

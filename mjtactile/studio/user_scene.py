@@ -1,4 +1,4 @@
-"""Sensors in somebody's own scene, for their own Studio: `OwnFingers` reads them, `Sensors` puts
+"""Sensors in somebody's own scene, for their own Studio: `UserFingers` reads them, `Sensors` puts
 them there and steps them."""
 
 from __future__ import annotations
@@ -12,27 +12,27 @@ from typing import ClassVar
 import mujoco
 from mujoco.studio import messages, plugin
 
-from mjtactile.plugin.attach import Mount, attach
+from mjtactile.plugin.attach import AttachedSensor, attach
 from mjtactile.plugin.sim_finger import SimFinger, step
-from mjtactile.sim.attach import recommend_options
+from mjtactile.sim.attach import configure_options
 from mjtactile.studio.callback_guard import guarded
-from mjtactile.studio.snapshot import Felt, History, Moment
+from mjtactile.studio.snapshot import FingerSnapshot, History, StudioSnapshot
 
 _BEHIND = 0.1  # s; more than this is not made up for
 _IDLE = 1e-3  # s of sleep, so that the viewer's thread gets its turn
 
 
-class OwnFingers:
+class UserFingers:
     """A source of moments: the newest image and touch of each finger, which another thread
     steps."""
 
     def __init__(self, fingers: Sequence[SimFinger]):
         self._fingers = fingers
         self.history = History()
-        self._latest: Moment | None = None
+        self._latest: StudioSnapshot | None = None
         self._seen: tuple[object, ...] = ()
 
-    def moment(self) -> Moment | None:
+    def moment(self) -> StudioSnapshot | None:
         fingers = tuple(self._fingers)
         seen = tuple(finger.seen for finger in fingers)
         if not seen:
@@ -42,17 +42,17 @@ class OwnFingers:
         ):
             number = 0 if self._latest is None else self._latest.number + 1
             self._seen = seen
-            self._latest = Moment(
+            self._latest = StudioSnapshot(
                 number,
                 max(one.image.time for one in seen),
                 tuple(
-                    Felt(
+                    FingerSnapshot(
                         finger.name,
                         one.image,
                         one.touch,
                         finger.design,
                         one.rest,
-                        pressure_gauge=one.pressure_gauge,
+                        gauge_pressure=one.gauge_pressure,
                         temperature=one.temperature,
                         body=finger.sensor.body_id,
                     )
@@ -109,8 +109,8 @@ class Sensors(plugin.SimPlugin):
         if not event.path:
             return False
         spec = mujoco.MjSpec.from_file(event.path)
-        recommend_options(spec)
-        mounts: list[Mount] = [
+        configure_options(spec)
+        mounts: list[AttachedSensor] = [
             attach(spec, sensor, site=site, prefix=f"{site}/")
             for site, sensor in self.sites.items()
         ]
@@ -158,10 +158,10 @@ class Sensors(plugin.SimPlugin):
         self._single = False
         step(model, data, self.fingers, max(count, 0))
         self._time = float(data.time)
-        self._say_flags()
+        self._report_flags()
         return True
 
-    def _say_flags(self) -> None:
+    def _report_flags(self) -> None:
         """Into Studio's console, each once."""
         flags = _flags_of(self.fingers)
         for kind in flags.keys() - self._flagged:

@@ -128,7 +128,7 @@ def describe(felt):
         "sd": felt.touch.force_normal_sd,
         "true": felt.true,
         "centroid": centroid,
-        "pressure": felt.pressure_gauge,
+        "pressure": felt.gauge_pressure,
     }
 
 
@@ -152,7 +152,7 @@ if __name__ == "__main__":
         shown.source.step()  # the first cycle, and a pause: a browser may take its time to come up
         return launch(config, plugins=[*plugins, Clerk(shown.source, shown, plugins[0])])
 
-    add = session_bridge.Show.add
+    add = session_bridge.SessionBridge.add
 
     def add_and_pause(self, cycle, *args, **truth):
         add(self, cycle, *args, **truth)
@@ -160,7 +160,7 @@ if __name__ == "__main__":
         if cycle.sent.phase == "hold" and not frame.get("held"):
             frame["held"] = frame["turn"] = self.paused = True
 
-    session_bridge.Show.add = add_and_pause
+    session_bridge.SessionBridge.add = add_and_pause
     serve.launch = launch_with_clerk
     threading.Thread(target=answer, daemon=True).start()
     sys.exit(cli.main(["studio", *sys.argv[1:]]))

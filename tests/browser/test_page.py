@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from mjtactile.recording.decimated_history import Strip
+from mjtactile.recording.decimated_history import DecimatedHistory
 from mjtactile.recording.reader import load_recording
 from mjtactile.report.page import write_page
 from tests.browser.page import CHROMIUM, open_page
@@ -34,7 +34,7 @@ def pixels(page, selector):
 
 def test_a_page_is_zoomed_read_off_turned_and_goes_through_time(tmp_path):
     cycles = write_fake_recording(tmp_path / "run", count=60)
-    strip = Strip()
+    strip = DecimatedHistory()
     for cycle in cycles:
         strip.add(cycle, FakeScene(2))
     recording = load_recording(tmp_path / "run")

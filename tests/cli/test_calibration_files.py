@@ -8,14 +8,16 @@ import pytest
 from mjtactile.cli import main
 from mjtactile.core import resources
 from mjtactile.core.calibration import Calibration, load_calibration
-from mjtactile.core.calibration_parts import ForceScale, Lens, ValveZero, stamp
+from mjtactile.core.calibration_parts import ForceScale, LensCalibration, ValveZero, stamp
 from mjtactile.core.design import load_sensor
 from mjtactile.rig.file import load_rig_file
 from mjtactile.rig.gripper_calibration import calibrated_gripper
 
 DESIGN = load_sensor("dense")
 MARK = stamp(DESIGN, {}, {})
-LENS = Lens(640, 480, 618.0, 618.0, 325.0, 235.0, (-0.09, 0.01, 0.0, 0.0, 0.0), stamp=MARK)
+LENS = LensCalibration(
+    640, 480, 618.0, 618.0, 325.0, 235.0, (-0.09, 0.01, 0.0, 0.0, 0.0), stamp=MARK
+)
 
 
 @pytest.fixture

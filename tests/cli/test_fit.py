@@ -51,7 +51,7 @@ def test_the_recording_does_not_say_what_the_specimen_is(recording):
         and found.header["design"] == "paper16"
         and "1.2" not in found.header["files"]["sensor"]["text"]
     )
-    assert found.column("pressure_gauge").mean() == pytest.approx(1000, abs=10)
+    assert found.column("gauge_pressure").mean() == pytest.approx(1000, abs=10)
 
 
 def test_a_fit_writes_a_sensor_file_and_its_report(recording, tmp_path, capsys):

@@ -10,13 +10,13 @@ import pytest
 from mjtactile.cli import main
 from mjtactile.fabrication import build as room
 from mjtactile.fabrication import manual
-from mjtactile.fabrication.marker_positions import SheetState
+from mjtactile.fabrication.marker_positions import MembraneState
 
 
 def flat(design, *_):
     """In place of the simulation, which tests/unit/make has."""
     p = design.markers.p_SM
-    return [SheetState("flat", p, np.tile([0.0, 0, 1], (len(p), 1)), 1.0, 0.0)]
+    return [MembraneState("flat", p, np.tile([0.0, 0, 1], (len(p), 1)), 1.0, 0.0)]
 
 
 @pytest.fixture
@@ -54,10 +54,10 @@ def test_the_folder_says_what_is_in_it(quick, capsys, tmp_path):
 def test_what_cannot_be_built_leaves_one_line_and_no_folder(capsys, tmp_path):
     assert main(["new", "sensor", str(tmp_path / "mine")]) == 0
     path = tmp_path / "mine.toml"
-    path.write_text(path.read_text().replace("rim_mm = 3.0", "rim_mm = 0.5"))
+    path.write_text(path.read_text().replace("wall_mm = 3.0", "wall_mm = 0.5"))
     capsys.readouterr()
     for arguments, words in (
-        ([path], "mine.toml: frame.rim_mm: 0.5 is too thin a wall; at least 1.2"),
+        ([path], "mine.toml: frame.wall_mm: 0.5 is too thin a wall; at least 1.2"),
         (["dense", "--pixel-um", "0"], "--pixel-um: 0 is outside 0.5 to 50"),
         (["dense", "--press-mm", "25"], "--press-mm: 25 "),
         (["dens"], "dens: unknown sensor (valid: dense, "),

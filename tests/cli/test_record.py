@@ -85,7 +85,7 @@ def test_its_page_feels_it_again(folder, tmp_path, capsys):
     result = json.loads(capsys.readouterr().out)
     page = Balanced((tmp_path / "page.html").read_text())
     felt = [shot["felt"][0]["text"] for shot in json.loads(page.scripts[0])["shots"]]
-    assert result["felt_again"] and result["shown"] == result["cycles"] == len(felt)
+    assert result["re_estimate"] and result["shown"] == result["cycles"] == len(felt)
     said = load_recording(folder).column("force_normal")[:, 0]
     # as written, two digits
     assert [float(text.split()[0]) for text in felt] == pytest.approx(said, abs=0.0051)

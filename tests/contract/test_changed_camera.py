@@ -10,9 +10,9 @@ from tests.emulated_host import controller_text
 
 TROUBLES = """[camera]
 from_s = 3.2
-knock_px = [2, 2]
-turn_deg = 0.3
-zoom_percent = 0.4
+image_shift_px = [2, 2]
+rotation_deg = 0.3
+scale_percent = 0.4
 gamma = 1.2
 jpeg_quality = 80
 """

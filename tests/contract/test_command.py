@@ -18,7 +18,7 @@ from mjtactile.emulator.rig import build_emulated_rig
 from mjtactile.recording.files import LOG
 from mjtactile.recording.reader import load_recording
 from mjtactile.replay.rig import ReplayGripper, build_replay_rig
-from mjtactile.rig.command_limits import Limits
+from mjtactile.rig.command_limits import CommandLimits
 from mjtactile.rig.registry import build_rig
 from tests.contract.test_rigs import ONE_EMULATOR, record
 from tests.patient import DESIGN, SIMULATED, patient_rig_file
@@ -204,12 +204,12 @@ def test_what_is_no_finite_number_is_refused(field, value):
 
 def test_only_what_says_so_can_be_none():
     kept = Command(0.05, None)
-    assert kept.force_limit is None and kept.pressure_gauge is None
+    assert kept.force_limit is None and kept.gauge_pressure is None
     for field in ("opening", "lift_height", "reason"):
         with pytest.raises(InputError, match=field):
             replace(kept, **{field: None})
 
 
 def test_limits_leave_none_alone():
-    sent = Limits().apply(Command(0.05, None), Command(0.05, 3.0), PERIOD)
+    sent = CommandLimits().apply(Command(0.05, None), Command(0.05, 3.0), PERIOD)
     assert sent.force_limit is None

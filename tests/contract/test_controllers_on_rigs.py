@@ -85,7 +85,7 @@ def test_gentle_lifts_an_egg(name, tmp_path):
             on_images=lambda: moments.append(
                 (
                     score.forces(),
-                    ground_truth.hand_position(rig.scene)[2],
+                    ground_truth.gripper_position(rig.scene)[2],
                     ground_truth.object_position(rig.scene)[2],
                 )
             ),
@@ -144,7 +144,7 @@ def test_gentle_grasps_on_the_emulated_rig_and_commands_its_air(emulator, tmp_pa
     seen = np.array(felt)
     errors = [seen[:, k, 1] - np.interp(seen[:, k, 0], moments, true[k]) for k in (0, 1)]
     assert np.nanmedian(np.abs(errors)) < 0.02
-    pressures = load_recording(tmp_path).column("pressure_gauge")
+    pressures = load_recording(tmp_path).column("gauge_pressure")
     held = load_recording(tmp_path).columns["phase"] == "hold"
     assert pressures[held].min() == pytest.approx(600.0, abs=60)
     # the last twentieth is let in slowly, and the hold may end meanwhile: 1931 to 1949 were seen

@@ -12,13 +12,13 @@ from mjtactile.emulator.process import EmulatorProcess
 from mjtactile.rig.file import load_rig_file
 from mjtactile.runtime.controller import load_controller
 from mjtactile.runtime.grasp import run_grasp
-from mjtactile.studio.session_bridge import RED_BUTTON, Show
+from mjtactile.studio.session_bridge import RED_BUTTON, SessionBridge
 from tests.emulated_host import controller_text, rig_text
 
 pytestmark = pytest.mark.clock
 
 
-class Pressed(Show):
+class Pressed(SessionBridge):
     """Somebody presses it as soon as the egg is held."""
 
     def __init__(self):

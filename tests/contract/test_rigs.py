@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from mjtactile.core.calibration import Calibration
-from mjtactile.core.calibration_parts import ForceScale, Lens, stamp
+from mjtactile.core.calibration_parts import ForceScale, LensCalibration, stamp
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.core.types import Command
 from mjtactile.emulator.process import EmulatorProcess
@@ -29,7 +29,7 @@ from mjtactile.rig.protocols import CameraDevice, Clock, Gripper, Valve
 from mjtactile.rig.registry import build_rig
 from mjtactile.runtime.references import patient_read
 from mjtactile.runtime.session import Session
-from mjtactile.sensing.pipeline import Chain
+from mjtactile.sensing.pipeline import SensingPipeline
 from tests.patient import DESIGN, SIMULATED, patient_rig_file
 
 CYCLES = 12
@@ -56,7 +56,7 @@ class Nothing:
             opening=observation.command.opening - 1e-4,
             force_limit=2.0,
             phase=phase,
-            pressure_gauge=(PRESSURE,) * len(observation.touch) if self.calls > 2 else None,
+            gauge_pressure=(PRESSURE,) * len(observation.touch) if self.calls > 2 else None,
         )
 
 
@@ -143,14 +143,14 @@ def test_the_loop_runs_on_it(rig, tmp_path):
         assert pressures[-1] == pytest.approx(PRESSURE)
         # noise of the gauge; a board is some 0.1 s behind, a busy one more
         behind = 25 if math.isinf(rig.host_timeout) else 60
-        assert recording.column("pressure_gauge")[-1] == pytest.approx(PRESSURE, abs=behind)
+        assert recording.column("gauge_pressure")[-1] == pytest.approx(PRESSURE, abs=behind)
 
 
 def test_images_have_the_designs_size_and_see_the_markers(rig):
     for camera in rig.cameras:
         image = patient_read(camera, rig.clock, rig.period)
         assert image.pixels.shape == (DESIGN.camera.height, DESIGN.camera.width)
-        chain = Chain(DESIGN)
+        chain = SensingPipeline(DESIGN)
         assert len(chain.see(chain.begin(), image)[0]) == DESIGN.markers.count
 
 
@@ -211,7 +211,7 @@ def test_a_replay_gives_the_same_numbers_bit_for_bit(recording_folder, tmp_path)
         "effort",
         "command_opening",
         "command_pressure",
-        "pressure_gauge",
+        "gauge_pressure",
         "image_time",
         "gripper_time",
         "gripper_age",
@@ -226,7 +226,7 @@ def test_a_replay_gives_the_same_numbers_bit_for_bit(recording_folder, tmp_path)
 def test_a_recording_carries_the_calibration_and_its_replay_goes_by_it(tmp_path):
     mark = stamp(DESIGN, {}, {})
     camera = DESIGN.camera
-    lens = Lens(
+    lens = LensCalibration(
         camera.width,
         camera.height,
         1.01 * camera.fx,

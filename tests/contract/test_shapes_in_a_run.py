@@ -11,7 +11,7 @@ from mjtactile.core.scenario import Scenario
 from mjtactile.recording.reader import load_recording
 from mjtactile.recording.writer import Recorder
 from mjtactile.report.shape_wireframe import lines_of, recorded_shape
-from mjtactile.rig.scenario import complete_scenario
+from mjtactile.rig.scenario import resolve_scenario
 from mjtactile.runtime.controller import load_controller
 from mjtactile.runtime.grasp import run_grasp
 
@@ -61,7 +61,7 @@ def test_shapes_are_the_same_bits_in_a_process(tmp_path, controller):
             run_grasp(scenario, [recorder], workers=workers, controller=asks)
         recordings.append(load_recording(folder))
     # a replay finds them again where they were asked for
-    replayed = [complete_scenario(Scenario(rig=f"replay:{one.folder}")) for one in recordings]
+    replayed = [resolve_scenario(Scenario(rig=f"replay:{one.folder}")) for one in recordings]
     assert [one.shapes for one in replayed] == [True, True, False]
     with_shapes, in_a_process, without = (one.columns for one in recordings)
     kinds = {kind for row in with_shapes["shape_kind"] for kind in row}

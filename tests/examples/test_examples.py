@@ -79,7 +79,7 @@ def test_arm_follows_touch(capsys):
 def test_touch_in_robosuite(capsys):
     example = run("touch_in_robosuite", "robosuite")
     felt = example.seen["force_normal"]
-    true = [-finger.true_wrench()[2] for finger in example.env.fingers]
+    true = [-finger.ground_truth_wrench()[2] for finger in example.env.fingers]
     assert np.min(felt) > 0.8  # it closes until 1 N is felt on the average
     # an image is up to 33 ms old and the arm is on its way up: the mean of both fingers moves least
     assert np.mean(felt) == pytest.approx(np.mean(true), rel=0.1)
@@ -138,7 +138,7 @@ def test_firmer_in_the_air(tmp_path):
     assert result.outcome == "held"
     log = load_recording(tmp_path)
     held = log.columns["phase"] == "hold"
-    pressures = log.column("pressure_gauge")[held]
+    pressures = log.column("gauge_pressure")[held]
     assert pressures[0] == pytest.approx(600.0, abs=25.0)  # noise of the gauge
     assert pressures[-1] == pytest.approx(2000.0, abs=25.0)
     error = (log.column("force_normal") - log.column("force_normal_true"))[held]

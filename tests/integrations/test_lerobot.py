@@ -27,7 +27,7 @@ def command(monkeypatch, module, *options):
     module.main()
 
 
-def first_picture(data, name):
+def first_image(data, name):
     import av
 
     [file] = data.glob(f"videos/observation.images.{name}/**/*.mp4")
@@ -114,7 +114,7 @@ def test_an_episode_is_recorded_and_replayed(tmp_path, monkeypatch):
     height = states[:, names.index("lift_height_m")]
     for name in ("left", "right", "tip"):
         assert info["features"][f"observation.images.{name}"]["shape"] == [480, 640, 3]
-    own, tip = (first_picture(tmp_path / "data", name) for name in ("right", "tip"))
+    own, tip = (first_image(tmp_path / "data", name) for name in ("right", "tip"))
     # the same picture, through the same encoder
     np.testing.assert_array_equal(own, tip)
     assert own.std() > 5  # grey values: there is something in it

@@ -113,7 +113,7 @@ def _odd(found: candidates.Candidates, s: MarkerSettings) -> NDArray[np.bool_]:
     return (
         found.misfit
         >= s.max_border_misfit
-        + np.where(found.cut, s.border_misfit_share_cut, s.border_misfit_share) * b
+        + np.where(found.cut, s.border_misfit_fraction_cut, s.border_misfit_fraction) * b
     )
 
 
@@ -144,7 +144,7 @@ def judge(
     # of this image: its noise, its compression
     usual = ellipse.middle(fit.residual) if len(b) else 0.0
     covered = (
-        fit.residual > np.maximum(s.covered_share * contrast, s.covered_residuals * usual)
+        fit.residual > np.maximum(s.covered_fraction * contrast, s.covered_residuals * usual)
     ) & (b > s.profile_min_radius)
     status[(fit.lost > s.max_lost_weight) | covered] = GLARE
     status[fit.motion > s.min_motion] = MOTION
@@ -168,7 +168,7 @@ def judge(
         ((contrast < s.min_contrast_any * noise), LOW_CONTRAST),
         ((doubt > s.max_shape_sd_any) | (fit.residual >= edge_fit.UNSETTLED), NO_FIT),
         (b < s.min_fit_axes * a, LONG),
-        (b < s.shrunk_share * min_radius_px, SMALL),
+        (b < s.shrunk_fraction * min_radius_px, SMALL),
     ):
         drop |= what
         status[what] = why

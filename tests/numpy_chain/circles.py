@@ -28,7 +28,7 @@ from mjtactile.sensing.image import ellipse
 
 # on an ellipse's boundary: five are the least, and what lens and pane add has few harmonics
 _POINTS = 8
-_LEAST_TILT = 1e-3  # rad; below it the normal's derivative vanishes and only its bound is left
+_MIN_TILT = 1e-3  # rad; below it the normal's derivative vanishes and only its bound is left
 # of a conic's coefficients; what is left after such a step is 1e-10
 _FIT_STEPS = 30
 _FIT_TOLERANCE = 1e-8
@@ -70,7 +70,7 @@ def estimate_poses(
     )
     p, n = circles_from_cones(Q, r)
     if camera.glass_thickness:
-        p, n = _through_pane(camera, xy, p, n, r)
+        p, n = _through_glass(camera, xy, p, n, r)
     first = np.where(n[1, :, 2] < n[0, :, 2], 1, 0)
     each = np.arange(len(r))
     p_first = p[first, each]
@@ -251,7 +251,7 @@ def _cone(affine: Array, conic: Array) -> Array:
     return Q.transpose(2, 0, 1)
 
 
-def _through_pane(
+def _through_glass(
     camera: optics.Camera, xy: Array, p: Array, n: Array, r: Array
 ) -> tuple[Array, Array]:
     """Both solutions (2, N, 3) behind the pane, from those `p`, `n` without it and boundary points
@@ -262,7 +262,7 @@ def _through_pane(
     comes from the first estimate.
     """
     x, y = xy
-    shift = optics.pane_shift(camera, x * x + y * y)
+    shift = optics.glass_displacement(camera, x * x + y * y)
     middle = shift.mean(axis=0)
     away = (n * p).sum(axis=2)
     nx, ny, nz = n.transpose(2, 0, 1)[:, :, None]
@@ -336,11 +336,11 @@ def _tilted(n: Array, p: Array) -> Array:
     """Normals (N, 3), pushed away from exactly face-on, where the ellipse does not change with the
     tilt."""
     far = np.sqrt((p * p).sum(axis=1))
-    flat = -(n * p).sum(axis=1) > np.cos(_LEAST_TILT) * far
+    flat = -(n * p).sum(axis=1) > np.cos(_MIN_TILT) * far
     if not flat.any():
         return n
     view = p / far[:, None]
-    return np.where(flat[:, None], _LEAST_TILT * geometry.tangents(view)[0] - view, n)
+    return np.where(flat[:, None], _MIN_TILT * geometry.tangents(view)[0] - view, n)
 
 
 def _radii(radius: ArrayLike, count: int) -> Array:

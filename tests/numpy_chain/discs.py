@@ -27,7 +27,7 @@ _STRIPE_PX = 64
 Floats = NDArray[np.float32]
 
 
-def draw_discs(
+def render_discs(
     camera: Camera, p_CM: Array, n_C: Array, radius: ArrayLike, blur_px: float, coverage: Floats
 ) -> None:
     """Add the blurred area coverage (0-1) of N discs to the image `coverage` (H, W).
@@ -63,7 +63,7 @@ def draw_discs(
     _paste(coverage, patches, low)
 
 
-def draw_opening(camera: Camera, corners_CP: Array, blur_px: float, coverage: Floats) -> None:
+def render_opening(camera: Camera, corners_CP: Array, blur_px: float, coverage: Floats) -> None:
     """Add the blurred area coverage of the polygon `corners_CP` (M, 3) m in C, bent by pane and
     lens, to `coverage`.
 

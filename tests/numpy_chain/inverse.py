@@ -12,7 +12,7 @@ from scipy.linalg import cho_solve, solve_triangular
 from mjtactile.core.bspline import hats
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, Markers
-from mjtactile.sensing.force.camera_drift_model import CameraBelief, camera_modes, drift_of
+from mjtactile.sensing.force.camera_drift_model import CameraDriftFilter, camera_modes, drift_of
 from mjtactile.sensing.force.inverse_fem import STEP_LIMIT, InverseMembrane
 from mjtactile.sensing.force.linearization import NEAR, Shape
 from mjtactile.sensing.force.prior import LoadPrior
@@ -35,14 +35,14 @@ class _Gain:
     distrust: Array
     drift: Array
     drift_gas: tuple[float, Array]
-    drift_seen: Array
+    observed_drift: Array
     prior: Array
     innovation: Array
     reweighted: int
     modes: Array
 
     def serves(
-        self, c: Array, markers: Markers, rest: InverseRest, camera: CameraBelief, lost: bool
+        self, c: Array, markers: Markers, rest: InverseRest, camera: CameraDriftFilter, lost: bool
     ) -> bool:
         """Whether it can be used near `c`, for these markers."""
         return np.array_equal(self.ids, markers.ids) and bool(np.abs(c - self.c).max() < NEAR)
@@ -79,7 +79,7 @@ class DenseInverse(InverseMembrane):
         gain = shape.gain
         L = half_of(self.prior, moments(self, shape.c), gain.prior)
         half = solve_triangular(gain.innovation, gain.half @ L.T, lower=True, check_finite=False)
-        scale = np.sqrt(self.posterior_share(shape))
+        scale = np.sqrt(self.posterior_fraction(shape))
         return (L @ L.T - half.T @ half) * np.outer(scale, scale)
 
     def _step(
@@ -126,7 +126,7 @@ class DenseInverse(InverseMembrane):
             cast(Any, gain),  # of the base's type, for those that ask it
             count,
             excess,
-            drift_of(drift, gain.drift_seen),
+            drift_of(drift, gain.observed_drift),
             drift[1:],
         )
 
@@ -136,7 +136,7 @@ class DenseInverse(InverseMembrane):
         markers: Markers,
         rest: InverseRest,
         before: Shape | None,
-        camera: CameraBelief,
+        camera: CameraDriftFilter,
         lost: bool,
     ) -> _Gain:
         state = self._dense.state(c, rest.stiffness_scale)
@@ -208,7 +208,9 @@ class DenseInverse(InverseMembrane):
         volume = self.design.chamber_volume_flat + state.volume
         dent = self._dense.state(rest.c).volume - state.volume
         pressure = self._dense.gas_pressure(state, rest.gas)[0] + self.design.chamber.ambient
-        share = float(np.hypot(self.settings.drift_gas, self.settings.dent_share * dent / volume))
+        share = float(
+            np.hypot(self.settings.drift_gas, self.settings.dent_fraction * dent / volume)
+        )
         pressure *= share if rest.gas.constant is not None else 0.0
         load = pressure * self._dense.volume_gradient(state)
         bulge = cho_solve(stiffness, load.ravel(), check_finite=False)

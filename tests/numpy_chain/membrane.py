@@ -58,8 +58,8 @@ def stiffness(
 
 # Shares of a step's error that are mended in the next step. Half as much is half as fast; twice as
 # much rings.
-_GIVE_SHARE = 0.3
-_SHIFT_SHARE = 0.2
+_GIVE_FRACTION = 0.3
+_SHIFT_FRACTION = 0.2
 _KEPT = 0.5  # of a shift that is still to be mended when the contact slides on
 # How far, as a share of the force along the normal, friction may aim beyond its cone, times the
 # coefficient: at 1 the solver lifts a sliding vertex out of contact (its cone is convex: sliding
@@ -174,7 +174,7 @@ class Stiction:
         contact = self._data.contact
         goal = np.zeros(self._count)
         goal[vertices] = np.maximum(contact.includemargin[rows] - contact.dist[rows], 0.0)
-        self._give += _GIVE_SHARE * (goal - self._give)
+        self._give += _GIVE_FRACTION * (goal - self._give)
 
     def _contacts(
         self, rows: NDArray[np.int64], sides: NDArray[np.int64], vertices: NDArray[np.int64]
@@ -226,7 +226,7 @@ class Stiction:
             held = np.where(stops, _shorten(_in_plane(self._held, c), c.limit), held)
         shift = _in_plane(self._shift, c)
         shift = np.where(slides, _KEPT * shift, shift + c.travel)
-        held = _shorten(held - (_SHIFT_SHARE / step**2 * c.mass) * shift, c.limit + c.excess)
+        held = _shorten(held - (_SHIFT_FRACTION / step**2 * c.mass) * shift, c.limit + c.excess)
         surface = (1 - c.drag) * c.velocity - (step / c.mass) * held
         if slides.any():
             speed = np.sqrt(np.maximum(_dot(c.velocity, c.velocity), _LEAST))

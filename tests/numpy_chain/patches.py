@@ -37,7 +37,7 @@ def find_patches(
     if peak <= 0:
         return ()
     above = fine > min(
-        s.separate_share * np.sqrt(max(shape.pressure_gauge, 0.1 * peak) * peak), 0.9 * peak
+        s.separate_fraction * np.sqrt(max(shape.gauge_pressure, 0.1 * peak) * peak), 0.9 * peak
     )
     count, places = cv2.connectedComponents(above.astype(np.uint8), connectivity=4)
     position, cells = _fine_positions(estimator, shape)
@@ -53,14 +53,16 @@ def find_patches(
     for k in range(1, count):
         mine = owner[::REFINE, ::REFINE] == k
         force = nodal[mine].sum(axis=0)
-        if -force[2] >= s.least_share * total:
-            core = np.where(mine, np.maximum(pressing - s.core_share * float(pressing.max()), 0), 0)
+        if -force[2] >= s.min_fraction * total:
+            core = np.where(
+                mine, np.maximum(pressing - s.core_fraction * float(pressing.max()), 0), 0
+            )
             field = np.where(owner == k, fine, 0)
             area = _area(
                 core[inner].ravel(),
                 position[::REFINE, ::REFINE][inner],
                 -float(force[2]),
-                shape.pressure_gauge,
+                shape.gauge_pressure,
                 estimator,
                 s,
             )
@@ -69,7 +71,7 @@ def find_patches(
                 _patch(
                     inside,
                     mine,
-                    np.maximum(field - s.core_share * peak, 0),
+                    np.maximum(field - s.core_fraction * peak, 0),
                     force,
                     position,
                     cells,

@@ -312,7 +312,7 @@ def _settle(
     left = delta - ((scaled @ fan.solve) @ fan.basis) * over
     t = (
         left
-        * (1 / np.maximum(s.outlier_offsets * (np.abs(left) @ fan.mean), s.outlier_least))[:, None]
+        * (1 / np.maximum(s.outlier_offsets * (np.abs(left) @ fan.mean), s.outlier_min))[:, None]
     )
     t *= t
     t *= t
@@ -356,7 +356,7 @@ def _result(
     # the centre, w = g.
     level = common * shared / count * size**2
     cov += level[:, None, None] * _LEVEL_MOVES
-    cov[:, [2, 3, 4], [2, 3, 4]] += ((s.motion_sd_share * motion * size) ** 2)[:, None]
+    cov[:, [2, 3, 4], [2, 3, 4]] += ((s.motion_sd_fraction * motion * size) ** 2)[:, None]
     # an offset's rms in px, as grey levels at the edge's slope, to compare with the contrast
     residual = np.sqrt(variance) * np.abs(inside - outside) / (np.sqrt(2 * np.pi) * blur)
     lost = 1 - total / (spacing * count)

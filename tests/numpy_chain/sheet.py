@@ -12,7 +12,7 @@ from scipy.linalg import cho_factor
 from mjtactile.core.bspline import Cubic
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
-from mjtactile.sensing.constitutive_law import SheetLaw
+from mjtactile.sensing.constitutive_law import ConstitutiveLaw
 from mjtactile.sensing.force.spline_fem import Gas
 
 # nodes in each interval of the spline: what is integrated varies over markers, several intervals
@@ -76,7 +76,7 @@ class Sheet:
             row * 3 * self.count + j + columns_x[:, None] * ay.count + columns_y
         ).ravel()
         sheet = design.membrane
-        self._law = SheetLaw(sheet)
+        self._law = ConstitutiveLaw(sheet)
         self._lambda2 = sheet.pre_stretch**2
 
     # -- one state
@@ -113,19 +113,19 @@ class Sheet:
         g2[1] += 1
         return x, g1, g2
 
-    def residual(self, state: State, pressure_gauge: float) -> Array:
+    def residual(self, state: State, gauge_pressure: float) -> Array:
         """Generalised forces (3, n) N that hold the state: elastic minus gas (Eq. F9); zero at
         rest."""
         S11, S22, S12 = state.S
         P1 = S11 * state.g1 + S12 * state.g2
         P2 = S12 * state.g1 + S22 * state.g2
-        return self._dual(-pressure_gauge * state.normal, P1, P2)
+        return self._dual(-gauge_pressure * state.normal, P1, P2)
 
     def volume_gradient(self, state: State) -> Array:
         """dV/dc (3, n), m^2."""
         return self._integrate(state.normal, 0, 0)
 
-    def tangent(self, state: State, pressure_gauge: float) -> Array:
+    def tangent(self, state: State, gauge_pressure: float) -> Array:
         """d(residual)/dc at constant pressure (3 n, 3 n) N/m, its lower triangle of 3 x 3 blocks
         only (Eq. F10)."""
         g1, g2, (S11, S22, S12), w = state.g1, state.g2, state.S, self.weights
@@ -146,7 +146,7 @@ class Sheet:
         # gas: d(g1 x g2) = du,1 x g2 + g1 x du,2; component k of the tangents stands in block i, j
         # with the sign of ijk
         third = np.array([2, 1, 0])  # of the blocks (1, 0), (2, 0), (2, 1)
-        push = pressure_gauge * w * np.array([1.0, -1.0, 1.0])[:, None, None]
+        push = gauge_pressure * w * np.array([1.0, -1.0, 1.0])[:, None, None]
         K[_MIXED] += self._pairs(push * g2[third], (0, 1), (0, 0)) - self._pairs(
             push * g1[third], (0, 0), (0, 1)
         )
@@ -174,8 +174,8 @@ class Sheet:
         chamber = self.design.chamber
         volume = self.design.chamber_volume_flat + state.volume
         return (
-            gas.pressure_gauge(volume, chamber.ambient, chamber.heat_ratio),
-            gas.stiffness(volume, chamber.heat_ratio),
+            gas.gauge_pressure(volume, chamber.ambient, chamber.polytropic_exponent),
+            gas.stiffness(volume, chamber.polytropic_exponent),
         )
 
     def linearise(self, state: State, gas: Gas) -> tuple[Array, tuple[Array, bool]]:

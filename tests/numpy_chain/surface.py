@@ -156,7 +156,7 @@ class SurfaceFitter:
         # comparisons are False for NaN: an unknown slope is not used
         use = (
             fits
-            & (sd < self.settings.slope_sd_most)
+            & (sd < self.settings.slope_sd_max)
             & (np.abs(slope - predicted).max(axis=1) < self.slope_off)
         )
         if not use.any():
@@ -188,7 +188,7 @@ class SurfaceFitter:
             left = np.maximum(1 - np.einsum("ij,ij->j", half, half), 1e-6)
             off = np.abs(b - A @ spline.coefficients.ravel()) / left  # in sd
             excess = np.minimum(
-                off * sd[fits] / self.settings.outlier_least,
+                off * sd[fits] / self.settings.outlier_min,
                 off * np.sqrt(left) / self.settings.outlier_sd,
             )
             if (

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mjtactile.core.errors import InputError, SimulationError
-from mjtactile.sim.attach import attach_membrane, recommend_options
+from mjtactile.sim.attach import attach_membrane, configure_options
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.objects import load_object
 from mjtactile.sim.scenes.world import World
@@ -13,7 +13,7 @@ from mjtactile.sim.scenes.world import World
 
 def scene():
     spec = mujoco.MjSpec()
-    recommend_options(spec)
+    configure_options(spec)
     spec.worldbody.add_site(name="mount")
     return spec
 

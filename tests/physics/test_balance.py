@@ -7,7 +7,7 @@ import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.sim import ground_truth
-from mjtactile.sim.attach import attach_membrane, recommend_options
+from mjtactile.sim.attach import attach_membrane, configure_options
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.world import World
 
@@ -28,7 +28,7 @@ def held(request):
         world.close_valve(i)
     world.set_finger_target(0.02, force)
     world.step(600)
-    world.grasped_at = ground_truth.object_position(world) - ground_truth.hand_position(world)
+    world.grasped_at = ground_truth.object_position(world) - ground_truth.gripper_position(world)
     world.set_lift_target(0.02)
     world.step(400)
     return world
@@ -63,7 +63,9 @@ def test_friction_carries_the_weight(held):
 
 
 def test_object_hardly_slips(held):
-    slip = ground_truth.object_position(held) - ground_truth.hand_position(held) - held.grasped_at
+    slip = (
+        ground_truth.object_position(held) - ground_truth.gripper_position(held) - held.grasped_at
+    )
     # the rubber shears by about 0.1-0.3 mm under the weight; creep adds little
     assert np.linalg.norm(slip) < 0.5e-3
 
@@ -101,7 +103,7 @@ def test_penetration_is_a_small_share_of_the_indentation(held):
 def test_pressure_rises_alike_in_both_chambers(held):
     for sensor in held.sensors:
         sensor.update()
-    left, right = (sensor.pressure_gauge for sensor in held.sensors)
+    left, right = (sensor.gauge_pressure for sensor in held.sensors)
     assert left > 1100.0
     # the object may sit a little off the middle
     assert left - 1000 == pytest.approx(right - 1000, rel=0.05)
@@ -111,7 +113,7 @@ def test_arm_joints_carry_exactly_the_contact_wrench():
     """On a rotated six-joint arm the servos' torques are J^T times the contact wrench: gas and rim
     cancel inside."""
     spec = mujoco.MjSpec()
-    recommend_options(spec)
+    configure_options(spec)
     spec.option.gravity = [0, 0, 0]
     body = spec.worldbody
     for i, axis in enumerate(([0, 0, 1], [0, 1, 0], [0, 1, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0])):
@@ -171,7 +173,7 @@ def test_arm_joints_carry_exactly_the_contact_wrench():
 
 def test_free_floating_sensor_does_not_accelerate_itself():
     spec = mujoco.MjSpec()
-    recommend_options(spec)
+    configure_options(spec)
     spec.option.gravity = [0, 0, 0]
     body = spec.worldbody.add_body(name="float", quat=[0.8, 0.3, 0.5, 0.1])
     body.add_freejoint()
@@ -187,7 +189,7 @@ def test_free_floating_sensor_does_not_accelerate_itself():
 
 def test_one_and_many_sensors_give_the_same_numbers():
     spec = mujoco.MjSpec()
-    recommend_options(spec)
+    configure_options(spec)
     spec.option.gravity = [0, 0, 0]
     spec.worldbody.add_site(name="a")
     spec.worldbody.add_site(name="b", pos=[0.3, 0, 0], quat=[0.5, 0.5, -0.5, 0.5])
@@ -214,7 +216,7 @@ def test_one_and_many_sensors_give_the_same_numbers():
 
 def test_sealed_membrane_at_rest_gains_no_energy():
     spec = mujoco.MjSpec()
-    recommend_options(spec)
+    configure_options(spec)
     spec.worldbody.add_site(name="mount")
     world = World(spec, [attach_membrane(spec, "paper16", site="mount", mesh=MESH)])
     world.sensors[0].open_valve()
@@ -231,7 +233,7 @@ def test_sealed_membrane_at_rest_gains_no_energy():
 def test_no_energy_is_gained_with_the_valve_closed_and_nothing_moving():
     """Kinetic energy of a struck, sealed membrane: from one 40 ms to the next it never grows."""
     spec = mujoco.MjSpec()
-    recommend_options(spec)
+    configure_options(spec)
     spec.option.gravity = [0, 0, 0]
     spec.worldbody.add_site(name="mount")
     world = World(spec, [attach_membrane(spec, "paper16", site="mount", mesh=MESH)])
@@ -254,7 +256,7 @@ def test_two_membranes_hold_a_sheet_by_friction():
     world = PinchWorld(
         "paper16",
         Body("plate", 1e-3, 2e-3),
-        pressure_gauge=1000.0,
+        gauge_pressure=1000.0,
         squeeze=1e-3,
         timestep=2e-3,
         mesh=MESH,
@@ -277,7 +279,7 @@ def test_two_membranes_hold_a_sheet_by_friction():
 def test_an_object_rests_on_nothing_but_a_membrane():
     from benchmarks.scenes.stress_scenes import Body, DropWorld
 
-    world = DropWorld("paper16", Body("box", 0.015, 0.03), pressure_gauge=500.0, mesh=MESH)
+    world = DropWorld("paper16", Body("box", 0.015, 0.03), gauge_pressure=500.0, mesh=MESH)
     world.step(400)
     force = np.zeros(3)
     for _ in range(25):
@@ -295,7 +297,7 @@ def test_a_weight_that_strikes_the_membrane_ends_up_carried(speed):
     world = DropWorld(
         "paper16",
         Body("sphere", 0.01, 0.02),
-        pressure_gauge=1000.0,
+        gauge_pressure=1000.0,
         speed=speed,
         timestep=1e-3,
         mesh=MESH,

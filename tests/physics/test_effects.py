@@ -25,8 +25,8 @@ from mjtactile.sim.sensor.effect_switches import (
     PHYSICS,
     Effect,
     effects_named,
+    set_camera_effects,
     set_design,
-    set_picture,
 )
 
 MESH = (9, 7)
@@ -65,7 +65,7 @@ def test_without_gas_a_press_does_not_raise_the_pressure():
         world = press_world(effects)
         world.inflate(1000.0, seal=True)
         world.press(2e-3)
-        pressures[name] = world.sensors[0].pressure_gauge
+        pressures[name] = world.sensors[0].gauge_pressure
     assert pressures["off"] == 1000.0
     # Boyle: the 16 mm sphere displaces roughly 0.1 mL of 25 mL, 0.4 % of 100 kPa
     assert 1100.0 < pressures["on"] < 2500.0
@@ -133,11 +133,11 @@ def test_servo_lag_is_first_order():
 
 def test_camera_switches_act_on_picture_or_on_both_sides():
     seen = set_design(DENSE, PHYSICS)
-    drawn = set_picture(DENSE, PHYSICS)
+    drawn = set_camera_effects(DENSE, PHYSICS)
     assert seen.glass.refractive_index == 1.0 and not any(seen.camera.distortion)
     assert drawn.camera.noise_dn == drawn.camera.blur_px == drawn.leds.count == 0
     everything = CAMERA | PHYSICS
-    assert set_picture(set_design(DENSE, everything), everything) == DENSE
+    assert set_camera_effects(set_design(DENSE, everything), everything) == DENSE
 
 
 def test_auto_keeps_what_the_shipped_scene_needs():
@@ -160,7 +160,9 @@ def test_auto_keeps_what_the_shipped_scene_needs():
 def test_gates_open_and_close():
     airy = replace(
         DENSE,
-        chamber=replace(DENSE.chamber, heat_ratio=1.4, heat_exchange=1.0, valve_conductance=1e-7),
+        chamber=replace(
+            DENSE.chamber, polytropic_exponent=1.4, heat_exchange=1.0, valve_conductance=1e-7
+        ),
     )
     assert {"heat exchange", "valve flow"} <= choose(airy).on
     assert "gravity" not in choose(DENSE, force_error=0.1).on  # 3 mN of sheet against 100 mN

@@ -9,7 +9,7 @@ from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.sensing.force.spline_fem import Gas, Sheet
 from mjtactile.sim import ground_truth
-from mjtactile.sim.attach import attach_membrane, recommend_options
+from mjtactile.sim.attach import attach_membrane, configure_options
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.scenes.world import World
 from mjtactile.sim.sensor.effect_switches import PHYSICS
@@ -32,7 +32,7 @@ def test_force_and_pressure_are_those_of_the_mesh(at):
     # the mesh is itself 1 to 3 % off at 13 x 11 vertices, the film at 21 x 16 (docs/validation/accuracy.md)
     force = [-ground_truth.contact_force(world, 0)[2] for world in (mesh, film)]
     assert force[1] == pytest.approx(force[0], rel=0.035)
-    gauge = [world.sensors[0].pressure_gauge for world in (mesh, film)]
+    gauge = [world.sensors[0].gauge_pressure for world in (mesh, film)]
     # forces that differ by 3 % press the gas by as much of a third of its gauge pressure
     assert gauge[1] == pytest.approx(gauge[0], rel=0.012)
 
@@ -91,11 +91,11 @@ def pieces_of(radius, mass):
     return add
 
 
-def between_films(add, gap, timestep=2e-3, seconds=1.0):
+def membrane_interval(add, gap, timestep=2e-3, seconds=1.0):
     """A body of what `add` adds between two inflated films that look at each other along y, `gap` m
     apart; weight sets in slowly."""
     spec = mujoco.MjSpec()
-    recommend_options(spec, timestep)
+    configure_options(spec, timestep)
     spec.option.gravity = [0.0, 0.0, 0.0]
     design = DENSE
     attachments = []
@@ -128,7 +128,7 @@ def between_films(add, gap, timestep=2e-3, seconds=1.0):
     [(0.005, 0.0232), (0.02, 0.0222), (0.05, 0.0212), (0.3, 0.0149)],
 )
 def test_light_and_heavy_balls_are_held_and_do_not_creep(mass, gap):
-    world = between_films(ball_of(0.01, mass), gap)
+    world = membrane_interval(ball_of(0.01, mass), gap)
     world.step(100)  # what hangs 1.2 mm low settles for longer
     carried = []
     heights = []
@@ -156,7 +156,7 @@ def test_light_and_heavy_balls_are_held_and_do_not_creep(mass, gap):
 def test_what_is_held_by_jointed_pieces_is_damped_as_what_is_whole():
     """Without that, strawberries swung ever more between films, until they were dropped."""
     whole, pieces = (  # N s/m, before weight sets in
-        between_films(of(0.01, 0.02), 0.0212, seconds=0.01).model.dof_damping[:3]
+        membrane_interval(of(0.01, 0.02), 0.0212, seconds=0.01).model.dof_damping[:3]
         for of in (ball_of, pieces_of)
     )
     # caps are a tenth less round, and go 0.2 mm in as the jaws close on them
@@ -164,13 +164,13 @@ def test_what_is_held_by_jointed_pieces_is_damped_as_what_is_whole():
 
 
 def test_what_friction_cannot_hold_falls():
-    world = between_films(ball_of(0.01, 0.15), 0.0222)
+    world = membrane_interval(ball_of(0.01, 0.15), 0.0222)
     grip = -ground_truth.contact_force(world, 0)[2]
     assert world.data.qpos[2] < -0.02 or 2 * DENSE.membrane.friction * grip < 0.15 * G
 
 
 def test_forces_of_the_user_stay():
-    world = between_films(ball_of(0.01, 0.02), 0.0222)
+    world = membrane_interval(ball_of(0.01, 0.02), 0.0222)
     height = world.data.qpos[2]
     world.data.qfrc_applied[2] = 0.05
     world.step(100)
@@ -183,7 +183,7 @@ def test_forces_of_the_user_stay():
 
 def test_what_a_film_cannot_rest_on_is_refused():
     spec = mujoco.MjSpec()
-    recommend_options(spec)
+    configure_options(spec)
     site = spec.worldbody.add_site(name="s")
     attachment = attach_membrane(spec, DENSE, site=site, effects=FILM)
     body = spec.worldbody.add_body(name="b", pos=[0.0, 0.0, 0.1])
@@ -195,10 +195,10 @@ def test_what_a_film_cannot_rest_on_is_refused():
         World(spec, [attachment])
 
 
-def beside_a_sensor(height):
+def next_to_sensor(height):
     """A ball of 30 mm over one side of the frame, `height` m above it; the film beside it."""
     spec = mujoco.MjSpec()
-    recommend_options(spec, 2e-3)
+    configure_options(spec, 2e-3)
     site = spec.worldbody.add_site(name="s")
     attachment = attach_membrane(spec, DENSE, site=site, effects=FILM)
     radius = 0.015
@@ -215,14 +215,14 @@ def beside_a_sensor(height):
 
 def test_what_lies_on_the_rim_is_borne_and_said():
     """The sheet's middle is half its thickness below the face that lies on the frame."""
-    above, on = (beside_a_sensor(height)[1] for height in (4e-4, 0.0))
+    above, on = (next_to_sensor(height)[1] for height in (4e-4, 0.0))
     assert above.failure() is None and "rim" not in above.flags()
     assert on.failure() is None and "frame's rim" in on.flags()["rim"]
     assert on.wrench[2] < above.wrench[2] < -0.1  # N
 
 
 def test_what_is_far_below_the_rim_stops_it_when_it_stays():
-    world, sensor = beside_a_sensor(-1e-3)
+    world, sensor = next_to_sensor(-1e-3)
     assert sensor.failure() is None  # a thing that falls past the frame does so for some steps
     assert "rim" in sensor.flags()["film"]
     with pytest.raises(SimulationError, match="rim"):

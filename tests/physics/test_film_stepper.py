@@ -120,8 +120,8 @@ def test_looking_changes_nothing(leak, ahead):
             for sensor in world.sensors if looks else ():
                 assert sensor.temperature > 0 and sensor.volume > 0
                 assert np.isfinite(sensor.look()).all() and np.isfinite(sensor.p_SV).all()
-                assert isinstance(sensor.flags(), dict) and sensor.pressure_gauge > 0
-        films = [(s.look(), s.p_SV, s.pressure_gauge, s.slid, s.slides) for s in world.sensors]
+                assert isinstance(sensor.flags(), dict) and sensor.gauge_pressure > 0
+        films = [(s.look(), s.p_SV, s.gauge_pressure, s.slid, s.slides) for s in world.sensors]
         found.append([world.data.qpos.copy(), *(part for film in films for part in film)])
         rig.close()
     for ours, theirs in zip(*found, strict=True):

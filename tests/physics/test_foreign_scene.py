@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mjtactile.core.errors import InputError
-from mjtactile.sim.attach import attach_membrane, recommend_options
+from mjtactile.sim.attach import attach_membrane, configure_options
 
 THEIRS = """<mujoco><option noslip_iterations="20" {option}><flag {flag}/></option>{size}
 <worldbody>
@@ -25,7 +25,7 @@ def theirs(*, place=BESIDE, bits=1, option="", flag="contact='enable'", size="")
     spec = mujoco.MjSpec.from_string(
         THEIRS.format(place=place, bits=bits, option=option, flag=flag, size=size)
     )
-    changed = recommend_options(spec)
+    changed = configure_options(spec)
     return spec, changed
 
 
@@ -71,7 +71,7 @@ def bulge(sensor):
 def test_recommended_options_say_what_they_changed_and_then_carry_a_sensor(changes, said):
     spec, changed = theirs(**changes)
     assert all(any(words in line for line in changed) for words in said)
-    assert recommend_options(spec) == ()
+    assert configure_options(spec) == ()
     attach_membrane(spec, "dense", site="tip")
 
 
@@ -91,7 +91,7 @@ def test_an_objects_contact_bits_do_not_matter():
 def test_a_site_that_cannot_carry_a_sensor_is_refused():
     spec = mujoco.MjSpec.from_string("""<mujoco><worldbody><body name="ghost" mocap="true"><body><site name="tip"/></body></body>
         </worldbody></mujoco>""")
-    recommend_options(spec)
+    configure_options(spec)
     with pytest.raises(InputError, match="site: 'tip' is on the mocap body 'ghost'"):
         attach_membrane(spec, "dense", site="tip")
     with pytest.raises(InputError, match="site"):

@@ -130,7 +130,7 @@ def test_force_torque_and_pressure_of_an_oblique_patch(sensor, truth):
         np.cross(estimator.node_positions(shape.c), nodal).sum(axis=0),
         atol=1e-12,
     )
-    assert traction.pressure_gauge == pytest.approx(truth.gauge, rel=0.02)
+    assert traction.gauge_pressure == pytest.approx(truth.gauge, rel=0.02)
     assert traction.force[..., :].sum(axis=(0, 1)) == pytest.approx(traction.wrench[:3])
 
 
@@ -209,7 +209,7 @@ def test_covariance_is_that_of_errors_drawn_from_prior_and_noise(sensor, truth):
     S = seen @ seen.T + gain.drift @ gain.drift.T + np.eye(len(seen))
     error = moment @ (root @ (seen.T @ np.linalg.solve(S, y)) - t)
     predicted = np.sqrt(np.diag(estimator._posterior(shape, estimator.node_positions(shape.c))))
-    share = np.sqrt(estimator.posterior_share(shape))
+    share = np.sqrt(estimator.posterior_fraction(shape))
     # 400 draws: 3.5 %, six of them
     np.testing.assert_allclose(error.std(axis=1) * share, predicted, rtol=0.12)
 

@@ -10,7 +10,7 @@ from membrane_scenes import scene, settle
 from mjtactile.core.design import load_sensor
 from mjtactile.core.neo_hookean import Law
 from mjtactile.core.sensor_parts import Chamber, Frame, Membrane
-from mjtactile.sim.attach import attach_membrane, recommend_options
+from mjtactile.sim.attach import attach_membrane, configure_options
 from mjtactile.sim.scenes.world import World
 from mjtactile.sim.sensor.chamber import ChamberGeometry
 from mjtactile.sim.sensor.mesh import MarkerInterpolator, make_mesh
@@ -164,10 +164,10 @@ def test_sealed_gas_keeps_its_amount_under_outside_pressure():
     volume = design.chamber_volume_flat + np.einsum("ti,ti->", a, np.cross(b, c)) / 6
     device.update()
     before = world.amount  # p V when the valve closed
-    assert (device.pressure_gauge + design.chamber.ambient) * volume == pytest.approx(
+    assert (device.gauge_pressure + design.chamber.ambient) * volume == pytest.approx(
         before, rel=1e-9
     )
-    assert device.pressure_gauge > 1200.0  # it did compress: 2 mm of a 25 ml chamber
+    assert device.gauge_pressure > 1200.0  # it did compress: 2 mm of a 25 ml chamber
 
 
 def test_gas_in_a_thin_chamber_is_stable_at_a_long_step():
@@ -182,7 +182,7 @@ def test_gas_in_a_thin_chamber_is_stable_at_a_long_step():
     pressures = []
     for _ in range(20):
         world.step()
-        pressures.append(device.pressure_gauge)
+        pressures.append(device.gauge_pressure)
     assert np.std(pressures) < 0.1  # Pa; the gas would turn 1 um of mean motion into 50 Pa
     assert np.mean(pressures) == pytest.approx(1000.0, abs=1.0)  # back where it was
 
@@ -191,7 +191,7 @@ def pressed(design, depth, mesh=(13, 11), radius=0.01, timestep=4e-3):
     """Inflate to 1 kPa, seal, and push a sphere `depth` m into the bulge; returns the settled
     world."""
     spec = mujoco.MjSpec()
-    recommend_options(spec, timestep)
+    configure_options(spec, timestep)
     spec.option.gravity = [0, 0, 0]
     spec.worldbody.add_site(name="mount")
     ball = spec.worldbody.add_body(name="ball", mocap=True, pos=[0, 0, 0.1])
@@ -200,7 +200,7 @@ def pressed(design, depth, mesh=(13, 11), radius=0.01, timestep=4e-3):
     device = world.sensors[0]
     settle(world, 1000.0)
     device.close_valve()
-    world.amount = (device.pressure_gauge + design.chamber.ambient) * device.volume
+    world.amount = (device.gauge_pressure + design.chamber.ambient) * device.volume
     top = centre_height(world) + design.membrane.thickness / 2 + radius
     steps = round(0.4 / timestep)
     for k in range(steps):

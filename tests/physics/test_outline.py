@@ -17,15 +17,15 @@ from mjtactile.core.neo_hookean import Law
 from mjtactile.core.outline import Outline
 from mjtactile.core.ritz_bulge import inflated_height
 from mjtactile.core.types import Image, Markers
-from mjtactile.experiments.indentation import PressPlan, press
+from mjtactile.experiments.indentation import IndentationPlan, press
 from mjtactile.report.overlay import find_ellipses
-from mjtactile.sensing.constitutive_law import SheetLaw
+from mjtactile.sensing.constitutive_law import ConstitutiveLaw
 from mjtactile.sensing.force.inverse_fem import InverseMembrane
 from mjtactile.sensing.force.spline_fem import Gas, Sheet
 from mjtactile.sensing.image import markers
-from mjtactile.sensing.pipeline import Chain
+from mjtactile.sensing.pipeline import SensingPipeline
 from mjtactile.sensing.surface.surface import SurfaceFitter
-from mjtactile.sim.attach import attach_membrane, recommend_options
+from mjtactile.sim.attach import attach_membrane, configure_options
 from mjtactile.sim.scenes.indentation import Indenter
 
 ROUND = load_sensor("round30")
@@ -124,7 +124,7 @@ def disc_height(design, pressure, elements=60):
     """Height, m, of an inflated disc by 1-D elements along its radius: each of constant stretch,
     the virtual work of its stress against that of the gas, solved for radii and heights."""
     a = design.frame.length / 2
-    law = SheetLaw(design.membrane)
+    law = ConstitutiveLaw(design.membrane)
     pre2 = design.membrane.pre_stretch**2
     n = elements
     R = np.linspace(0, a, n + 1)
@@ -289,7 +289,7 @@ def test_the_housing_stands_around_the_outline(name):
     frame = load_sensor(name).frame
     spec = mujoco.MjSpec()
     spec.worldbody.add_site(name="tip")
-    recommend_options(spec)
+    configure_options(spec)
     attach_membrane(spec, name, site="tip", prefix="a_")
     model = spec.compile()
     walls = [g for g in range(model.ngeom) if "housing" in model.geom(g).name][:-1]
@@ -315,7 +315,7 @@ def test_the_housing_stands_around_the_outline(name):
 
 @pytest.mark.slow  # the one that goes through images: a marker cut by the frame would be lost here
 def test_a_press_on_an_ellipse_is_felt_through_its_images():
-    plan = PressPlan(Indenter("sphere", 7e-3), [1.5e-3, 3e-3], at=(-6e-3, 3e-3))
+    plan = IndentationPlan(Indenter("sphere", 7e-3), [1.5e-3, 3e-3], at=(-6e-3, 3e-3))
     result = press(ELLIPSE, plan, seed=1)
     for step in result["steps"]:
         off = np.subtract(step["force_estimated_N"], step["force_true_N"])
@@ -335,8 +335,10 @@ def test_the_edge_of_a_round_frame_is_no_marker():
     picture = cv2.GaussianBlur(picture, (0, 0), 1.0)
     _, status = markers.search(picture)
     assert (status == "touches another").all() and len(status) == 6
-    assert Chain(ROUND).sight._largest_px == pytest.approx(2 * 600 * 0.9 / 25)  # at the pane
-    assert Chain(load_sensor("dense")).sight._largest_px == np.inf
+    assert SensingPipeline(ROUND).sight._largest_px == pytest.approx(
+        2 * 600 * 0.9 / 25
+    )  # at the pane
+    assert SensingPipeline(load_sensor("dense")).sight._largest_px == np.inf
     fit, status = markers.search(picture, max_radius_px=43.2)
     assert (status == "ok").all() and len(fit.center) == 5
     shown = find_ellipses(Image(picture))  # in summaries, films and pages

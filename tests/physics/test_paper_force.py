@@ -9,7 +9,7 @@ from benchmarks.touch.area_force_constant import calibrate_area
 from mjtactile.calibrate.force_from_area import AreaCalibration
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
-from mjtactile.sensing.stateful_pipeline import Perception
+from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 from mjtactile.sim.rendering.renderer import Renderer
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
@@ -31,15 +31,15 @@ def test_calibrated_on_a_cylinder_it_reads_that_cylinder_roughly():
     assert 2e4 < calibration.constant < 1e5 and 0.04 < calibration.residual < 0.25
     world = PressWorld(design, Indenter("cylinder", 5e-3))
     renderer = Renderer(design, seed=3)
-    perception = Perception.of(design)
+    perception = StatefulPipeline.of(design)
 
     def image():
         return renderer.render(*world.marker_poses(0), world.time)
 
     world.inflate(0.0, seal=False)
-    perception.take_flat([image() for _ in range(10)])
+    perception.measure_flat_reference([image() for _ in range(10)])
     world.inflate(design.chamber.supply_gauge, seal=True)
-    perception.take_rest([image() for _ in range(10)], design.chamber.supply_gauge)
+    perception.measure_rest_reference([image() for _ in range(10)], design.chamber.supply_gauge)
     rest = perception.state.reference.surface
     world.press(3e-3)
     surface = perception.perceive(image(), world.time).surface

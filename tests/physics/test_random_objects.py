@@ -9,14 +9,14 @@ import pytest
 
 from mjtactile.core.errors import InputError
 from mjtactile.sim.scenes.objects import load_object, read_spec
-from mjtactile.sim.scenes.random_objects import _CARRIES, random_thing, to_mjcf
+from mjtactile.sim.scenes.random_objects import _CARRIES, random_object, to_mjcf
 from mjtactile.sim.sensor import feature_size
 
 SEEDS = range(120)
 
 
 def test_all_shapes_come_and_stay_within_what_is_said():
-    things = [random_thing(seed) for seed in SEEDS]
+    things = [random_object(seed) for seed in SEEDS]
     assert {thing.shape for thing in things} == {
         "egg",
         "box",
@@ -32,14 +32,14 @@ def test_all_shapes_come_and_stay_within_what_is_said():
             and 0.005 <= thing.mass <= 0.2
         )
         assert thing.break_force >= max(1.2, _CARRIES * thing.mass) * (1 - 1e-9)
-    assert random_thing(7) == things[7] != things[8]
+    assert random_object(7) == things[7] != things[8]
 
 
 @pytest.mark.parametrize("seed", range(30))
 def test_the_file_is_the_thing(seed):
     """Mass, and moments of inertia against those of the hull's own vertices or the primitives; it
     stands where it is put."""
-    thing = random_thing(seed)
+    thing = random_object(seed)
     item = load_object(f"random:{seed}")
     assert item.mass == pytest.approx(thing.mass, rel=1e-5) and item.break_force == pytest.approx(
         thing.break_force, rel=1e-5
@@ -63,8 +63,8 @@ def test_the_file_is_the_thing(seed):
 
 
 def test_a_box_is_as_large_as_drawn_and_as_heavy_to_turn():
-    seed = next(seed for seed in SEEDS if random_thing(seed).shape == "box")
-    thing = random_thing(seed)
+    seed = next(seed for seed in SEEDS if random_object(seed).shape == "box")
+    thing = random_object(seed)
     model = read_spec(load_object(f"random:{seed}")).compile()
     sizes = np.sort(np.ptp(model.mesh_vert, axis=0))  # a mesh's axes are its principal ones
     np.testing.assert_allclose(sizes, np.sort(2 * np.array([thing.a, thing.b, thing.c])), rtol=1e-5)
@@ -78,7 +78,7 @@ def test_a_box_is_as_large_as_drawn_and_as_heavy_to_turn():
 
 def test_a_file_written_out_is_the_same_object(tmp_path):
     path = tmp_path / "thing.xml"
-    path.write_text(to_mjcf(random_thing(4), "thing"))
+    path.write_text(to_mjcf(random_object(4), "thing"))
     mine = load_object(path)
     theirs = load_object("random:4")
     assert (mine.mass, mine.break_force, mine.grasp_height) == (

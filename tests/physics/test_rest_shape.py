@@ -8,10 +8,10 @@ import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError
-from mjtactile.rig.as_built_sensor import SpecimenConfig, camera_pose, true_design
+from mjtactile.rig.as_built_sensor import AsBuiltSensor, camera_pose, true_design
 from mjtactile.rig.registry import build_rig
 from mjtactile.runtime.session import Session
-from mjtactile.sensing.stateful_pipeline import Perception
+from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 from mjtactile.sim.rendering.renderer import Renderer
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
@@ -38,17 +38,17 @@ def references(
     )
     world = PressWorld(true, Indenter.parse(indenter), at=at)
     renderer = Renderer(true, seed=seed, pose=camera_pose(design, own))
-    chain = Perception.of(design)
+    chain = StatefulPipeline.of(design)
 
     def images():
         return [renderer.render(*world.marker_poses(0), world.time) for _ in range(IMAGES)]
 
     world.inflate(0.0, seal=False)
-    chain.take_flat(images())
+    chain.measure_flat_reference(images())
     world.inflate(pressure, seal=False)
     if depth:
         world.press(depth)
-    chain.take_rest(images(), pressure)
+    chain.measure_rest_reference(images(), pressure)
     return chain
 
 
@@ -59,14 +59,14 @@ def some_specimen(rng):
     def off(most):
         return float(rng.uniform(-most, most))
 
-    return SpecimenConfig(
+    return AsBuiltSensor(
         "left",
-        focal_share=off(0.03),
+        focal_fraction=off(0.03),
         center=(off(6), off(6)),
         k1=-0.05 + off(0.04),
         shift=(off(4e-4), off(4e-4), off(4e-4)),
         tilt=(off(0.017), off(0.017), off(0.017)),
-        stiffness_share=off(0.3),
+        stiffness_fraction=off(0.3),
         radius=off(2e-5),
     )
 
@@ -100,7 +100,7 @@ def test_what_touches_meanwhile_is_found(sensor, indenter, depth, at):
     with pytest.raises(DeviceError, match="does something touch it"):
         references(
             sensor,
-            SpecimenConfig("left", stiffness_share=-0.1),
+            AsBuiltSensor("left", stiffness_fraction=-0.1),
             indenter=indenter,
             depth=depth,
             at=at,
@@ -108,7 +108,7 @@ def test_what_touches_meanwhile_is_found(sensor, indenter, depth, at):
 
 
 WIDE = """<mujoco model="wide"><custom><numeric name="break_force_N" data="50"/><numeric name="grasp_height_m" data="0.03"/>
-  <numeric name="turn_deg" data="0.01"/><text name="material" data="solid"/></custom><worldbody>
+  <numeric name="rotation_deg" data="0.01"/><text name="material" data="solid"/></custom><worldbody>
   <body name="object" pos="0 0 0.03"><freejoint/><geom type="box" size="0.039 0.03 0.03" mass="0.1"/></body>
 </worldbody></mujoco>"""
 

@@ -67,7 +67,7 @@ def test_it_begins_open_over_the_object_at_its_grasp_height(name):
 def test_the_laws_say_where_the_fingertips_are(name):
     world = make(name)
     for opening in (0.03, 0.06, 0.09):
-        world.place_hand(opening, 0.02)
+        world.place_gripper(opening, 0.02)
         mujoco.mj_kinematics(world.model, world.data)
         p_WS, R_WS = tips(world)
         seen = 2 * np.mean(np.sum((p_WS.mean(axis=0) - p_WS) * R_WS[:, :, 2], axis=1))
@@ -327,7 +327,7 @@ def test_the_doctor_finds_the_shipped_ones_well(name):
         (
             "sim",
             [],
-            [("mm_per_mm = 1.0", "mm_per_mm = -1.0\nopening_part_mm = 120")],
+            [("mm_per_mm = 1.0", "mm_per_mm = -1.0\njaw_offset_mm = 120")],
             [
                 "bad jaws: move the wrong way: asked to close, the fingertips go from 0.0 "
                 "to 120.0 mm"
@@ -389,7 +389,7 @@ def test_tips_on_hinges_meet_the_object_at_its_height_and_not_where_they_are_ope
     start = world.data.xpos[tips].mean(axis=0)
     down = 0.06 * (math.cos(grip) - math.cos(wide))
     assert start[2] - world.object.grasp_height == pytest.approx(down, abs=1e-5)
-    world.place_hand(0.032, 0.0)
+    world.place_gripper(0.032, 0.0)
     mujoco.mj_forward(world.model, world.data)
     middle = world.data.xpos[tips].mean(axis=0)
     egg = ground_truth.object_position(world)

@@ -15,7 +15,7 @@ from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import SimulationError
 from mjtactile.core.neo_hookean import Law, thickness_over_area
 from mjtactile.core.sensor_parts import Frame
-from mjtactile.sensing.constitutive_law import SheetLaw
+from mjtactile.sensing.constitutive_law import ConstitutiveLaw
 from mjtactile.sensing.force.spline_fem import Gas, Sheet
 from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
@@ -75,7 +75,7 @@ def test_stress_is_the_derivative_of_the_energy(C, poisson):
             / (2 * step)
             * (2 if i == j else 1)
         )
-    law = SheetLaw(replace(DENSE.membrane, young=1.0, thickness=1.0, poisson=poisson))
+    law = ConstitutiveLaw(replace(DENSE.membrane, young=1.0, thickness=1.0, poisson=poisson))
     found = law.stress(C[0, 0], C[1, 1], C[0, 1])
     # differences of second order: step^2
     np.testing.assert_allclose(found, [S[0, 0], S[1, 1], S[0, 1]], atol=1e-6)
@@ -89,7 +89,7 @@ def test_stress_is_the_derivative_of_the_energy(C, poisson):
 @pytest.mark.parametrize("law", Law)
 @pytest.mark.parametrize("C", STRAINED)
 def test_moduli_are_the_derivative_of_the_stress(C, law):
-    sheet = SheetLaw(replace(DENSE.membrane, law=law))
+    sheet = ConstitutiveLaw(replace(DENSE.membrane, law=law))
     parts = np.array([C[0, 0], C[1, 1], C[0, 1]])
     step = 1e-3
     D11, D22, D12, D16, D26, D66 = sheet.moduli(*parts)

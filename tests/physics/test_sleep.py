@@ -64,7 +64,7 @@ def test_a_valve_that_opens_keeps_it_awake():
         world.step()
     sensor.open_valve(3000.0)
     world.step(20)
-    assert sensor.pressure_gauge == 3000.0
+    assert sensor.gauge_pressure == 3000.0
 
 
 def test_it_wakes_as_it_fell_asleep_and_the_model_is_as_it_was():
@@ -73,7 +73,7 @@ def test_it_wakes_as_it_fell_asleep_and_the_model_is_as_it_was():
     before = {name: getattr(world.model, name).copy() for name in CHANGED}
     while not sensor.is_asleep:
         p_SV = sensor.p_SV
-        pressure = sensor.pressure_gauge
+        pressure = sensor.gauge_pressure
         world.step()
     world.step(50)
     # springs that hold the sheet's weight give way by 1 nm
@@ -81,7 +81,7 @@ def test_it_wakes_as_it_fell_asleep_and_the_model_is_as_it_was():
     sensor.wake()
     np.testing.assert_array_equal(sensor.p_SV, p_SV)
     # the last step before, at rest
-    assert sensor.pressure_gauge == pytest.approx(pressure, abs=0.01)
+    assert sensor.gauge_pressure == pytest.approx(pressure, abs=0.01)
     for name, value in before.items():
         np.testing.assert_array_equal(getattr(world.model, name), value, err_msg=name)
 

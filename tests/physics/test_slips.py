@@ -4,15 +4,15 @@ see it in time."""
 import numpy as np
 import pytest
 
-from benchmarks.scenes.slip_cases import draw_case
+from benchmarks.scenes.slip_cases import plot_case
 from benchmarks.scenes.slip_world import SlipWorld
 from benchmarks.slip.evaluate_case import references, watch
 from benchmarks.slip.score import Frame, outcome
 from mjtactile.core.design import load_sensor
-from mjtactile.sensing.pipeline import Chain
+from mjtactile.sensing.pipeline import SensingPipeline
 from mjtactile.sim import ground_truth
 
-CASE = draw_case(1000)  # an upright cylinder past which both fingers move
+CASE = plot_case(1000)  # an upright cylinder past which both fingers move
 
 
 def test_truth_slides_at_the_speed_of_the_drag():
@@ -36,7 +36,7 @@ def test_truth_slides_at_the_speed_of_the_drag():
 
 def test_a_slip_is_said_in_time_from_pixels():
     design = load_sensor("dense")
-    chain = Chain(design)
+    chain = SensingPipeline(design)
     watched = watch(design, chain, references(design, chain, CASE), CASE)
     for looks in watched.fingers:
         frames = [

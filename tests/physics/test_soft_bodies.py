@@ -75,7 +75,7 @@ def test_a_rigid_motion_is_a_pose_and_no_strain():
     data.flexvert_xpos[:] = rest @ R.T + shift
     middle, turn = solid.pose(data)
     assert turn == pytest.approx(R, abs=1e-9)
-    assert middle == pytest.approx(R @ solid.rest_middle + shift, abs=1e-12)
+    assert middle == pytest.approx(R @ solid.rest_center + shift, abs=1e-12)
     assert solid.strain(data).energy == pytest.approx(0.0, abs=1e-15)
 
 

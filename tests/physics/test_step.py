@@ -5,7 +5,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from mjtactile.sim.attach import attach_membrane, recommend_options
+from mjtactile.sim.attach import attach_membrane, configure_options
 from mjtactile.sim.fast_step import advance
 
 SCENE = """<mujoco><worldbody>
@@ -23,7 +23,7 @@ STEPS = 40  # of 4 ms: the ball falls on, bounces and rolls
 def scene(more=""):
     """A ball that falls onto a sensor on a hand that lies on its joint's limit."""
     spec = mujoco.MjSpec.from_string(SCENE.format(more=more))
-    recommend_options(spec)
+    configure_options(spec)
     attachment = attach_membrane(spec, "dense", site="tip", mesh=(9, 7))
     model = spec.compile()
     data = mujoco.MjData(model)

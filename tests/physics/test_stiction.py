@@ -45,7 +45,7 @@ def mean_shear(world):
 )
 def test_a_held_object_does_not_creep(kind, size, squeeze, timestep):
     world = PinchWorld(
-        "dense", Body(kind, size, 0.02), pressure_gauge=1000.0, squeeze=squeeze, timestep=timestep
+        "dense", Body(kind, size, 0.02), gauge_pressure=1000.0, squeeze=squeeze, timestep=timestep
     )
     world.step(round(0.5 / timestep))
     grip = sum(-ground_truth.contact_force(world, i)[2] for i in range(2))
@@ -141,7 +141,7 @@ def test_nothing_is_remembered_of_what_is_gone():
 
 
 def floating(timestep):
-    return FloatWorld("dense", pressure_gauge=1000.0, timestep=timestep, mesh=(11, 9))
+    return FloatWorld("dense", gauge_pressure=1000.0, timestep=timestep, mesh=(11, 9))
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,10 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from mjtactile.core.task import DrawnHappening, load_task
-from mjtactile.runtime.task_scoring import Judge
+from mjtactile.core.task import SampledDisturbance, load_task
+from mjtactile.runtime.task_scoring import TaskScorer
 from mjtactile.sim import ground_truth
-from mjtactile.sim.scenes.disturbances import Happenings
+from mjtactile.sim.scenes.disturbances import DisturbanceSchedule
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 
 MESH = (11, 9)  # what happens does not depend on the mesh, so take a cheap one
@@ -20,13 +20,13 @@ MASS = 0.02  # kg of the vial
 def world_with(*events):
     """A vial on the table under the open hand, which counts as up at once."""
     world = GraspWorld("paper16", "vial", mesh=MESH)
-    happens = Happenings(world, events, 0.0)
+    happens = DisturbanceSchedule(world, events, 0.0)
     world.after_each_step(happens.step)
     return world
 
 
 def event(kind, begin, last, direction=(1.0, 0.0, 0.0), **values):
-    return DrawnHappening(kind, begin, last, values, direction)
+    return SampledDisturbance(kind, begin, last, values, direction)
 
 
 def advance(world, seconds):
@@ -95,7 +95,7 @@ def test_who_takes_what_is_let_go_of_keeps_it_where_it_is():
 
 def test_what_one_finger_touches_is_no_longer_pulled_at_and_stays_taken():
     """Two fingers hold it; one does not, and who has it is not pulled at again when it touches."""
-    happens = Happenings(GraspWorld("paper16", "vial", mesh=MESH), [], 0.0)
+    happens = DisturbanceSchedule(GraspWorld("paper16", "vial", mesh=MESH), [], 0.0)
     touched = [SimpleNamespace(is_touched=True), SimpleNamespace(is_touched=True)]
     world = happens._world
     same = SimpleNamespace(sensors=touched, data=world.data, model=world.model)
@@ -114,20 +114,22 @@ def test_what_one_finger_touches_is_no_longer_pulled_at_and_stays_taken():
     [("release", ""), ("hold", "it was torn out of the hand, which did not open")],
 )
 def test_what_slides_out_of_a_closed_hand_was_not_handed_over(monkeypatch, phase, failure):
-    judge = Judge(GraspWorld("paper16", "vial", mesh=MESH), load_task("hand-over"), pulls=0.0)
-    monkeypatch.setattr(Judge, "is_up", lambda _: True)
+    judge = TaskScorer(GraspWorld("paper16", "vial", mesh=MESH), load_task("hand-over"), pulls=0.0)
+    monkeypatch.setattr(TaskScorer, "is_up", lambda _: True)
     judge.after_stretch([0.4, 0.4], "hold")
     advance(judge.world, 0.2)
     judge.after_stretch([0.0, 0.9], phase)  # pressed against one finger it is held by none
     assert judge.failure() == failure
-    assert judge.measures()["let_go_s_true"] == pytest.approx(0.2, abs=0.01)  # of steps of 3 ms
+    assert judge.measures()["release_delay_s_true"] == pytest.approx(
+        0.2, abs=0.01
+    )  # of steps of 3 ms
 
 
 def test_the_need_is_coulombs_for_a_grip_in_the_middle():
     """The jaws stand on the vial at its centre of mass: m g / (2 mu), whatever they press with;
     and more by what pulls, and by the torque of a load aside."""
     world = GraspWorld("paper16", "vial", mesh=MESH)
-    judge = Judge(world, load_task("lift"))
+    judge = TaskScorer(world, load_task("lift"))
     assert judge.need() == 0.0  # nothing touches
     world.set_finger_target(0.0, 0.5)
     advance(world, 1.6)

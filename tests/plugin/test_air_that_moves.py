@@ -9,7 +9,7 @@ import pytest
 import mjtactile
 from benchmarks.camera_faults.gas_changes import AFTER, BEFORE, MASS, TROUBLES, errors, scene
 from mjtactile.core.types import PressureReading
-from mjtactile.sensing.force.gas_filter import GaugeFilter
+from mjtactile.sensing.force.gas_filter import GasFilter
 from mjtactile.sensing.force.spline_fem import Gas
 
 TOLERANCE = 0.03  # N: three sd of an untouched sensor with its gauge, and what a hole adds
@@ -31,7 +31,7 @@ def test_force_stays_right_or_is_unknown(trouble: str, mass: float | None) -> No
     assert np.isnan(off).sum() <= 10
     touch = finger.touch
     assert touch.traction is not None
-    assert touch.traction.pressure_gauge == pytest.approx(finger.seen.pressure_gauge, abs=25.0)
+    assert touch.traction.gauge_pressure == pytest.approx(finger.seen.gauge_pressure, abs=25.0)
 
 
 def reading(pressure: float, time: float, *, is_open: bool = False) -> PressureReading:
@@ -41,7 +41,7 @@ def reading(pressure: float, time: float, *, is_open: bool = False) -> PressureR
 def test_a_gauge_s_noise_is_averaged_and_its_leak_is_followed() -> None:
     """Against the closed form of a sealed volume that loses a share of its gas."""
     chamber = mjtactile.load_sensor("dense").chamber
-    follow = GaugeFilter(chamber)
+    follow = GasFilter(chamber)
     volume = 24e-6
     constant = (chamber.ambient + 1000.0) * volume
     rng = np.random.default_rng(0)
@@ -60,7 +60,7 @@ def test_a_gauge_s_noise_is_averaged_and_its_leak_is_followed() -> None:
 def test_a_gauge_s_scale_is_doubted_far_from_where_it_was_zeroed() -> None:
     """Half a per cent of the 1 kPa that a valve has let go, and nothing of what is as at rest."""
     chamber = mjtactile.load_sensor("dense").chamber
-    follow = GaugeFilter(chamber)
+    follow = GasFilter(chamber)
     begun = follow.begin(Gas(1000.0), 0.0, 24e-6)
     found = []
     for pressure in (1000.0, 0.0):
@@ -74,7 +74,7 @@ def test_a_gauge_s_scale_is_doubted_far_from_where_it_was_zeroed() -> None:
 
 def test_a_reading_that_is_known_already_changes_nothing() -> None:
     chamber = mjtactile.load_sensor("dense").chamber
-    follow = GaugeFilter(chamber)
+    follow = GasFilter(chamber)
     state = follow.begin(Gas(1000.0, (chamber.ambient + 1000.0) * 24e-6), 0.0, 24e-6)
     once, _ = follow.read(state, reading(990.0, 0.1))
     again, surprised = follow.read(once, reading(950.0, 0.1))

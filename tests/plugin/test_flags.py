@@ -16,7 +16,7 @@ BALL = '<geom size="0.02" mass="0.05"/>'
 
 def scene(geom, x=0.0, z=0.15, **attaching):
     spec = mujoco.MjSpec.from_string(SCENE.format(x=x, z=z, geom=geom))
-    mjtactile.recommend_options(spec)
+    mjtactile.configure_options(spec)
     mount = mjtactile.attach(spec, "dense", site="here", **attaching)
     model = spec.compile()
     data = mujoco.MjData(model)
@@ -27,7 +27,7 @@ def test_a_ball_on_the_membrane_is_weighed_and_nothing_is_flagged():
     model, data, finger = scene(BALL, z=0.1245)
     mjtactile.step(model, data, [finger], nstep=200)
     # what a body at rest stands on carries its weight; rows of the solver are good to a mN
-    np.testing.assert_allclose(finger.true_wrench()[:3], [0, 0, -0.05 * G], atol=3e-3)
+    np.testing.assert_allclose(finger.ground_truth_wrench()[:3], [0, 0, -0.05 * G], atol=3e-3)
     assert finger.flags == {}
     with pytest.raises(TypeError):
         finger.flags["mine"] = "frozen"  # type: ignore[index]
@@ -38,7 +38,7 @@ def test_a_weight_on_the_frame_is_flagged_with_its_newtons():
     rim = design.frame.length / 2 + design.frame.rim / 2
     model, data, finger = scene('<geom size="0.02" mass="0.5"/>', x=rim, z=0.1215)
     mjtactile.step(model, data, [finger], nstep=200)
-    on_frame = 0.5 * G + finger.true_wrench()[2]
+    on_frame = 0.5 * G + finger.ground_truth_wrench()[2]
     assert on_frame > 1.0
     said = float(finger.flags["frame"].split("carries ")[1].split(" N")[0])
     # it is said as it was when first seen, within the bounces of the first 0.1 s
@@ -60,7 +60,7 @@ def test_a_box_is_weighed_and_its_edges_are_flagged(turned, above, steps):
     touch = finger.touch
     assert touch.status == "ok"
     # N: by then it has come to rest within 10 mN
-    assert finger.true_wrench()[2] == pytest.approx(-0.05 * G, abs=0.01)
+    assert finger.ground_truth_wrench()[2] == pytest.approx(-0.05 * G, abs=0.01)
     assert touch.force_normal == pytest.approx(0.05 * G, abs=min(3 * touch.force_normal_sd, 0.06))
 
 

@@ -27,7 +27,7 @@ def held():
     if found is None or found.submodule_search_locations is None:
         pytest.skip("needs the extra `examples`")
     spec = mujoco.MjSpec.from_file(f"{found.submodule_search_locations[0]}/{KITCHEN}")
-    mjtactile.recommend_options(spec)
+    mjtactile.configure_options(spec)
     tips = []
     for side, inwards in (("left", -1), ("right", 1)):
         spec.body(f"panda0_{side}finger").add_site(

@@ -50,7 +50,7 @@ def scene(pegs="", **attaching):
         <site name="here" euler="180 0 0"/></body></worldbody>
         <actuator><position name="lift" joint="lift" kp="20000" dampratio="1"/></actuator></mujoco>"""
     )
-    mjtactile.recommend_options(spec)
+    mjtactile.configure_options(spec)
     mount = mjtactile.attach(spec, "dense", site="here", effects=PHYSICS, **attaching)
     return spec, mount
 
@@ -73,13 +73,13 @@ def test_a_peg_is_felt_whatever_holds_it(peg):
         data.ctrl[0] = height
         mjtactile.step(model, data, [finger])
     # the bulge is met 1.3 mm deep: a film says 0.14 N
-    assert 0.08 < -finger.true_wrench()[2] < 0.2
+    assert 0.08 < -finger.ground_truth_wrench()[2] < 0.2
 
 
 def falling(kind, size, speed, height, **geom):
     """The flags of a body that falls onto a sensor that looks up, or what stopped the scene."""
     spec = mujoco.MjSpec()
-    mjtactile.recommend_options(spec, 4e-3)
+    mjtactile.configure_options(spec, 4e-3)
     spec.worldbody.add_site(name="here")
     body = spec.worldbody.add_body(name="falls", pos=[1.1e-3, 0.7e-3, height])
     body.add_freejoint()
@@ -110,7 +110,7 @@ def test_a_ball_at_a_speed_that_no_step_resolves_is_stopped_or_flagged(speed):
 
 def test_a_pin_through_triangles_or_vertices_stops_the_scene(monkeypatch):
     """Something went wrong in contact: what is behind the sheet is seen by where it is."""
-    monkeypatch.setattr("mjtactile.sim.sensor.sharp_geoms._MOST_FACES", 0)
+    monkeypatch.setattr("mjtactile.sim.sensor.sharp_geoms._MAX_FACES", 0)
     pin = replace(BODIES["pin of 0.5 mm radius"], depth=4e-3)
     monkeypatch.setattr("mjtactile.sim.sensor.ray_intersection.entry_of", lambda *_: None)
     with pytest.raises(SimulationError, match="'thin' went through the membrane"):

@@ -23,7 +23,7 @@ IN_THE_AIR = 0.3
 
 def scene(height=IN_THE_AIR, sites=("here",), gravity=G):
     spec = mujoco.MjSpec.from_string(SCENE.format(height=height))
-    mjtactile.recommend_options(spec)
+    mjtactile.configure_options(spec)
     spec.option.gravity = [0.0, 0.0, -gravity]
     mounts = [mjtactile.attach(spec, "dense", site=site, prefix=f"{site}/") for site in sites]
     model = spec.compile()
@@ -59,7 +59,7 @@ def test_mujocos_own_sensors_say_the_same(loaded):
             loaded.data.sensor(finger.name + "/wrench").data, touch.traction.wrench
         )
         assert loaded.data.sensor(finger.name + "/touching").data[0] == touch.touching
-        assert loaded.data.sensor(finger.name + "/pressure").data[0] == finger.pressure_gauge
+        assert loaded.data.sensor(finger.name + "/pressure").data[0] == finger.gauge_pressure
     before = loaded.data.sensordata.copy()
     mujoco.mj_forward(loaded.model, loaded.data)
     np.testing.assert_array_equal(loaded.data.sensordata, before)
@@ -69,7 +69,7 @@ def test_a_sensor_starts_inflated_sealed_and_at_rest():
     s = scene(gravity=0.0)
     finger = s.fingers[0]
     height = finger.sensor.height_at(0, 0)
-    pressure = finger.pressure_gauge
+    pressure = finger.gauge_pressure
     # the sheet was still settling by some nm when its valve closed
     assert pressure == pytest.approx(finger.design.chamber.supply_gauge, rel=1e-4)
     assert not finger.sensor.valve_is_open
@@ -77,7 +77,7 @@ def test_a_sensor_starts_inflated_sealed_and_at_rest():
     run(s, 0.3)
     # the step's tolerance of 1e-7 leaves less than this of a shape that is in balance
     assert finger.sensor.height_at(0, 0) == pytest.approx(height, abs=1e-6)
-    assert finger.pressure_gauge == pytest.approx(pressure, abs=1.0)
+    assert finger.gauge_pressure == pytest.approx(pressure, abs=1.0)
 
 
 def test_images_are_drawn_when_they_are_due():
@@ -112,7 +112,7 @@ def test_binding_again_is_a_fresh_start_also_while_a_sensor_sleeps():
     run(s, 0.4)
     assert s.fingers[0].sensor.is_asleep
     again = s.mounts[0].bind(s.model, s.data)
-    assert again.pressure_gauge == s.fingers[0].pressure_gauge
+    assert again.gauge_pressure == s.fingers[0].gauge_pressure
 
 
 def test_a_forgotten_step_is_said_and_not_felt():
@@ -155,7 +155,7 @@ def test_bad_use_is_one_line():
     spec = mujoco.MjSpec.from_string(SCENE.format(height=IN_THE_AIR))
     with pytest.raises(InputError, match="integrator"):
         mjtactile.attach(spec, "dense", site="here")
-    mjtactile.recommend_options(spec)
+    mjtactile.configure_options(spec)
     with pytest.raises(InputError, match=r"nowhere.*here"):
         mjtactile.attach(spec, "dense", site="nowhere")
     model = spec.compile()
@@ -168,7 +168,7 @@ def test_bad_use_is_one_line():
 )
 def test_a_scenes_own_options_do_not_spoil_the_force(option):
     spec = mujoco.MjSpec.from_string(SCENE.format(height=ON_THE_SENSOR))
-    mjtactile.recommend_options(spec)
+    mjtactile.configure_options(spec)
     for name, value in option.items():
         setattr(spec.option, name, value)
     mount = mjtactile.attach(spec, "dense", site="here")

@@ -310,7 +310,7 @@ def test_the_readme_shows_five_numbers_and_fits_150_lines():
 
 
 GENERATED = re.compile(r"(?s)<!-- bench:.*?<!-- /bench -->")
-SAID_ONCE = {
+REPORTED_ONCE = {
     # what a sentence looks like that says it: the row of the table of numbers that it must agree
     # with
     r"([\d.]+)\s*(?:x|times|of)\s+(?:the\s+)?(?:real[ -]time|clock)": "a whole grasp with two cameras",
@@ -321,7 +321,7 @@ SAID_ONCE = {
 }
 
 
-@pytest.mark.parametrize(("said", "what"), SAID_ONCE.items(), ids=SAID_ONCE.values())
+@pytest.mark.parametrize(("said", "what"), REPORTED_ONCE.items(), ids=REPORTED_ONCE.values())
 def test_no_page_says_another_number(said, what):
     """In sentences; tables come from benchmarks and name what they measured."""
     rows = results_tables.run(Path())["numbers"]
@@ -419,4 +419,4 @@ def test_round_sensor_without_glass(tmp_path):
         dense = re.sub(rf"\[{section}\].*?(?=\n\n)", new, dense, flags=re.DOTALL)
     (tmp_path / "round.toml").write_text(dense)
     design = load_sensor(tmp_path / "round.toml")
-    assert design.frame.shape == "circle" and design.pane_thickness_apparent == 0.0
+    assert design.frame.shape == "circle" and design.apparent_glass_thickness == 0.0

@@ -71,8 +71,8 @@ def test_a_hold_bounds_friction_from_below_and_a_slip_says_it():
 
 def test_a_grip_is_as_hard_as_coulomb_asks():
     # 100 g on two fingers of friction 0.5: 0.981 N each
-    assert grasp_estimation.least_grip(0.1, 0.5, 2) == pytest.approx(0.981)
-    assert grasp_estimation.least_grip(0.1, 0.5, 2, acceleration=-5.0) == pytest.approx(1.481)
+    assert grasp_estimation.min_grip_force(0.1, 0.5, 2) == pytest.approx(0.981)
+    assert grasp_estimation.min_grip_force(0.1, 0.5, 2, acceleration=-5.0) == pytest.approx(1.481)
 
 
 def test_the_table_is_told_from_a_load_that_it_took_over():
@@ -121,13 +121,13 @@ def test_what_fingers_do_to_each_other_is_no_load(turned):
 def believe(belief, touches, count=1):
     """`count` images of the same touches; as numbers in between, as a controller keeps it."""
     for _ in range(count):
-        belief = grasp_estimation.Belief(**asdict(belief)).after(touches, 1 / 30)
+        belief = grasp_estimation.FrictionEstimator(**asdict(belief)).after(touches, 1 / 30)
     return belief
 
 
 def test_a_belief_goes_from_image_to_image_as_numbers():
     held = [touch(0, -0.4, 1.0)] * 2
-    belief = believe(grasp_estimation.Belief(0.6), held, 30)
+    belief = believe(grasp_estimation.FrictionEstimator(0.6), held, 30)
     # held at 0.4: a proof of nine tenths of that, less two sd, which fades within 10 s
     assert 0.33 < belief.proven < 0.4 and belief.friction == pytest.approx(0.6, rel=0.05)
     slipping = [touch(0, -0.4, 1.0, "slipping")] * 2
@@ -146,7 +146,7 @@ def test_a_belief_goes_from_image_to_image_as_numbers():
 def test_shear_that_grows_with_the_grip_was_a_slip(drag, carried):
     """A sign of slip at 0.4 N of 1 N; the grip goes to 1.5 N, and the shear stays, or goes to
     0.6 N, as Coulomb has it."""
-    before = believe(grasp_estimation.Belief(0.5), [touch(0, -0.4, 1.0)] * 2, 10)
+    before = believe(grasp_estimation.FrictionEstimator(0.5), [touch(0, -0.4, 1.0)] * 2, 10)
     slipped = believe(before, [touch(0, -0.4, 1.0, "slipping")] * 2)
     after = believe(slipped, [touch(0, -drag, 1.5)] * 2, 12)
     restored = 0.95 * before.friction
@@ -192,13 +192,13 @@ def tried(mu, load, least):
     """A trial of friction to its end. Coulomb: each finger carries `load` N, or what it presses
     with times mu; the grip goes within 0.3 s to where what is tried is in use, and never below
     `least` N."""
-    trial = grasp_estimation.Trial(0.6)
+    trial = grasp_estimation.FrictionProbe(0.6)
     press = 1.3 * load / 0.6
     for _ in range(150):
         goal = max(least, load / trial.friction if trial.is_on else press)
         press += (goal - press) / 3
         finger = touch(0, -min(load, mu * press), press)
-        trial = grasp_estimation.Trial(**asdict(trial)).after([finger] * 2, 1 / 30, 0.6)
+        trial = grasp_estimation.FrictionProbe(**asdict(trial)).after([finger] * 2, 1 / 30, 0.6)
         if trial.over:
             return trial
     raise AssertionError("it has no end")
@@ -230,12 +230,12 @@ def test_what_slips_at_the_least_grip_has_no_more_friction_than_was_in_use(left,
     """0.11 N on a grip that goes from 0.3 to 0.2 N and no further, at mu = 0.5: a shear of 0.1 N,
     less than an eighth less, is as likely noise, unless both fingers say that they slip; one of
     them alone may be pushed by what it holds."""
-    trial = grasp_estimation.Trial(0.6)
+    trial = grasp_estimation.FrictionProbe(0.6)
     for k in range(30):
         press = max(0.2, 0.3 - 0.01 * k)
         states = (left, right) if k > 10 else ("sticking", "sticking")
         fingers = [touch(0, -min(0.11, 0.5 * press), press, state) for state in states]
-        trial = grasp_estimation.Trial(**asdict(trial)).after(fingers, 1 / 30, 0.6)
+        trial = grasp_estimation.FrictionProbe(**asdict(trial)).after(fingers, 1 / 30, 0.6)
         if trial.over:
             break
     assert trial.passed == pytest.approx(0.5)
@@ -256,23 +256,29 @@ def test_unknown_is_not_zero():
 def test_a_grip_s_stiffness_is_found_as_it_closes(hardness):
     """dN/dx = hardness * (110 + 260 N), from a first touch of 0.1 N at an opening of 30 mm; one
     image then has 0.1 mm of backlash."""
-    spring = grasp_estimation.Spring()
+    spring = grasp_estimation.GripStiffnessEstimator()
     ball = lambda force: math.log1p(260 * force / 110) / 260  # noqa: E731
     for force in np.linspace(0.1, 0.9, 60):
         way = (ball(force) - ball(0.1)) / hardness
-        spring = grasp_estimation.Spring(**asdict(spring)).after(0.03 - way, force, 1 / 30)
+        spring = grasp_estimation.GripStiffnessEstimator(**asdict(spring)).after(
+            0.03 - way, force, 1 / 30
+        )
     assert spring.stiffness(0.9) == pytest.approx(hardness * (110 + 260 * 0.9), rel=0.02)
     loose = spring.after(0.03 - way - 1e-4, 0.9, 1 / 30)
     assert loose.hardness == pytest.approx(hardness, rel=0.03)
     # nothing is measured of a way as short as backlash
     assert (
-        grasp_estimation.Spring().after(0.03, 0.1, 0.03).after(0.0299, 0.12, 0.03).hardness == 1.5
+        grasp_estimation.GripStiffnessEstimator()
+        .after(0.03, 0.1, 0.03)
+        .after(0.0299, 0.12, 0.03)
+        .hardness
+        == 1.5
     )
 
 
 def test_what_the_table_pushes_up_is_no_load():
     hangs = [touch(0, -0.3, 1.0)] * 2
-    load = grasp_estimation.Load().after(hangs, 1 / 30).hanging(hangs).after(hangs, 1 / 30)
+    load = grasp_estimation.LoadEstimator().after(hangs, 1 / 30).hanging(hangs).after(hangs, 1 / 30)
     assert load.mass == pytest.approx(0.6 / 9.81) and load.worst == pytest.approx(0.32)
     pressed = [touch(0, 0.8, 1.0)] * 2
     assert load.after(pressed, 1 / 30).worst < load.worst
@@ -284,7 +290,7 @@ def test_a_load_grows_with_what_two_images_show():
     further."""
     hangs = [touch(0, -0.3, 1.0)] * 2
     heavier = [touch(0, -0.6, 1.0)] * 2
-    stands = grasp_estimation.Load().after(hangs, 1 / 30)
+    stands = grasp_estimation.LoadEstimator().after(hangs, 1 / 30)
     for load, coming in ((stands, 0.0), (stands.hanging(hangs), 0.3 * (1 - 1 / 4.5))):
         once = load.after(heavier, 1 / 30)
         assert once.worst == pytest.approx(0.32)
@@ -300,7 +306,7 @@ def test_a_load_that_has_gone_is_kept_for_a_second_and_a_half():
     """By its time constant: a half of a shake is light."""
     heavy = [touch(0, -0.6, 1.0)] * 2
     light = [touch(0, -0.1, 1.0)] * 2
-    load = grasp_estimation.Load().after(heavy, 1 / 30)
+    load = grasp_estimation.LoadEstimator().after(heavy, 1 / 30)
     for _ in range(30):
         load = load.after(light, 1 / 30)
     assert load.worst == pytest.approx(0.6 * math.exp(-1 / 1.5) + 0.02)
@@ -309,7 +315,7 @@ def test_a_load_that_has_gone_is_kept_for_a_second_and_a_half():
 def test_a_weight_is_an_average_over_seven_tenths_of_a_second():
     hangs = [touch(0, -0.3, 1.0)] * 2
     heavier = [touch(0, -0.6, 1.0)] * 2
-    load = grasp_estimation.Load().hanging(hangs).after(hangs, 1 / 30)
+    load = grasp_estimation.LoadEstimator().hanging(hangs).after(hangs, 1 / 30)
     change = (1 / 30) / 0.7
     mass = load.after(heavier, 1 / 30).mass
     assert mass == pytest.approx((0.6 + 0.6 * change) / 9.81)
@@ -320,7 +326,7 @@ def test_what_is_pushed_sideways_loads_the_fingers_as_statics_say():
     same side as the other one."""
     hangs = [touch(0, -0.3, 1.0)] * 2
     pushed = [touch(0.4, -0.3, 1.0), touch(-0.4, -0.3, 1.0)]
-    load = grasp_estimation.Load().hanging(hangs)
+    load = grasp_estimation.LoadEstimator().hanging(hangs)
     for _ in range(60):
         load = load.after(pushed, 1 / 30)
     assert load.worst == pytest.approx(0.52, abs=1e-3)  # it is no more on its way
@@ -328,7 +334,7 @@ def test_what_is_pushed_sideways_loads_the_fingers_as_statics_say():
 
 def test_a_slip_lets_go_of_what_the_fingers_dragged_each_other_by():
     stands = (touch(0.06, 0.0, 0.3), touch(0.06, 0.0, 0.3))
-    load = grasp_estimation.Load().standing(stands)
+    load = grasp_estimation.LoadEstimator().standing(stands)
     one = (touch(0.06, 0.0, 0.3, "slipping"), touch(0.06, 0.0, 0.3))
     both = (touch(0.06, 0.0, 0.3, "slipping"),) * 2
     assert len(load.after(one, 1 / 30).inner) and not len(load.after(both, 1 / 30).inner)
@@ -339,10 +345,10 @@ def test_what_the_fingers_drag_each_other_by_is_no_weight():
     0.2 N a newton, which seen from each is the same side; a load of 0.1 N hangs on each."""
     stands = (touch(0.06, 0.0, 0.3), touch(0.06, 0.0, 0.3))
     hangs = (touch(0.08, -0.1, 0.4), touch(0.08, -0.1, 0.4))
-    load = grasp_estimation.Load().standing(stands).hanging(hangs).after(hangs, 1 / 30)
+    load = grasp_estimation.LoadEstimator().standing(stands).hanging(hangs).after(hangs, 1 / 30)
     assert load.mass == pytest.approx(0.2 / 9.81)
     # without it a quarter too heavy
-    askew = grasp_estimation.Load().hanging(hangs).after(hangs, 1 / 30)
+    askew = grasp_estimation.LoadEstimator().hanging(hangs).after(hangs, 1 / 30)
     assert askew.mass == pytest.approx(2 * math.hypot(0.08, 0.1) / 9.81)
 
 
@@ -350,7 +356,7 @@ def test_what_is_pushed_over_its_place_does_not_hide_the_load():
     """One finger presses, the other hardly: that shear is the table's, and goes with it."""
     stands = (touch(0.15, 0.0, 0.3), touch(0.0, 0.0, 0.05))
     hangs = (touch(0.0, -0.1, 0.4), touch(0.0, -0.1, 0.4))
-    load = grasp_estimation.Load().standing(stands).hanging(hangs).after(hangs, 1 / 30)
+    load = grasp_estimation.LoadEstimator().standing(stands).hanging(hangs).after(hangs, 1 / 30)
     assert load.mass == pytest.approx(0.2 / 9.81)
 
 
@@ -365,9 +371,9 @@ def test_what_is_pushed_over_its_place_does_not_hide_the_load():
 )
 def test_no_harder_grip_is_of_use_where_the_jaws_push_on_frames(effort, time, most):
     felt = [touch(0.0, -0.2, normal) for normal in (0.9, 1.1)]
-    frames = grasp_estimation.Frames()
+    frames = grasp_estimation.FrameLoadEstimator()
     for _ in range(round(30 * time)):
-        frames = grasp_estimation.Frames(**asdict(frames.after(felt, effort, 1 / 30)))
+        frames = grasp_estimation.FrameLoadEstimator(**asdict(frames.after(felt, effort, 1 / 30)))
     if math.isinf(most):
         assert frames.most > 10.0
         return

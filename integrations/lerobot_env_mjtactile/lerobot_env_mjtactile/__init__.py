@@ -17,7 +17,7 @@ import mjtactile
 import mjtactile.gym
 
 FINGERS = ("left", "right")
-_STATE = len(mjtactile.policy_names(len(FINGERS)))
+_STATE = len(mjtactile.policy_observation_names(len(FINGERS)))
 
 
 def _features(height: int = 480, width: int = 640) -> dict[str, PolicyFeature]:

@@ -62,10 +62,10 @@ class MjtactileRobot(Robot):
 
     @property
     def observation_features(self) -> dict[str, type | tuple[int, int, int]]:
-        """What a policy of ours is shown (`mjtactile.policy_names`), and images: each finger's, and
-        the other cameras'."""
+        """What a policy of ours is shown (`mjtactile.policy_observation_names`), and images: each
+        finger's, and the other cameras'."""
         camera = self.scenario.design().camera
-        names = mjtactile.policy_names(len(self.config.fingers))
+        names = mjtactile.policy_observation_names(len(self.config.fingers))
         images = dict.fromkeys(self._pictured, (camera.height, camera.width, 3))
         others = {name: (one.height, one.width, 3) for name, one in self._others.items()}
         return {**dict.fromkeys(names, float), **images, **others}
@@ -115,8 +115,8 @@ class MjtactileRobot(Robot):
         seen = self._steps.observe()
         _latest[:] = [seen]
         _images.update(zip(self.config.fingers, self._steps.images, strict=True))
-        names = mjtactile.policy_names(len(self.config.fingers))
-        values = mjtactile.policy_vector(seen)
+        names = mjtactile.policy_observation_names(len(self.config.fingers))
+        values = mjtactile.policy_observation(seen)
         found: dict[str, Any] = dict(zip(names, map(float, values), strict=True))
         for finger in self._pictured:
             found[finger] = np.repeat(_images[finger].pixels[..., None], 3, axis=2)

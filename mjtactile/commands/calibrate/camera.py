@@ -225,7 +225,7 @@ def _recorded(source: Path, finder) -> tuple[list, tuple[int, int]]:
 def _live(options: argparse.Namespace, finder) -> tuple[list, tuple[int, int]]:
     from mjtactile import load_sensor
     from mjtactile.calibrate.connect import live_camera, live_rig
-    from mjtactile.calibrate.interactive import camera_pictures, collect_views
+    from mjtactile.calibrate.interactive import camera_images, collect_views
 
     with (
         live_rig(options.rig, load_sensor("dense")) as (rig_file, _),
@@ -235,7 +235,7 @@ def _live(options: argparse.Namespace, finder) -> tuple[list, tuple[int, int]]:
             f"{camera.name}: hold the board into the view, still for a moment; then elsewhere, "
             "tilted. Ctrl-C gives up."
         )
-        views = collect_views(camera_pictures(camera, options.seconds), finder, options.views, say)
+        views = collect_views(camera_images(camera, options.seconds), finder, options.views, say)
     if not views:
         raise InputError(
             f"the board was never seen resting within {options.seconds:g} s: are --board and "

@@ -100,7 +100,7 @@ def run(options: argparse.Namespace) -> int:
             chains, loads = _live(options, targets)
         else:
             chains, loads = _recorded(options, targets[0])
-        true, felt, areas = _feel_all(options, chains, loads)
+        true, felt, areas = _estimate_all(options, chains, loads)
     results = {}
     for goal, chain, forces, area in zip(targets, chains, felt, areas, strict=True):
         fit = calibrate_force(true, forces, area, chain.state.reference.surface.area)
@@ -113,7 +113,7 @@ def run(options: argparse.Namespace) -> int:
     return finish_all(options, results)
 
 
-def _feel_all(
+def _estimate_all(
     options: argparse.Namespace, chains: Sequence[Any], loads: Loads
 ) -> tuple[Any, Any, Any]:
     """True forces (n,), and of each finger the forces felt and the areas (fingers, n)."""
@@ -151,7 +151,9 @@ def _lines(fit: Any) -> list[str]:
 # --------------------------------------------------------------------------------
 
 
-def _recorded(options: argparse.Namespace, goal: output_options.Target) -> tuple[list[Any], Loads]:
+def _recorded(
+    options: argparse.Namespace, goal: output_options.OutputFile
+) -> tuple[list[Any], Loads]:
     before = goal.load().used(goal.design)
     if options.recording is not None:
         chain, loads = _recording(options, goal, before)
@@ -163,17 +165,17 @@ def _recorded(options: argparse.Namespace, goal: output_options.Target) -> tuple
 
 
 def _references(
-    options: argparse.Namespace, goal: output_options.Target, before: Calibration
+    options: argparse.Namespace, goal: output_options.OutputFile, before: Calibration
 ) -> Any:
     """A chain with references: of --flat and --rest, else of the calibration's own part `frame`."""
-    from mjtactile import Chain, Perception
+    from mjtactile import SensingPipeline, StatefulPipeline
     from mjtactile.calibrate.force import ready_perception
 
     if options.flat is not None and options.rest is not None:
         reading = None if options.pressure is None else 1e3 * options.pressure
         flat, rest = (_images(source, goal.design) for source in (options.flat, options.rest))
         return ready_perception(goal.design, before, flat, rest, reading)
-    chain = Chain(goal.design, replace(before, force=None))
+    chain = SensingPipeline(goal.design, replace(before, force=None))
     state = chain.recall()
     if state.reference is None:
         raise InputError(
@@ -182,7 +184,7 @@ def _references(
             source=goal.path,
             field="frame.rest",
         )
-    return Perception(chain, state)
+    return StatefulPipeline(chain, state)
 
 
 def _table(path: Path, design: SensorDesign) -> Iterator[tuple[str, float, list[Image]]]:
@@ -215,7 +217,7 @@ def _images(source: Path, design: SensorDesign) -> list[Image]:
 
 
 def _recording(
-    options: argparse.Namespace, goal: output_options.Target, before: Calibration
+    options: argparse.Namespace, goal: output_options.OutputFile, before: Calibration
 ) -> tuple[Any, Iterator[tuple[str, float, list[Image]]]]:
     import numpy as np
 
@@ -233,7 +235,7 @@ def _recording(
             field="--recording",
         )
     flat, rest = recording.references
-    reading = rest.pressure_gauge[finger] if rest.pressure_gauge else None
+    reading = rest.gauge_pressure[finger] if rest.gauge_pressure else None
     chain = ready_perception(
         goal.design, before, list(flat.images(finger)), list(rest.images(finger)), reading
     )
@@ -268,12 +270,12 @@ def _recording(
 
 
 def _live(
-    options: argparse.Namespace, targets: Sequence[output_options.Target]
+    options: argparse.Namespace, targets: Sequence[output_options.OutputFile]
 ) -> tuple[list[Any], Loads]:
     """References and loads of fingers of a rig; only with a load cell do the jaws move."""
     from mjtactile.calibrate.connect import live_fingers, live_rig
     from mjtactile.calibrate.force import ready_perception
-    from mjtactile.calibrate.interactive import kept_alive, reference_pictures
+    from mjtactile.calibrate.interactive import keepalive, reference_images
 
     masses = _masses(options)
     design = load_sensor(options.sensor)
@@ -288,10 +290,10 @@ def _live(
                 field="--force-N",
             )
         rig = stack.enter_context(live_fingers(rig_file, design))
-        stack.enter_context(kept_alive(*rig.valves))
-        pictures = reference_pictures(rig, say)
+        stack.enter_context(keepalive(*rig.valves))
+        pictures = reference_images(rig, say)
         places = output_options.places(targets, rig_file)
-        with kept_alive(rig.gripper):
+        with keepalive(rig.gripper):
             chains = [
                 ready_perception(goal.design, goal.load().used(goal.design), *pictures[place])
                 for goal, place in zip(targets, places, strict=True)
@@ -300,7 +302,7 @@ def _live(
             cell = ask if emulator is None else _load_cell(emulator)
             loads = list(_squeezed(rig, options.force, cell, emulator is None))
         else:
-            with kept_alive(rig.gripper):
+            with keepalive(rig.gripper):
                 loads = list(_weighed(rig, masses, " or ".join(goal.finger for goal in targets)))
     return chains, (
         (name, force, [shots[place] for place in places]) for name, force, shots in loads
@@ -327,18 +329,16 @@ def _load_cell(emulator: Any) -> Callable[[str], float | None]:
     return read
 
 
-def _squeezed(rig: Any, most: float, cell: Callable[[str], float | None], by_hand: bool) -> Loads:
-    from mjtactile.calibrate.interactive import kept_alive, squeezed_pictures
+def _squeezed(rig: Any, most: float, cell: Callable[[str], float | None], manually: bool) -> Loads:
+    from mjtactile.calibrate.interactive import dropped_images, keepalive
 
-    if by_hand:
-        with kept_alive(rig.gripper):
+    if manually:
+        with keepalive(rig.gripper):
             confirm(
                 "now put the load cell between the jaws, its button to a finger's middle; they "
                 "will close on it"
             )
-    yield from squeezed_pictures(
-        rig, [most * part for part in (0.2, 0.4, 0.6, 0.8, 1.0)], cell, say
-    )
+    yield from dropped_images(rig, [most * part for part in (0.2, 0.4, 0.6, 0.8, 1.0)], cell, say)
 
 
 def _weighed(rig: Any, masses: Sequence[float], fingers: str) -> Loads:

@@ -98,14 +98,14 @@ def _recorded(options: argparse.Namespace, design: SensorDesign) -> Taken:
     return _images(options.source, design), rest, pressure, options.valve == "closed"
 
 
-def _live(options: argparse.Namespace, targets: list[output_options.Target]) -> list[Taken]:
+def _live(options: argparse.Namespace, targets: list[output_options.OutputFile]) -> list[Taken]:
     """Open the valves, take pictures, inflate, seal, take pictures; the jaws stand still."""
     from mjtactile.calibrate.connect import live_fingers, live_rig
-    from mjtactile.calibrate.interactive import reference_pictures
+    from mjtactile.calibrate.interactive import reference_images
 
     design = load_sensor(options.sensor)
     with live_rig(options.rig, design) as (rig_file, _), live_fingers(rig_file, design) as rig:
-        pictures = reference_pictures(rig, say)
+        pictures = reference_images(rig, say)
     return [(*pictures[place], True) for place in output_options.places(targets, rig_file)]
 
 

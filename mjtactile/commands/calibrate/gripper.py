@@ -129,7 +129,7 @@ def _live(options: argparse.Namespace) -> tuple[Any, Any]:
         )
         config = rig_file.gripper
         low, high = _range(options, config)
-        most = _force_most(options, config)
+        most = _force_max(options, config)
         gripper = stack.enter_context(live_gripper(rig_file))
         caliper, load_cell = _instruments(emulator)
         say(
@@ -162,7 +162,7 @@ def _range(options: argparse.Namespace, config: Any) -> tuple[float, float]:
     return low, high
 
 
-def _force_most(options: argparse.Namespace, config: Any) -> float:
+def _force_max(options: argparse.Namespace, config: Any) -> float:
     """The largest force, N, to squeeze with. Raises InputError for one that the rig does not
     allow."""
     most = 0.5 * config.force_max if options.force is None else options.force

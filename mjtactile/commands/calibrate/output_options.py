@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 
 from mjtactile import InputError
-from mjtactile.calibrate.output_file import Target, places
+from mjtactile.calibrate.output_file import OutputFile, places
 from mjtactile.calibrate.output_file import find_targets as _find_targets
 from mjtactile.commands import arguments as arg
 from mjtactile.commands.calibrate.terminal import check_folder
 from mjtactile.types import FINGERS
 
-__all__ = ["Target", "arguments", "find_targets", "places"]
+__all__ = ["OutputFile", "arguments", "find_targets", "places"]
 
 
 def arguments(live: str, *, finger: str | None = None) -> tuple[arg.Argument, ...]:
@@ -32,7 +32,7 @@ def arguments(live: str, *, finger: str | None = None) -> tuple[arg.Argument, ..
     )
 
 
-def find_targets(options: argparse.Namespace) -> list[Target]:
+def find_targets(options: argparse.Namespace) -> list[OutputFile]:
     """The files that the options name, each read once to see that it fits. Raises InputError."""
     targets = _find_targets(options.rig, options.finger, options.sensor, options.out)
     if options.source is not None and len(targets) > 1:

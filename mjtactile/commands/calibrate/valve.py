@@ -75,13 +75,13 @@ def run(options: argparse.Namespace) -> int:
     return finish_all(options, results)
 
 
-def _pressure(options: argparse.Namespace, goal: output_options.Target) -> float:
+def _pressure(options: argparse.Namespace, goal: output_options.OutputFile) -> float:
     if options.pressure is None:
         return goal.design.chamber.supply_gauge
     return 1e3 * options.pressure
 
 
-def _recorded(options: argparse.Namespace, goal: output_options.Target) -> Any:
+def _recorded(options: argparse.Namespace, goal: output_options.OutputFile) -> Any:
     from mjtactile.calibrate.result_io import read_columns
     from mjtactile.calibrate.valve import calibrate_valve
 
@@ -94,7 +94,7 @@ def _recorded(options: argparse.Namespace, goal: output_options.Target) -> Any:
         raise InputError(str(error), source=options.source) from error
 
 
-def _live(options: argparse.Namespace, targets: list[output_options.Target]) -> list[Any]:
+def _live(options: argparse.Namespace, targets: list[output_options.OutputFile]) -> list[Any]:
     from mjtactile.calibrate.connect import live_rig, live_valves
     from mjtactile.calibrate.interactive import calibrate_live_valve
 

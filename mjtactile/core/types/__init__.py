@@ -9,8 +9,14 @@ This, and `mjtactile.grasp_estimation`, is all of the project that a controller 
 """
 
 from mjtactile.core.types.arrays import Array
-from mjtactile.core.types.contact_shape import MATERIALS, SHAPES, BodyMotion, FeltShape, Material
-from mjtactile.core.types.control import PHASES, TOLD, Command, Observation, Phase, Told
+from mjtactile.core.types.contact_shape import (
+    MATERIALS,
+    SHAPES,
+    ContactShape,
+    Material,
+    RelativeMotion,
+)
+from mjtactile.core.types.control import DEFAULT_GOAL, PHASES, Command, Observation, Phase, TaskGoal
 from mjtactile.core.types.devices import FINGERS, GripperState, PressureReading, ValveState
 from mjtactile.core.types.touch import (
     SLIP_STATES,
@@ -18,36 +24,35 @@ from mjtactile.core.types.touch import (
     Slip,
     SlipState,
     Surface,
+    SyntheticTouch,
     Touch,
-    TouchImage,
     Traction,
 )
 from mjtactile.core.types.vision import (
-    CameraChange,
+    CameraDrift,
     CirclePoses,
     Ellipses,
-    FiducialsSeen,
+    FiducialDetections,
     Image,
     Markers,
-    Sighting,
+    SyntheticEllipses,
 )
 
 __all__ = [
+    "DEFAULT_GOAL",
     "FINGERS",
     "MATERIALS",
     "PHASES",
     "SHAPES",
     "SLIP_STATES",
-    "TOLD",
     "Array",
-    "BodyMotion",
-    "CameraChange",
+    "CameraDrift",
     "CirclePoses",
     "Command",
     "Contact",
+    "ContactShape",
     "Ellipses",
-    "FeltShape",
-    "FiducialsSeen",
+    "FiducialDetections",
     "GripperState",
     "Image",
     "Markers",
@@ -55,13 +60,14 @@ __all__ = [
     "Observation",
     "Phase",
     "PressureReading",
-    "Sighting",
+    "RelativeMotion",
     "Slip",
     "SlipState",
     "Surface",
-    "Told",
+    "SyntheticEllipses",
+    "SyntheticTouch",
+    "TaskGoal",
     "Touch",
-    "TouchImage",
     "Traction",
     "ValveState",
 ]

@@ -16,11 +16,11 @@ from mjtactile.core.types.arrays import Array, freeze, keep_status
 SHAPES: tuple[str, ...] = ("smooth", "face", "edge", "tip", "several")
 """Kinds of bodies by touch: smooth (two curvatures: plane, ball, lying cylinder), a flat face with
 a rim (round, or straight sides), an edge and a tip (sharper than 4 mm of radius, along a line or
-at a point); several bodies at once (`FeltShape.parts`)."""
+at a point); several bodies at once (`ContactShape.parts`)."""
 
 
 @dataclass(frozen=True, eq=False)
-class BodyMotion:
+class RelativeMotion:
     """How a body moves against the rubber that it touches, over the last images; frame S. What is
     not known, or has no meaning for the body, is NaN.
 
@@ -51,7 +51,7 @@ class BodyMotion:
 
 
 @dataclass(frozen=True, eq=False)
-class FeltShape:
+class ContactShape:
     """What body touches, as the membrane's shape tells. What is not known, or has no meaning for
     the kind, is NaN; frame S.
 
@@ -98,14 +98,14 @@ class FeltShape:
     family: str = "unknown"
     misfit: float = np.nan
     status: Status = OK
-    parts: tuple[FeltShape, ...] = ()
-    motion: BodyMotion | None = None
+    parts: tuple[ContactShape, ...] = ()
+    motion: RelativeMotion | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in (*SHAPES, "unknown"):
             raise InputError(
                 f"{self.kind!r} is not a shape",
-                source="FeltShape",
+                source="ContactShape",
                 field="kind",
                 choices=(*SHAPES, "unknown"),
             )
@@ -123,11 +123,11 @@ class FeltShape:
 
     def __reduce__(self):  # a mappingproxy does not pickle
         values = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return (_felt_shape, (values | {"probabilities": dict(self.probabilities)},))
+        return (_contact_shape_at, (values | {"probabilities": dict(self.probabilities)},))
 
 
-def _felt_shape(values: dict[str, Any]) -> FeltShape:
-    return FeltShape(**values)
+def _contact_shape_at(values: dict[str, Any]) -> ContactShape:
+    return ContactShape(**values)
 
 
 MATERIALS: tuple[str, ...] = ("solid", "soft", "amorphous")

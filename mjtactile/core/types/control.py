@@ -18,7 +18,7 @@ Phase = Literal[
     "approach", "close", "regulate", "lift", "hold", "lower", "release", "done", "abort"
 ]
 PHASES: tuple[str, ...] = get_args(Phase)
-MEMORY_MOST = 100_000
+MEMORY_MAX = 100_000
 """Entries of a controller's notebook, which is copied in every cycle."""
 
 
@@ -36,25 +36,27 @@ class Command:
 
     This is the contract of every gripper: simulated, emulated, real, replayed, or a test's
     (`tests/contract/test_command.py`). No number stands for anything but itself; "unchanged" is
-    None. `Command` refuses what is not finite. `Limits` of the rig then cut each goal to its range
-    and to the rig's speed, starting from the command before, and the gripper cuts it once more to
-    what its own devices can do.
+    None. `Command` refuses what is not finite. `CommandLimits` of the rig then cut each goal to its
+    range and to the rig's speed, starting from the command before, and the gripper cuts it once
+    more to what its own devices can do.
 
     Attributes:
-        opening: m, the gripper's goal; cut to `Limits.opening` and `Limits.speed`. 0: closed.
+        opening: m, the gripper's goal; cut to `CommandLimits.opening` and `CommandLimits.speed`. 0:
+            closed.
         force_limit: N, the most that the servo may push each finger with, opening or closing; cut
-            to 0 and `Limits.force`. 0: it pushes with nothing at all, and so moves nothing. None:
-            the limit that is in force stays. What a gripper returns has the limit in force, never
-            None; only a replay of a recording that does not say it returns None.
-        lift_height: m of the hand above where it started, its goal; cut to `Limits.lift` and
-            `Limits.lift_speed`. 0: where it started.
+            to 0 and `CommandLimits.force`. 0: it pushes with nothing at all, and so moves nothing.
+            None: the limit that is in force stays. What a gripper returns has the limit in force,
+            never None; only a replay of a recording that does not say it returns None.
+        lift_height: m of the hand above where it started, its goal; cut to `CommandLimits.lift` and
+            `CommandLimits.lift_speed`. 0: where it started.
         phase: One of PHASES; "done" and "abort" end the run.
         memory: The controller's own notebook: the loop hands it back in the next
             `Observation.command`, so that `step` can be a pure function.
         reason: Why the controller gives up, or sets down early; for the result and the log. Empty:
             it does neither.
-        pressure_gauge: Pa above ambient in each finger's chamber, in their order, which the valves
-            then keep; cut to `Limits.pressure` and `Limits.pressure_rate`. 0: the ambient air's.
+        gauge_pressure: Pa above ambient in each finger's chamber, in their order, which the valves
+            then keep; cut to `CommandLimits.pressure` and `CommandLimits.pressure_rate`. 0: the
+            ambient air's.
             None: leave the air alone, sealed in.
     """
 
@@ -64,7 +66,7 @@ class Command:
     phase: str = "approach"
     memory: Mapping[str, float] = field(default_factory=dict)
     reason: str = ""
-    pressure_gauge: tuple[float, ...] | None = None
+    gauge_pressure: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         for name in ("opening", "force_limit", "lift_height"):
@@ -79,12 +81,12 @@ class Command:
             )
         if not isinstance(self.reason, str):
             raise InputError(f"{self.reason!r} is no text", source="Command", field="reason")
-        if self.pressure_gauge is not None:
-            pressures = tuple(_finite(one, "pressure_gauge") for one in self.pressure_gauge)
-            object.__setattr__(self, "pressure_gauge", pressures)
-        if len(self.memory) > MEMORY_MOST:
+        if self.gauge_pressure is not None:
+            pressures = tuple(_finite(one, "gauge_pressure") for one in self.gauge_pressure)
+            object.__setattr__(self, "gauge_pressure", pressures)
+        if len(self.memory) > MEMORY_MAX:
             raise InputError(
-                f"has {len(self.memory)} entries, and {MEMORY_MOST} at most",
+                f"has {len(self.memory)} entries, and {MEMORY_MAX} at most",
                 source="Command",
                 field="memory",
             )
@@ -106,7 +108,7 @@ class Command:
             self.phase,
             self.memory,
             self.reason,
-            self.pressure_gauge,
+            self.gauge_pressure,
         )
 
     def __reduce__(self):  # a mappingproxy does not pickle
@@ -115,7 +117,7 @@ class Command:
 
 
 @dataclass(frozen=True)
-class Told:
+class TaskGoal:
     """What a task asks of the robot.
 
     Attributes:
@@ -123,18 +125,18 @@ class Told:
         hold_time: s, how long it shall hold there.
         place_height: m of the hand over where it gripped, where the thing shall be set down; the
             place may be higher or lower than that.
-        hand_over: Whether somebody will take the thing out of the hand.
+        handover: Whether somebody will take the thing out of the hand.
         push: N, as hard as somebody may push it, from any side.
     """
 
     lift_height: float = 0.040
     hold_time: float = 2.0
     place_height: float = 0.0
-    hand_over: bool = False
+    handover: bool = False
     push: float = 0.0
 
 
-TOLD = Told()
+DEFAULT_GOAL = TaskGoal()
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,4 +160,4 @@ class Observation:
     gripper: GripperState
     valves: tuple[ValveState, ...]
     command: Command
-    told: Told = TOLD
+    told: TaskGoal = DEFAULT_GOAL

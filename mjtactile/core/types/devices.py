@@ -35,13 +35,13 @@ class ValveState:
 
     Attributes:
         is_open: Whether the chamber is connected to its supply.
-        pressure_gauge: Pa in the chamber above ambient; None where the rig has no pressure sensor.
+        gauge_pressure: Pa in the chamber above ambient; None where the rig has no pressure sensor.
         time: s on the rig's clock at which it was measured (NaN: not known).
         age: s from then until it was handed over (NaN: not known).
     """
 
     is_open: bool
-    pressure_gauge: float | None = None
+    gauge_pressure: float | None = None
     time: float = float("nan")
     age: float = float("nan")
 
@@ -51,7 +51,7 @@ class PressureReading:
     """What the pressure gauge of a chamber showed at `time` s on the images' clock: Pa above the
     air's, its zero taken off, with its `sd`; and whether the valve was open then."""
 
-    pressure_gauge: float
+    gauge_pressure: float
     sd: float
     time: float
     is_open: bool = False

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from mjtactile.core.status import OK, Status
 from mjtactile.core.types.arrays import Array, fixed, freeze, keep_status
-from mjtactile.core.types.contact_shape import FeltShape
-from mjtactile.core.types.vision import NO_PIXELS, CameraChange, Image, Markers
+from mjtactile.core.types.contact_shape import ContactShape
+from mjtactile.core.types.vision import NO_PIXELS, CameraDrift, Image, Markers
 
 _NO_FORCE = fixed(np.full(3, np.nan))
 _NO_OUTLINE = fixed(np.zeros((0, 2)))
@@ -59,7 +59,7 @@ class Traction:
         force: (ny, nx, 3) N on each node.
         wrench: (6,) net force, N, and torque about the origin of S, N m.
         wrench_cov: (6, 6) its covariance.
-        pressure_gauge: Pa in the chamber, as estimated.
+        gauge_pressure: Pa in the chamber, as estimated.
         method: Name of the estimator.
         status: "ok", or why it is not to be trusted.
     """
@@ -69,7 +69,7 @@ class Traction:
     force: Array
     wrench: Array
     wrench_cov: Array
-    pressure_gauge: float
+    gauge_pressure: float
     method: str
     status: Status = OK
 
@@ -97,7 +97,7 @@ class Contact:
         outline: (P, 2) m, a single patch's border as a closed polygon.
         semi_axes: (2,) m, of the ellipse of the same second moments, the larger first.
         angle: rad of the larger one from x.
-        area_from: What `area` and `outline` are of: the "nodal" estimate of pressures, or the
+        area_source: What `area` and `outline` are of: the "nodal" estimate of pressures, or the
             family of the body that was found (`Touch.shape`).
     """
 
@@ -111,7 +111,7 @@ class Contact:
     outline: Array = field(default_factory=lambda: _NO_OUTLINE)
     semi_axes: Array = field(default_factory=lambda: _NO_AXES)
     angle: float = np.nan
-    area_from: str = "nodal"
+    area_source: str = "nodal"
 
     def __post_init__(self) -> None:
         freeze(self, "centroid", self.centroid, (2,))
@@ -169,7 +169,7 @@ class Touch:
         status: "ok", or why the force is unknown.
         patches: Each place of contact, the strongest first.
         slip: Whether the object slips.
-        shape: What body touches; None where nobody asked (`Perception(shapes=True)`).
+        shape: What body touches; None where nobody asked (`StatefulPipeline(shapes=True)`).
         camera: How the camera has changed, by the fiducials; None: there are none, or too few seen.
     """
 
@@ -185,21 +185,21 @@ class Touch:
     status: Status = OK
     patches: tuple[Contact, ...] = ()
     slip: Slip | None = None
-    shape: FeltShape | None = None
-    camera: CameraChange | None = None
+    shape: ContactShape | None = None
+    camera: CameraDrift | None = None
 
     def __post_init__(self) -> None:
         keep_status(self)
 
 
 @dataclass(frozen=True, eq=False)
-class TouchImage(Image):
+class SyntheticTouch(Image):
     """In place of an image: the `touch` that would be found in it. It has no pixels."""
 
     touch: Touch | None = None
 
     @classmethod
-    def of(cls, touch: Touch) -> TouchImage:
+    def of(cls, touch: Touch) -> SyntheticTouch:
         """Hand over a touch where an image would be.
 
         Args:

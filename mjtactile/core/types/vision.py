@@ -65,13 +65,13 @@ class Ellipses:
 
 
 @dataclass(frozen=True, eq=False)
-class Sighting(Image):
+class SyntheticEllipses(Image):
     """In place of an image: the `ellipses` that would be found in it. It has no pixels."""
 
     ellipses: Ellipses | None = None
 
     @classmethod
-    def of(cls, ellipses: Ellipses, time: float) -> Sighting:
+    def of(cls, ellipses: Ellipses, time: float) -> SyntheticEllipses:
         return cls(NO_PIXELS, time, ellipses)
 
 
@@ -106,7 +106,7 @@ class CirclePoses:
 
 
 @dataclass(frozen=True, eq=False)
-class FiducialsSeen:
+class FiducialDetections:
     """What an image shows of the circles that do not move.
 
     Attributes:
@@ -145,7 +145,7 @@ class FiducialsSeen:
 
 
 @dataclass(frozen=True, eq=False)
-class CameraChange:
+class CameraDrift:
     """How a camera differs from what it was at the rest reference, by the fiducials of one image.
 
     What planar circles hardly tell apart (a camera that moved aside or turned; one that came nearer
@@ -155,7 +155,7 @@ class CameraChange:
         shift: (2,) px by which the picture's middle has moved.
         turn: About the camera's axis, rad.
         scale: Share by which all is larger.
-        grown_px: By how much circles' radii are larger beside that: gamma, clipping.
+        radius_change_px: By how much circles' radii are larger beside that: gamma, clipping.
         light: Level of white over that at the reference.
         gamma: Exponent 1/gamma with which levels go now; NaN: unknown.
         black: Level that no light has now; more than at the reference is fog.
@@ -167,7 +167,7 @@ class CameraChange:
     shift: tuple[float, float]
     turn: float
     scale: float
-    grown_px: float
+    radius_change_px: float
     light: float
     gamma: float
     black: float
@@ -187,7 +187,7 @@ class Markers:
     n_S: Array
     cov_p: Array
     darkness: Array | None = None
-    fiducials: FiducialsSeen | None = None
+    fiducials: FiducialDetections | None = None
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.ids))

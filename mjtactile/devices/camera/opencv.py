@@ -28,7 +28,7 @@ from mjtactile.core.types import Image
 from mjtactile.rig.file import CameraConfig
 
 _log = logging.getLogger(__name__)
-_FIRST_PICTURE_TIME = 4.0  # s; USB cameras take up to 2 s to start their stream
+_FIRST_IMAGE_TIME = 4.0  # s; USB cameras take up to 2 s to start their stream
 _STALE_PERIODS = 3.0  # a picture older than this many periods is no observation of now
 _OPEN_TIME_MS = 5000
 _READ_TIME_MS = 1000
@@ -237,7 +237,7 @@ class OpenCvCamera:
             failures += 1
             # one broken JPEG is a lost picture; three failures in a row are a lost camera
             if failures >= 3:
-                reason = self._no_picture_reason()
+                reason = self._no_image_reason()
                 if good and self._is_raw:
                     reason = 'it sends no JPEG; leave fourcc = "MJPG" out of the rig file'
                 self._fail(reason)
@@ -293,7 +293,7 @@ class OpenCvCamera:
         )
         return arrival
 
-    def _no_picture_reason(self) -> str:
+    def _no_image_reason(self) -> str:
         silent = self._clock() - self.newest_time
         load = os.getloadavg()[0]
         processors = os.cpu_count() or 1
@@ -313,11 +313,11 @@ class OpenCvCamera:
         with self._condition:
             self._condition.wait_for(
                 lambda: self._newest is not None or self._error is not None,
-                scaled_clock.wall(_FIRST_PICTURE_TIME),
+                scaled_clock.wall(_FIRST_IMAGE_TIME),
             )
             if self._newest is not None and self._error is None:
                 return
-            reason = self._error or f"no picture within {_FIRST_PICTURE_TIME:g} s"
+            reason = self._error or f"no picture within {_FIRST_IMAGE_TIME:g} s"
         self.close()
         raise DeviceError(f"{self.name}: {reason}")
 

@@ -11,7 +11,7 @@ from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Image
 from mjtactile.devices.camera.v4l2 import video_devices
 from mjtactile.devices.discovery import serial_ports
-from mjtactile.devices.doctor.cameras import Look, check_camera
+from mjtactile.devices.doctor.cameras import ViewCheck, check_camera
 from mjtactile.devices.doctor.ports import check_port
 from mjtactile.devices.doctor.servos import check_servos
 from mjtactile.devices.dynamixel.servo_models import MODELS
@@ -21,16 +21,20 @@ from mjtactile.rig.file import RigFile, load_rig_file
 from mjtactile.rig.sensors import calibration_findings, finger_design
 
 # times the data sheet's torque per ampere; gears' friction takes up to 20 % of it
-_TORQUE_OFF_MOST = 1.5
+_TORQUE_OFF_MAX = 1.5
 _MAY_FALL = "what is held in the air falls when the host is lost: servos that brake, or a cup"
 
 
-def _look_at_nothing(what: str, design: SensorDesign, image: Image) -> Iterable[Finding]:
+def _check_empty_view(what: str, design: SensorDesign, image: Image) -> Iterable[Finding]:
     return ()
 
 
 def examine(
-    rig: str | None, *, sensor: str = "dense", fix: bool = False, look: Look = _look_at_nothing
+    rig: str | None,
+    *,
+    sensor: str = "dense",
+    fix: bool = False,
+    look: ViewCheck = _check_empty_view,
 ) -> list[Finding]:
     """All findings; `sensor` is on fingers of which the rig file does not say it, and `look` what
     is asked of a picture of each. Raises InputError for a rig file that is wrong itself."""
@@ -71,7 +75,7 @@ def _check_torques(rig_file: RigFile) -> Iterator[Finding]:
         if model is None or servo.torque_per_A is None:
             continue
         ratio = servo.torque_per_A / model.torque_per_A
-        if not 1 / _TORQUE_OFF_MOST <= ratio <= _TORQUE_OFF_MOST:
+        if not 1 / _TORQUE_OFF_MAX <= ratio <= _TORQUE_OFF_MAX:
             yield Finding(
                 "bad",
                 f"servo {servo.id}",
@@ -153,10 +157,10 @@ def _check_valves(rig_file: RigFile) -> Iterator[Finding]:
             except DeviceError as error:
                 yield Finding("bad", what, str(error))
                 continue
-            if state.pressure_gauge is None:
+            if state.gauge_pressure is None:
                 pressure = "no pressure sensor"
             else:
-                pressure = f"{state.pressure_gauge:.0f} Pa"
+                pressure = f"{state.gauge_pressure:.0f} Pa"
             board = f"firmware {valve.board.firmware}"
             yield Finding("ok", what, f"{board}, channel {valve.config.channel}, {pressure}")
     finally:

@@ -19,11 +19,11 @@ from mjtactile.rig.file import CameraConfig
 _CAMERA_TIME = 2.0  # s that pictures of a camera are counted
 
 
-Look = Callable[[str, SensorDesign, Image], Iterable[Finding]]
+ViewCheck = Callable[[str, SensorDesign, Image], Iterable[Finding]]
 """What is found in a picture of the camera of that name, with that sensor before it."""
 
 
-def check_camera(config: CameraConfig, design: SensorDesign, look: Look) -> Iterator[Finding]:
+def check_camera(config: CameraConfig, design: SensorDesign, look: ViewCheck) -> Iterator[Finding]:
     """Settings by read-back, then rate, age and jitter over two seconds, then what a picture
     shows."""
     what = f"camera {config.finger}"

@@ -146,10 +146,10 @@ class DynamixelBus:
 
         Raises BusError only when the port itself fails.
         """
-        self.ask_many(servos, address, size, fast=fast)
+        self.request_many(servos, address, size, fast=fast)
         return self.answers(servos, size, fast=fast)
 
-    def ask_many(
+    def request_many(
         self, servos: Sequence[int], address: int, size: int, *, fast: bool = False
     ) -> None:
         """The question of `read_many`: the servos answer into the port's buffer. Raises BusError
@@ -166,7 +166,7 @@ class DynamixelBus:
     def answers(
         self, servos: Sequence[int], size: int, *, fast: bool = False
     ) -> tuple[dict[int, Reply], dict[int, BusError]]:
-        """What the servos said to `ask_many` of the same arguments; see `read_many`."""
+        """What the servos said to `request_many` of the same arguments; see `read_many`."""
         with self._transaction(None, again=True):
             if fast:
                 replies, failures = self._receive_fast(servos, size)

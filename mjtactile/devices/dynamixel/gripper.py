@@ -36,7 +36,7 @@ _GOAL_START = 102
 _LEAD_TIME = 0.1  # s at the largest speed: how far a closing jaw's goal is ahead of it at most
 # questions in a row without a servo's reply before it counts as lost: one cycle of two, and another
 _FAILURES_MAX = 3
-_FIRST_FORCE_SHARE = 0.25  # of the largest force, until a command says another
+_FIRST_FORCE_FRACTION = 0.25  # of the largest force, until a command says another
 _SILENCE_IDLE = 30.0  # s without any call, before the first command (references are being taken)
 
 
@@ -58,14 +58,14 @@ class DynamixelGripper:
         lift_model = find_model(lift.model, source, "lift.model") if lift.kind == "servo" else None
         self._lift_zero_ticks = 0
         self._lift_goal = 0.0
-        self._force_limit = _FIRST_FORCE_SHARE * gripper.force_max
+        self._force_limit = _FIRST_FORCE_FRACTION * gripper.force_max
         self._closed = scaled_clock.Event()
         self._lock = threading.RLock()
         self._last_call = scaled_clock.monotonic()
         self._silence = _SILENCE_IDLE
         self._state_time = self._bus_time = self._sent_time = -math.inf
         self._asked: float | None = None  # when; the answers wait in the port's buffer
-        self._poll_turn = 0
+        self._poll_index = 0
         self._commanded = False
         self._keeper = threading.Thread(target=self._keep_alive, name="dynamixel", daemon=True)
         self.bus = DynamixelBus(bus.port, bus.baud, reply_timeout=bus.reply_timeout)
@@ -99,7 +99,7 @@ class DynamixelGripper:
         lost."""
         with self._lock:
             self._last_call = scaled_clock.monotonic()
-            self._ask_all()
+            self._request_all()
 
     def state(self) -> GripperState:
         """What the servos said to `ask`, which is done now if it was not. Raises DeviceError when
@@ -167,7 +167,7 @@ class DynamixelGripper:
     def positions(self) -> dict[int, tuple[int, float]]:
         """Of each jaw servo by id, as last heard: position in ticks within the gripper's turn,
         current A."""
-        turns = {jaw.config.id: jaw.turn_offset_ticks for jaw in self.geometry.servos}
+        turns = {jaw.config.id: jaw.revolution_offset_ticks for jaw in self.geometry.servos}
         return {i: (servo.ticks + turns[i], servo.current) for i, servo in self._jaws.items()}
 
     def close(self, *, quiet: bool = False) -> None:
@@ -214,7 +214,7 @@ class DynamixelGripper:
         jaw = next(j for j in self.geometry.servos if j.config.id == servo.id)
         low, high = (limit / len(self._jaws) for limit in self.config.opening)
         try:
-            jaw.set_turn_offset(ticks, low, high)
+            jaw.set_revolution_offset(ticks, low, high)
         except ValueError as error:
             raise DeviceError(
                 f"{servo.where} stands at {ticks} ticks: {error} turn puts its jaw within "
@@ -250,18 +250,18 @@ class DynamixelGripper:
     # -- every cycle
     # --------------------------------------------------------------------------------
 
-    def _ask_all(self) -> None:
+    def _request_all(self) -> None:
         """Ask all servos in one transaction, unless they have been asked and not been heard."""
         if self._asked is None:
             self._bus_time = asked = scaled_clock.monotonic()
-            self.bus.ask_many(
+            self.bus.request_many(
                 list(self._servos), STATE_START, STATE_SIZE, fast=self._bus_config.fast_sync
             )
             self._asked = asked
 
     def _refresh(self) -> None:
         """Hear what all servos say and note what is wrong with which."""
-        self._ask_all()
+        self._request_all()
         asked = self._asked
         self._asked = None
         replies, failures = self.bus.answers(
@@ -295,8 +295,8 @@ class DynamixelGripper:
 
     def _poll_one(self) -> None:
         """Each time ask one servo, in turn, for what the block does not hold."""
-        self._poll_turn += 1
-        servo = list(self._servos.values())[self._poll_turn % len(self._servos)]
+        self._poll_index += 1
+        servo = list(self._servos.values())[self._poll_index % len(self._servos)]
         if not servo.failures:  # one that is silent has cost time enough
             with contextlib.suppress(BusError):
                 servo.poll()

@@ -15,7 +15,7 @@ from mjtactile.devices.dynamixel.servo_models import MODELS, TICKS_PER_RAD, Serv
 from mjtactile.rig.file import GripperConfig, ServoConfig
 from mjtactile.rig.jaw_transmission import LINEAR, JawLaw, make_law
 
-_TURN_TICKS = 4096
+_REVOLUTION_TICKS = 4096
 _LIMIT_SAMPLES = 32
 
 
@@ -27,7 +27,7 @@ class JawServo:
         self.config = config
         self.model: ServoModel = find_model(config.model, source, "gripper.servo.model")
         self.torque_per_A = config.torque_per_A or self.model.torque_per_A
-        self.turn_offset_ticks = 0  # whole turns that were lost when the power was off
+        self.revolution_offset_ticks = 0  # whole turns that were lost when the power was off
         self.law = _law(config, source)
 
     def part(self, ticks: float) -> float:
@@ -38,7 +38,7 @@ class JawServo:
         """The goal position for a part of the opening; the nearest that the law reaches."""
         return (
             round(self.config.zero_ticks + self.law.coordinate(part) * TICKS_PER_RAD)
-            - self.turn_offset_ticks
+            - self.revolution_offset_ticks
         )
 
     def slope(self, ticks: float) -> float:
@@ -67,25 +67,25 @@ class JawServo:
         parts = (low + (high - low) * i / _LIMIT_SAMPLES for i in range(_LIMIT_SAMPLES + 1))
         return max(self.current_units(force, self.ticks(part)) for part in parts)
 
-    def set_turn_offset(self, ticks: int, low: float, high: float) -> None:
+    def set_revolution_offset(self, ticks: int, low: float, high: float) -> None:
         """After power-up a servo knows its angle within one turn only: find the turn in which its
         jaw is within [`low`, `high`] m. Raises ValueError when none or several are."""
-        self.turn_offset_ticks = 0
+        self.revolution_offset_ticks = 0
         margin = 0.02 * (high - low) + 0.001
         fits = []
         for turn in (-1, 0, 1):
-            self.turn_offset_ticks = turn * _TURN_TICKS
+            self.revolution_offset_ticks = turn * _REVOLUTION_TICKS
             if low - margin <= self.part(ticks) <= high + margin and self.law.reaches(
                 self._angle(ticks)
             ):
                 fits.append(turn)
-        self.turn_offset_ticks = 0
+        self.revolution_offset_ticks = 0
         if len(fits) != 1:
             raise ValueError("no" if not fits else "more than one")
-        self.turn_offset_ticks = fits[0] * _TURN_TICKS
+        self.revolution_offset_ticks = fits[0] * _REVOLUTION_TICKS
 
     def _angle(self, ticks: float) -> float:
-        return (ticks + self.turn_offset_ticks - self.config.zero_ticks) / TICKS_PER_RAD
+        return (ticks + self.revolution_offset_ticks - self.config.zero_ticks) / TICKS_PER_RAD
 
 
 class JawGeometry:

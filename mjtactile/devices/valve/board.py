@@ -30,7 +30,7 @@ _log = logging.getLogger(__name__)
 _HANDSHAKE_TIME = 4.0  # s; opening the port resets many boards, whose boot loader waits up to 2 s
 # s at least for the answer to a command; USB adds 16 ms each way, a board's own loop up to 50 ms
 _COMMAND_TIME = 0.15
-_COMMAND_SHARE = 5  # of the rig file's reply time-out, where that is longer
+_COMMAND_FRACTION = 5  # of the rig file's reply time-out, where that is longer
 _ATTEMPTS = 2
 _RETRY_TIME = 0.008  # s from a failed reading to the next try: longer than a burst of noise
 _WRITE_TIME = 0.5  # s: pySerial counts what the computer stood still, also when all was written
@@ -46,7 +46,7 @@ class ValveReading:
     by itself, "" if not."""
 
     is_open: bool
-    pressure_gauge: float | None
+    gauge_pressure: float | None
     time: float
     fault: str = ""
 
@@ -80,7 +80,7 @@ class ValveBoard:
         self._serial = open_port(first.port, first.baud)
         self._interval = min(config.heartbeat for config in configs) / 8
         self._reply_time = max(config.reply_timeout for config in configs)
-        self._command_time = max(_COMMAND_TIME, _COMMAND_SHARE * self._reply_time)
+        self._command_time = max(_COMMAND_TIME, _COMMAND_FRACTION * self._reply_time)
         self._thread = threading.Thread(target=self._heartbeat_loop, name="valve", daemon=True)
         try:
             self._handshake()
@@ -117,7 +117,7 @@ class ValveBoard:
             self._aims[channel] = round(pressure)
         elif channel in self._aims:
             self._aims[channel] = None
-        if self._is_told(channel):
+        if self._has_setpoint(channel):
             return
         self._last_call = scaled_clock.monotonic()
         self._wake.set()
@@ -136,11 +136,11 @@ class ValveBoard:
             raise DeviceError(f"valve board {self.name} is silent or broken: {why}")
         return reading
 
-    def measure(self, channel: int, patience: float | None = None) -> ValveReading:
+    def measure(self, channel: int, disk_wait_time: float | None = None) -> ValveReading:
         """Ask the board now, for at most `patience` s (None: a command's). Raises DeviceError."""
         with self._lock:
             self._last_call = scaled_clock.monotonic()
-            return self._with_retry(lambda: self._read(channel, patience))
+            return self._with_retry(lambda: self._read(channel, disk_wait_time))
 
     def close(self, *, quiet: bool = False) -> None:
         """Vent every channel, also after one failed, then let go of the port. Raises DeviceError
@@ -257,14 +257,16 @@ class ValveBoard:
                 return act()
         return act()
 
-    def _ask(self, text: str, patience: float | None = None) -> str:
+    def _ask(self, text: str, disk_wait_time: float | None = None) -> str:
         """The text of the answer to one command, within `patience` s (None: a command's). Raises
         DeviceError."""
         with self._lock:
             self._sequence = (self._sequence + 1) % protocol.SEQUENCES
             try:
                 write(self._serial, protocol.encode(self._sequence, text))
-                reply = self._answer(self._command_time if patience is None else patience)
+                reply = self._answer(
+                    self._command_time if disk_wait_time is None else disk_wait_time
+                )
             except (serial.SerialException, OSError, termios.error, TypeError) as error:
                 # TypeError: a closed port
                 raise DeviceError(f"valve port {self.name} is lost: {error}") from error
@@ -274,7 +276,7 @@ class ValveBoard:
             )
         return reply
 
-    def _answer(self, patience: float) -> str:
+    def _answer(self, disk_wait_time: float) -> str:
         """The line that bears the number of the last command; damaged ones and late answers to
         others are passed over."""
         asked = scaled_clock.monotonic()
@@ -293,16 +295,16 @@ class ValveBoard:
             self._received += data
             waited = scaled_clock.monotonic() - asked
             # what has come is read: this thread may be late
-            if waited > patience and (not data or waited > 2 * patience):
+            if waited > disk_wait_time and (not data or waited > 2 * disk_wait_time):
                 raise _NoReply(
                     f"valve board {self.name}: "
                     f"{'only noise' if damaged or self._received else 'no reply'}"
                 )
 
-    def _read(self, channel: int, patience: float | None = None) -> ValveReading:
+    def _read(self, channel: int, disk_wait_time: float | None = None) -> ValveReading:
         # the board measures after this, so that a reading is never thought younger than it is
         asked = scaled_clock.monotonic()
-        reply = self._ask(f"state {channel}", patience)
+        reply = self._ask(f"state {channel}", disk_wait_time)
         match = re.fullmatch(
             rf"state {channel} ({'|'.join(protocol.STATES)}) (-?\d+|-) "
             rf"({'|'.join(protocol.FAULTS)})",
@@ -336,13 +338,13 @@ class ValveBoard:
 
     def _tell(self, channel: int) -> None:
         """Pass on what a channel is to be kept at, where the board does not know it yet."""
-        if self._is_told(channel):
+        if self._has_setpoint(channel):
             return
         pressure = self._aims[channel]
         self._command_echoed(f"seal {channel}" if pressure is None else f"set {channel} {pressure}")
         self._told[channel] = pressure
 
-    def _is_told(self, channel: int) -> bool:
+    def _has_setpoint(self, channel: int) -> bool:
         return channel not in self._aims or self._told.get(channel, ...) == self._aims[channel]
 
     def _forget_aim(self, channel: int) -> None:

@@ -15,7 +15,7 @@ __all__ = ["BoardValve", "ValveBoard", "connect_valves"]
 _SETTLE_TIME = 1.5  # s for the chamber to reach the pressure that was set
 _SETTLE_POLL = 0.02  # s between looks at it
 # of the pressure, Pa: how far off is a valve that does not move
-_SETTLE_SHARE = 0.25
+_SETTLE_FRACTION = 0.25
 _SETTLE_FLOOR = 120.0
 
 
@@ -37,7 +37,7 @@ class BoardValve:
         self._check_moves(reading)
         return ValveState(
             reading.is_open,
-            reading.pressure_gauge,
+            reading.gauge_pressure,
             reading.time,
             scaled_clock.monotonic() - reading.time,
         )
@@ -71,16 +71,16 @@ class BoardValve:
         self.board.seal(self.config.channel)
         self._goal = None
 
-    def follow(self, pressure_gauge: float | None) -> None:
-        """Have the board keep the chamber at what its gauge shows as `pressure_gauge` Pa; None:
+    def follow(self, gauge_pressure: float | None) -> None:
+        """Have the board keep the chamber at what its gauge shows as `gauge_pressure` Pa; None:
         seal it, if it was kept so. The heartbeat's thread says it to the board."""
-        if pressure_gauge is None:
+        if gauge_pressure is None:
             self.board.aim(self.config.channel, None)
             self._goal = None
             return
         if self._goal is None:
             self._goal_time = scaled_clock.monotonic()
-        self._goal = min(max(pressure_gauge, 0.0), self.config.pressure_max)
+        self._goal = min(max(gauge_pressure, 0.0), self.config.pressure_max)
         self.board.aim(self.config.channel, self._goal)
 
     def _check_supply(self, supply_gauge: float) -> None:
@@ -93,10 +93,10 @@ class BoardValve:
 
     def _has_moved(self, reading: ValveReading) -> bool:
         """The chamber has the pressure that was set, as far as is known."""
-        if self._goal is None or reading.pressure_gauge is None:
+        if self._goal is None or reading.gauge_pressure is None:
             return True
-        return abs(reading.pressure_gauge - self._goal) <= max(
-            _SETTLE_SHARE * abs(self._goal), _SETTLE_FLOOR
+        return abs(reading.gauge_pressure - self._goal) <= max(
+            _SETTLE_FRACTION * abs(self._goal), _SETTLE_FLOOR
         )
 
     def _check_moves(self, reading: ValveReading) -> None:
@@ -105,7 +105,7 @@ class BoardValve:
         elif scaled_clock.monotonic() - self._goal_time >= _SETTLE_TIME:
             raise DeviceError(
                 f"valve {self.config.finger} is stuck: {self._goal:g} Pa was set {_SETTLE_TIME:g} "
-                f"s ago, the chamber has {reading.pressure_gauge:.0f} Pa"
+                f"s ago, the chamber has {reading.gauge_pressure:.0f} Pa"
             )
 
 

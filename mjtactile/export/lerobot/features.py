@@ -62,7 +62,7 @@ def features_of(episode: RecordedEpisode, images: str) -> dict[str, Feature]:
         "action": Feature("float32", [name for _, name in _ACTION], _action),
     }
     found |= _image_columns(episode, images)
-    if episode.felt_again:
+    if episode.re_estimate:
         found |= _marker_columns(episode)
     for key in episode.keys:
         found |= _column(episode, key)

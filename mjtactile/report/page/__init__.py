@@ -105,7 +105,7 @@ def _facts(summary: Mapping[str, Any]) -> str:
     rows = [
         [escape(label), escape(_words(summary[key], unit))]
         for key, label, unit in _FACTS
-        if _is_known(summary.get(key))
+        if _is_known_kind(summary.get(key))
     ]
     rows += [
         [escape(kind), f"{100 * share:.0f} %"]
@@ -125,7 +125,7 @@ def _doubts(recording: Recording) -> str:
     )
 
 
-def _is_known(value: Any) -> bool:
+def _is_known_kind(value: Any) -> bool:
     return value not in (None, "") and not (isinstance(value, float) and math.isnan(value))
 
 

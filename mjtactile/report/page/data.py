@@ -19,7 +19,7 @@ from mjtactile.recording.log_schema import Seen
 from mjtactile.recording.reader import Recording
 from mjtactile.report.html import data_uri
 from mjtactile.report.overlay import with_ellipses
-from mjtactile.report.shape_wireframe import lines_of, true_lines, words_of
+from mjtactile.report.shape_wireframe import describe_shape, lines_of, true_lines
 from mjtactile.report.software_renderer import picture_of
 from mjtactile.report.summary_figure import FINGER_COLOURS, PHASE_COLOURS, arrow_unit, arrows
 
@@ -58,7 +58,7 @@ PLOTS = (
     Plot("contact area, mm\u00b2", "contact_area", 1e6),
     Plot("depth of the deepest indentation, mm", "contact_depth", 1e3),
     Plot("slipped since the touch began, mm", "slip_distance", 1e3),
-    Plot("chamber's gauge pressure, kPa", "pressure_gauge", 1e-3),
+    Plot("chamber's gauge pressure, kPa", "gauge_pressure", 1e-3),
     Plot("markers found", "marker_count"),
     Plot("opening of the jaws, mm", "opening", 1e3),
     Plot("height of the hand, mm", "lift_height", 1e3),
@@ -233,7 +233,7 @@ def _felt(touch: Touch, unit: float, view: Any, finger: int) -> Mapping[str, Any
         said = f"force unknown: {touch.status}"
     shape = touch.shape
     if shape is not None:
-        said += f"; {words_of(shape)}"
+        said += f"; {describe_shape(shape)}"
     believed = [] if shape is None else lines_of(shape)
     true = [] if shape is None or view is None else true_lines(shape, view, finger)
     return {

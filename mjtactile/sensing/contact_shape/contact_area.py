@@ -8,24 +8,24 @@ from collections.abc import Sequence
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.quasistatic import FilmState
+from mjtactile.quasistatic import MembraneSolution
 from mjtactile.quasistatic.solution import TENSION
-from mjtactile.sensing.contact_shape.forward_model import SUM_AREA, Forward
+from mjtactile.sensing.contact_shape.forward_model import SUM_AREA, ForwardModel
 from mjtactile.sensing.contact_shape.gauss_newton import Fit
-from mjtactile.sensing.contact_shape.primitives import Hint
+from mjtactile.sensing.contact_shape.primitives import InitialGuess
 from mjtactile.sensing.contact_shape.shape_filter import touching
-from mjtactile.sensing.contact_shape.shape_models import Family, face_of
+from mjtactile.sensing.contact_shape.shape_models import ShapeModel, face_of
 from mjtactile.sensing.contact_shape.stiction_factor import sticks
-from mjtactile.sensing.settings import BodySettings
+from mjtactile.sensing.settings import ContactShapeSettings
 
 _INTERVAL = (0.16, 0.84)
 _LIKELY = 1e-3  # probability, below which a family has no part in an interval
 FACES = ("disc", "block")
 _SLOPES = (0.02, 1.2)  # of a sheet at a rim: least, most
-_FACE_LEAST = 0.5  # of a face that was found, that may be left of it
+_FACE_MIN = 0.5  # of a face that was found, that may be left of it
 
 
-def areas(forward: Forward, found: Fit, s: BodySettings) -> list[float]:
+def areas(forward: ForwardModel, found: Fit, s: ContactShapeSettings) -> list[float]:
     """Area, m^2, of each of the bodies (of the one that there is).
 
     Args:
@@ -49,7 +49,7 @@ def areas(forward: Forward, found: Fit, s: BodySettings) -> list[float]:
     ]
 
 
-def shares(forward: Forward, found: Fit) -> list[float]:
+def shares(forward: ForwardModel, found: Fit) -> list[float]:
     """Of several bodies, each one's part of the force."""
     force = found.state.contact_forces
     nearest = nearest_part(forward, found)
@@ -58,7 +58,7 @@ def shares(forward: Forward, found: Fit) -> list[float]:
     return [float(force[nearest == place].sum()) / total for place in range(count)]
 
 
-def nearest_part(forward: Forward, found: Fit) -> Array:
+def nearest_part(forward: ForwardModel, found: Fit) -> Array:
     """Which of several bodies each node (nx, ny) is nearest to."""
     x, y = _places(forward, found)
     middles = [
@@ -68,19 +68,19 @@ def nearest_part(forward: Forward, found: Fit) -> Array:
     return np.argmin([np.hypot(x - at[0], y - at[1]) for at in middles], axis=0)
 
 
-def _places(forward: Forward, found: Fit) -> tuple[Array, Array]:
+def _places(forward: ForwardModel, found: Fit) -> tuple[Array, Array]:
     moved = found.state.displacements
     return forward.nodes[0] + moved[0], forward.nodes[1] + moved[1]
 
 
 def _area(
-    forward: Forward,
+    forward: ForwardModel,
     found: Fit,
-    family: Family,
+    family: ShapeModel,
     theta: Array,
-    hint: Hint,
+    hint: InitialGuess,
     share: float,
-    s: BodySettings,
+    s: ContactShapeSettings,
 ) -> float:
     """Of a flat face, what of it has nodes that touch; of what is round, the film's own, as far as
     one tension would have it, by how much the sheet is stretched."""
@@ -93,20 +93,20 @@ def _area(
         rim = rim_length(family, theta)
         steep = slope_at_rim(share * state.force_normal, area, rim, state)
         out = _rim_out(steep, sticks(forward, state, s) - s.friction, s) * hint.rounding
-        return area * max(1 + out * rim / area, _FACE_LEAST) if area > 0 else 0.0
+        return area * max(1 + out * rim / area, _FACE_MIN) if area > 0 else 0.0
     stretched = state.found[TENSION] / forward.film.rest.found[TENSION] - 1
-    ratio = s.area_light + s.area_stretched * min(max(stretched, 0.0), s.stretched_most)
+    ratio = s.area_light + s.area_stretched * min(max(stretched, 0.0), s.stretched_max)
     return share * ratio * state.area
 
 
-def rim_length(family: Family, theta: Array) -> float:
+def rim_length(family: ShapeModel, theta: Array) -> float:
     """Of a face's rim, m."""
     if family.name == "disc":
         return 2e-3 * math.pi * float(theta[5])
     return 4e-3 * float(theta[6] + theta[7])
 
 
-def slope_at_rim(force: float, area: float, rim: float, state: FilmState) -> float:
+def slope_at_rim(force: float, area: float, rim: float, state: MembraneSolution) -> float:
     """By how much the sheet goes up from a face at its rim, from how it is borne: what gas does not
     press on the face, the sheet's tension draws to the rim.
 
@@ -119,12 +119,12 @@ def slope_at_rim(force: float, area: float, rim: float, state: FilmState) -> flo
     Returns:
         The mean sine of the angle, within what a film bears.
     """
-    drawn = force - state.pressure_gauge * area
+    drawn = force - state.gauge_pressure * area
     slope = drawn / max(float(state.found[TENSION]) * rim, 1e-9)
     return min(max(slope, _SLOPES[0]), _SLOPES[1])
 
 
-def _rim_out(slope: float, stuck: float, s: BodySettings) -> float:
+def _rim_out(slope: float, stuck: float, s: ContactShapeSettings) -> float:
     """By how many roundings a sharp rim is outside of the one that was found.
 
     The found one is round: a sheet that goes up steeply leaves it farther out than a flat one, and
@@ -133,7 +133,7 @@ def _rim_out(slope: float, stuck: float, s: BodySettings) -> float:
     return s.rim_slope * slope + s.rim_stuck * stuck - s.rim_in
 
 
-def area_sd(found: Fit, area: float, noise: float, s: BodySettings) -> float:
+def area_sd(found: Fit, area: float, noise: float, s: ContactShapeSettings) -> float:
     """Standard deviation, m^2, of an area: by the numbers' covariance, and what film and family
     leave.
 

@@ -11,24 +11,24 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.status import OK, Status, StatusCode
-from mjtactile.core.types import SHAPES, Array, Contact, FeltShape, Touch
+from mjtactile.core.types import SHAPES, Array, Contact, ContactShape, Touch
 from mjtactile.sensing.contact_shape.contact_area import area_sd, areas, interval
 from mjtactile.sensing.contact_shape.fit_state import Data
-from mjtactile.sensing.contact_shape.force_fusion import Borne, borne
-from mjtactile.sensing.contact_shape.forward_model import Forward
-from mjtactile.sensing.contact_shape.hypotheses import Press
+from mjtactile.sensing.contact_shape.force_fusion import ContactLoad, borne
+from mjtactile.sensing.contact_shape.forward_model import ForwardModel
+from mjtactile.sensing.contact_shape.hypotheses import PressHistory
 from mjtactile.sensing.contact_shape.initial_search import Films
 from mjtactile.sensing.contact_shape.press_tracker import follow
-from mjtactile.sensing.contact_shape.primitives import Hint, room_in
-from mjtactile.sensing.contact_shape.relative_motion import RubberMotion, motion, tracked
+from mjtactile.sensing.contact_shape.primitives import InitialGuess, feasible_half_extents
+from mjtactile.sensing.contact_shape.relative_motion import MembraneMotion, motion, tracked
 from mjtactile.sensing.contact_shape.shape_result import words
 from mjtactile.sensing.force.rest_equilibrium import InverseRest
-from mjtactile.sensing.settings import DEFAULTS, BodySettings, Settings
+from mjtactile.sensing.settings import DEFAULTS, ContactShapeSettings, Settings
 
 _EDGE = 1.5e-3  # m from the frame, where bodies that go on are cut off
 _ROUNDING = 0.5  # spacings of the film
-_MOST_PARTS = 3  # bodies at once
-_PART_SHARE = 0.12  # of the force: what bears less is no body of its own; nearly all patches do
+_MAX_PARTS = 3  # bodies at once
+_PART_FRACTION = 0.12  # of the force: what bears less is no body of its own; nearly all patches do
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,12 +36,12 @@ class Found:
     """What one image says of what touches: its `shape`, the `load` that it bears (None: the shape
     is unknown), and what is left for the next image."""
 
-    shape: FeltShape
-    load: Borne | None
-    press: Press | None
+    shape: ContactShape
+    load: ContactLoad | None
+    press: PressHistory | None
 
 
-class ShapeFinder:
+class ContactShapeEstimator:
     """Finds what body touches one sensor; made once for a rest.
 
     Args:
@@ -59,12 +59,12 @@ class ShapeFinder:
         settings: Settings = DEFAULTS,
     ):
         self.settings = settings
-        self._frame = room_in(design.frame, _EDGE)
+        self._frame = feasible_half_extents(design.frame, _EDGE)
         s = settings.body
-        fine = Forward(design, rest, s.spacing, gauge)
+        fine = ForwardModel(design, rest, s.spacing, gauge)
         self.films = Films(fine, fine.by_gas())
 
-    def find(self, touches: Sequence[Touch], p_rest: Array) -> FeltShape:
+    def find(self, touches: Sequence[Touch], p_rest: Array) -> ContactShape:
         """Say what touches.
 
         Args:
@@ -74,13 +74,17 @@ class ShapeFinder:
         Returns:
             The shape; "unknown", with a status, where it cannot be said.
         """
-        found = Found(_unknown(Status(StatusCode.TOO_LITTLE_SEEN, "no image")), None, None)
+        found = Found(_unknown(Status(StatusCode.INCOMPLETE_DATA, "no image")), None, None)
         for touch in touches:
             found = self.follow(touch, found.press, p_rest)
         return found.shape
 
     def follow(
-        self, touch: Touch, press: Press | None, p_rest: Array, rubber: RubberMotion | None = None
+        self,
+        touch: Touch,
+        press: PressHistory | None,
+        p_rest: Array,
+        rubber: MembraneMotion | None = None,
     ) -> Found:
         """Say what touches in one image more.
 
@@ -94,7 +98,7 @@ class ShapeFinder:
             What is found.
         """
         s = self.settings.body
-        lacking = told_nothing(touch, s)
+        lacking = uninformative_status(touch, s)
         if lacking is not None:
             goes_on = touch.touching or touch.status != OK
             return Found(lacking, None, press if goes_on else None)
@@ -107,8 +111,8 @@ class ShapeFinder:
         press = follow(films, press, self._hint(touch), data, s)
         if press is None:
             text = "no body of any family fits"
-            return Found(_unknown(Status(StatusCode.NO_SHAPE, text)), None, None)
-        scale = max(s.noise_least, press.now.misfit)
+            return Found(_unknown(Status(StatusCode.FIT_FAILED, text)), None, None)
+        scale = max(s.noise_min, press.now.misfit)
         track = tracked(track, press.now, touch.time, rubber, scale, s)
         press = replace(press, track=track)
         shape = self._said(press, scale, slips(touch))
@@ -116,13 +120,13 @@ class ShapeFinder:
             return Found(shape, None, press)
         return Found(shape, borne(self.films.fine, press, touch.traction.wrench, scale, s), press)
 
-    def _said(self, press: Press, scale: float, sliding: bool) -> FeltShape:
+    def _said(self, press: PressHistory, scale: float, sliding: bool) -> ContactShape:
         s = self.settings.body
         probabilities = press.kinds((*SHAPES,))
         misfit = press.now.misfit
-        if misfit > s.misfit_most:
-            text = f"no body explains the markers: misfit {misfit:.1f}, at most {s.misfit_most:g}"
-            return _unknown(Status(StatusCode.NO_SHAPE, text), probabilities, misfit)
+        if misfit > s.misfit_max:
+            text = f"no body explains the markers: misfit {misfit:.1f}, at most {s.misfit_max:g}"
+            return _unknown(Status(StatusCode.FIT_FAILED, text), probabilities, misfit)
         kind = max(probabilities, key=lambda name: probabilities[name])
         weighed = []
         for probability, found in press.bodies():
@@ -131,20 +135,20 @@ class ShapeFinder:
         shape = words(self.films.fine, press.now, kind, probabilities, scale, interval(weighed), s)
         return replace(shape, motion=motion(press.track, press.now, slips=sliding))
 
-    def _hint(self, touch: Touch) -> Hint:
+    def _hint(self, touch: Touch) -> InitialGuess:
         assert touch.contact is not None
         whole = self._hint_at(touch, touch.contact, touch.force_normal)
         firm = [
             patch
-            for patch in touch.patches[:_MOST_PARTS]
-            if -patch.force[2] > _PART_SHARE * touch.force_normal
+            for patch in touch.patches[:_MAX_PARTS]
+            if -patch.force[2] > _PART_FRACTION * touch.force_normal
         ]
         if len(firm) < 2:
             return whole
         parts = tuple(self._hint_at(touch, patch, -float(patch.force[2])) for patch in firm)
         return replace(whole, parts=parts)
 
-    def _hint_at(self, touch: Touch, contact: Contact, force: float) -> Hint:
+    def _hint_at(self, touch: Touch, contact: Contact, force: float) -> InitialGuess:
         surface = touch.surface
         height = 0.0
         if surface is not None:
@@ -154,7 +158,7 @@ class ShapeFinder:
         film = self.films.fine
         sheet = film.film.design.membrane.thickness
         angle = contact.angle if math.isfinite(contact.angle) else 0.0
-        return Hint(
+        return InitialGuess(
             np.array(contact.centroid),
             height + sheet / 2,
             contact.area,
@@ -179,7 +183,7 @@ def slips(touch: Touch) -> bool:
     return touch.slip is not None and touch.slip.state == "slipping"
 
 
-def told_nothing(touch: Touch, s: BodySettings) -> FeltShape | None:
+def uninformative_status(touch: Touch, s: ContactShapeSettings) -> ContactShape | None:
     """An unknown shape where an image tells nothing of one; None where it does.
 
     Args:
@@ -190,16 +194,16 @@ def told_nothing(touch: Touch, s: BodySettings) -> FeltShape | None:
         The shape, or None.
     """
     if touch.status != OK or touch.contact is None or touch.markers is None:
-        return _unknown(Status(StatusCode.TOO_LITTLE_SEEN, f"no touch: {touch.status}"))
-    if not touch.touching or touch.force_normal < s.force_least:
-        return _unknown(Status(StatusCode.TOO_WEAK, f"less than {s.force_least:g} N"))
+        return _unknown(Status(StatusCode.INCOMPLETE_DATA, f"no touch: {touch.status}"))
+    if not touch.touching or touch.force_normal < s.force_min:
+        return _unknown(Status(StatusCode.FORCE_TOO_LOW, f"less than {s.force_min:g} N"))
     return None
 
 
 def _unknown(
     status: Status, probabilities: dict[str, float] | None = None, misfit: float = math.nan
-) -> FeltShape:
-    return FeltShape(
+) -> ContactShape:
+    return ContactShape(
         "unknown",
         dict.fromkeys(SHAPES, math.nan) if probabilities is None else probabilities,
         status=status,

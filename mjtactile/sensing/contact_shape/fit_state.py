@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array, Touch
-from mjtactile.quasistatic import FilmState
-from mjtactile.sensing.contact_shape.forward_model import Forward, converged
-from mjtactile.sensing.contact_shape.primitives import Hint
-from mjtactile.sensing.contact_shape.shape_models import Family
-from mjtactile.sensing.settings import BodySettings
+from mjtactile.quasistatic import MembraneSolution
+from mjtactile.sensing.contact_shape.forward_model import ForwardModel, converged
+from mjtactile.sensing.contact_shape.primitives import InitialGuess
+from mjtactile.sensing.contact_shape.shape_models import ShapeModel
+from mjtactile.sensing.settings import ContactShapeSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,12 @@ class Data:
 
     @classmethod
     def of(
-        cls, touch: Touch, raised: Array, by_gas: Array, s: BodySettings, drift: tuple[float, float]
+        cls,
+        touch: Touch,
+        raised: Array,
+        by_gas: Array,
+        s: ContactShapeSettings,
+        drift: tuple[float, float],
     ) -> Data:
         """Of a touch with markers.
 
@@ -68,7 +73,7 @@ class Prior:
     precision: Array
 
     @classmethod
-    def of(cls, family: Family, start: Array) -> Prior:
+    def of(cls, family: ShapeModel, start: Array) -> Prior:
         """Before any image, where a fit begins at `start` (k,): no direction is likelier than
         another."""
         turns = [name in ("direction", "angle") for name in family.names]
@@ -81,26 +86,26 @@ class Prior:
 
 
 @dataclass(frozen=True, eq=False)
-class At:
+class FitState:
     """Where a fit stands: the numbers `theta`, the film on them, its markers' `heights` (N,) m, the
     whitened `residual`, and the `cost`."""
 
     theta: Array
-    state: FilmState
+    state: MembraneSolution
     heights: Array
     residual: Array
     cost: float
 
 
 def begin(
-    forward: Forward,
-    family: Family,
-    hint: Hint,
+    forward: ForwardModel,
+    family: ShapeModel,
+    hint: InitialGuess,
     theta: Array,
     data: Data,
     prior: Prior,
-    state: FilmState | None,
-) -> At | None:
+    state: MembraneSolution | None,
+) -> FitState | None:
     """The film on a body of numbers `theta`, from `state`; None: it finds no rest.
 
     Args:
@@ -123,10 +128,15 @@ def begin(
 
 
 def standing(
-    forward: Forward, family: Family, theta: Array, data: Data, prior: Prior, state: FilmState
-) -> At:
+    forward: ForwardModel,
+    family: ShapeModel,
+    theta: Array,
+    data: Data,
+    prior: Prior,
+    state: MembraneSolution,
+) -> FitState:
     """Where a fit stands whose film has come to rest already; arguments as of `begin`."""
     heights = forward.heights(state.x[None])[0]
     residual = data.residual(heights)
     cost = float(residual @ residual) + prior.cost(theta / family.sd)
-    return At(theta, state, heights, residual, cost)
+    return FitState(theta, state, heights, residual, cost)

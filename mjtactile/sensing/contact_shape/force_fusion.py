@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mjtactile.core.types import SHAPES, Array, Touch
-from mjtactile.quasistatic import FilmState
-from mjtactile.sensing.contact_shape.forward_model import Forward
+from mjtactile.quasistatic import MembraneSolution
+from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.gauss_newton import Fit
-from mjtactile.sensing.contact_shape.hypotheses import Press
+from mjtactile.sensing.contact_shape.hypotheses import PressHistory
 from mjtactile.sensing.contact_shape.primitives import principal
 from mjtactile.sensing.contact_shape.stiction_factor import sticks
-from mjtactile.sensing.settings import BodySettings
+from mjtactile.sensing.settings import ContactShapeSettings
 
 _NORMAL = 2
 _BESIDE = 2.1  # spacings of the film: its two last rows of nodes
@@ -23,7 +23,7 @@ _BELOW = 1e-4  # m: what is so much lower than the frame, counts
 
 
 @dataclass(frozen=True, eq=False)
-class Borne:
+class ContactLoad:
     """What a body that was found takes to be so deep in the sheet: normal force, N, and torques
     about x and y of where it presses, N m, `load` (3,) with covariance `cov`; they are the numbers
     `rows` (3, 6) of a wrench. It has `explained` so much of what is sharp in the markers, a share
@@ -35,7 +35,9 @@ class Borne:
     explained: float
 
 
-def borne(forward: Forward, press: Press, wrench: Array, noise: float, s: BodySettings) -> Borne:
+def borne(
+    forward: ForwardModel, press: PressHistory, wrench: Array, noise: float, s: ContactShapeSettings
+) -> ContactLoad:
     """What the likeliest body bears.
 
     Args:
@@ -68,19 +70,19 @@ def borne(forward: Forward, press: Press, wrench: Array, noise: float, s: BodySe
     place = s.place_sd_sharp + untold * (s.place_sd - s.place_sd_sharp)
     model = _model(load, max(found.misfit, 1.0), pointed, place, below_frame(forward, state), s)
     shear = wrench[:2] - more * state.wrench[:2]
-    model[[1, 2], [1, 2]] += (s.shear_above_share * above * shear[::-1]) ** 2
+    model[[1, 2], [1, 2]] += (s.shear_above_fraction * above * shear[::-1]) ** 2
     by_numbers = more**2 * rows @ found.sums_cov_with(noise)[:6, :6] @ rows.T
     off = load - rows @ wrench
     doubt = 1 - float(press.probabilities[0])
-    left = (max(found.misfit, 1.0) / s.misfit_most) ** 2
+    left = (max(found.misfit, 1.0) / s.misfit_max) ** 2
     cov = model + by_numbers + doubt * np.outer(off, off)
     # a point catches the sheet where the film slides; of what is blunt nothing is sharp, and where
     # markers say that something is, it may be a point that was taken for it
     explains = kinds["edge"] + kinds["several"]
-    return Borne(load, cov, rows, max(1 - left, 0.0) * explains)
+    return ContactLoad(load, cov, rows, max(1 - left, 0.0) * explains)
 
 
-def _pointed(found: Fit, noise: float, s: BodySettings) -> float:
+def _pointed(found: Fit, noise: float, s: ContactShapeSettings) -> float:
     """How probably the sheet meets a point: more curved than a limit both ways."""
     from scipy.special import ndtr  # takes a while to import
 
@@ -98,7 +100,7 @@ def _pointed(found: Fit, noise: float, s: BodySettings) -> float:
     return float(ndtr((least - limit) / math.sqrt(max(variance, 1.0))))
 
 
-def below_frame(forward: Forward, state: FilmState) -> float:
+def below_frame(forward: ForwardModel, state: MembraneSolution) -> float:
     """Force, N, that presses the sheet lower than its frame, close beside it.
 
     A film is held at the frame, and bodies that go on end before it: how steeply the sheet hangs
@@ -120,12 +122,12 @@ def below_frame(forward: Forward, state: FilmState) -> float:
 
 
 def _model(
-    load: Array, misfit: float, pointed: float, place: float, below: float, s: BodySettings
+    load: Array, misfit: float, pointed: float, place: float, below: float, s: ContactShapeSettings
 ) -> Array:
     """Covariance (3, 3) of what film and friction leave: of the force, and of where it acts."""
     force = abs(float(load[0]))
-    share = math.hypot(s.force_share * misfit, s.tip_share * pointed)
-    variance = s.force_sd**2 + (share * force) ** 2 + (s.frame_share * below) ** 2
+    share = math.hypot(s.force_fraction * misfit, s.tip_fraction * pointed)
+    variance = s.force_sd**2 + (share * force) ** 2 + (s.frame_fraction * below) ** 2
     places = load[1:] / max(force, 1e-9)  # of the middle of pressure
     turn = np.concatenate([[-1.0], places])
     cov = variance * np.outer(turn, turn)
@@ -134,7 +136,7 @@ def _model(
     return cov
 
 
-def with_load(touch: Touch, known: Borne, sharpness: Array) -> Touch:
+def with_load(touch: Touch, known: ContactLoad, sharpness: Array) -> Touch:
     """A touch whose wrench takes up what a body bears.
 
     Args:

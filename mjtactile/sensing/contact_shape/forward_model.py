@@ -10,11 +10,11 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
-from mjtactile.quasistatic import Film, FilmState, Obstacle
+from mjtactile.quasistatic import MembraneSolution, Obstacle, QuasistaticMembrane
 from mjtactile.quasistatic.interpolation import carried
 from mjtactile.quasistatic.obstacles import NUMBERS, pooled
 from mjtactile.quasistatic.sensitivities import answered, derived
-from mjtactile.quasistatic.solution import AREA, FOUND, PRESSURE, STATUS, FilmBatch
+from mjtactile.quasistatic.solution import AREA, FOUND, PRESSURE, STATUS, MembraneSolutionBatch
 from mjtactile.sensing.force.rest_equilibrium import InverseRest
 
 _STEPS = 20  # of 50 films that come to rest 49 have; those that never do take all
@@ -24,7 +24,7 @@ SUMS = np.array([*range(6), PRESSURE, AREA])
 SUM_AREA = 7
 
 
-class Forward:
+class ForwardModel:
     """The film of one sensor at rest, and how high its markers stand on it.
 
     Args:
@@ -44,7 +44,7 @@ class Forward:
         )
         sides = (design.frame.length, design.frame.width)
         columns, rows = (max(round(side / spacing) + 1, 9) for side in sides)
-        self.film = Film(
+        self.film = QuasistaticMembrane(
             replace(design, membrane=sheet),
             (columns, rows),
             rest.gas.gauge if gauge is None else gauge,
@@ -71,10 +71,10 @@ class Forward:
         film = self.film
         if not film.sealed:
             return np.zeros(len(self.rest_heights))
-        more = Film(film.design, film.grid, (1 + _MORE) * film.pressure_gauge)
-        rise = _MORE * film.pressure_gauge
+        more = QuasistaticMembrane(film.design, film.grid, (1 + _MORE) * film.gauge_pressure)
+        rise = _MORE * film.gauge_pressure
         chamber = film.design.chamber
-        absolute = film.pressure_gauge + chamber.ambient
+        absolute = film.gauge_pressure + chamber.ambient
         volume = film.design.chamber_volume_flat + film.rest.volume
         yields = absolute / volume * (more.rest.volume - film.rest.volume) / rise
         higher = self.heights(more.rest.x[None])[0] - self.rest_heights
@@ -89,7 +89,7 @@ class Forward:
         return np.einsum("nmj,mj->nm", rows, self._along)
 
     def answers(
-        self, state: FilmState, bodies: Sequence[Sequence[Obstacle]], steps: Array
+        self, state: MembraneSolution, bodies: Sequence[Sequence[Obstacle]], steps: Array
     ) -> tuple[Array, Array]:
         """About how markers' heights (n, N) m and the normal force (n,) N change from a state on
         the first of `bodies` to those that are each of `steps` (n,) further
@@ -98,11 +98,11 @@ class Forward:
         return self.heights(by_z[:, None]), by_force.sum(axis=(1, 2))
 
     def derivatives(
-        self, state: FilmState, bodies: Sequence[Sequence[Obstacle]], steps: Array
+        self, state: MembraneSolution, bodies: Sequence[Sequence[Obstacle]], steps: Array
     ) -> tuple[Array, Array]:
         """The same exactly, and of all that is added up (n, 8) (SUMS)."""
         by = derived(self.film, state, *self._rows(bodies), steps)
-        sums = np.column_stack([by.wrench, by.pressure_gauge, by.area])
+        sums = np.column_stack([by.wrench, by.gauge_pressure, by.area])
         return self.heights(by.displacements), sums
 
     def _rows(self, bodies: Sequence[Sequence[Obstacle]]) -> tuple[Array, Array | None]:
@@ -111,8 +111,8 @@ class Forward:
         return rows.reshape(len(bodies), -1, NUMBERS), pool
 
     def solve(
-        self, bodies: Sequence[Sequence[Obstacle]], start: FilmState | None = None
-    ) -> FilmBatch:
+        self, bodies: Sequence[Sequence[Obstacle]], start: MembraneSolution | None = None
+    ) -> MembraneSolutionBatch:
         """Films on each set of bodies, from `start`; what does not come to rest from there is given
         up."""
         if start is None:
@@ -120,14 +120,14 @@ class Forward:
         count = len(bodies)
         found = np.empty((count, FOUND))
         found[:] = start.found
-        batch = FilmBatch(
+        batch = MembraneSolutionBatch(
             np.repeat(start.x[None], count, axis=0),
             np.repeat(start.force[None], count, axis=0),
             found,
         )
-        return self.film.solve_batch(bodies, batch, again=False, most_steps=_STEPS)
+        return self.film.solve_batch(bodies, batch, again=False, max_steps=_STEPS)
 
 
-def converged(batch: FilmBatch) -> bool:
+def converged(batch: MembraneSolutionBatch) -> bool:
     """Whether the first of some films did."""
     return bool(batch.found[0, STATUS] == 0)

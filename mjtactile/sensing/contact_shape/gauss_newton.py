@@ -8,13 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.quasistatic import FilmState
-from mjtactile.sensing.contact_shape.fit_state import At, Data, Prior, begin
-from mjtactile.sensing.contact_shape.forward_model import Forward
-from mjtactile.sensing.contact_shape.jacobian import Slopes, find_slopes, learnt, quick_slopes
+from mjtactile.quasistatic import MembraneSolution
+from mjtactile.sensing.contact_shape.fit_state import Data, FitState, Prior, begin
+from mjtactile.sensing.contact_shape.forward_model import ForwardModel
+from mjtactile.sensing.contact_shape.jacobian import (
+    Jacobian,
+    approximate_jacobian,
+    exact_jacobian,
+    learnt,
+)
 from mjtactile.sensing.contact_shape.levenberg_step import Step, damped_step
-from mjtactile.sensing.contact_shape.primitives import Hint
-from mjtactile.sensing.contact_shape.shape_models import Family
+from mjtactile.sensing.contact_shape.primitives import InitialGuess
+from mjtactile.sensing.contact_shape.shape_models import ShapeModel
 
 _DAMPING = (1e-2, 1e-8, 1e2)  # first, least, most
 _GOOD = 0.4  # of what a step promised: the next is damped less
@@ -45,12 +50,12 @@ class Fit:
         felt: N, the normal force of the nodal estimate in its image.
     """
 
-    family: Family
-    hint: Hint
-    at: At
+    family: ShapeModel
+    hint: InitialGuess
+    at: FitState
     prior: Prior
     curvature: Array
-    slopes: Slopes
+    slopes: Jacobian
     felt: float
 
     @property
@@ -59,7 +64,7 @@ class Fit:
         return self.at.theta
 
     @property
-    def state(self) -> FilmState:
+    def state(self) -> MembraneSolution:
         """The film on it."""
         return self.at.state
 
@@ -123,14 +128,14 @@ class _Enough:
 
 
 def refine(
-    forward: Forward,
-    family: Family,
-    hint: Hint,
-    at: At,
+    forward: ForwardModel,
+    family: ShapeModel,
+    hint: InitialGuess,
+    at: FitState,
     data: Data,
     prior: Prior,
     *,
-    slopes: Slopes | None = None,
+    slopes: Jacobian | None = None,
     rounds: int = 14,
     known: float = np.inf,
     noise: float,
@@ -161,11 +166,11 @@ def refine(
     fresh = slopes is not None and slopes.theta is at.theta
     if slopes is None or slopes.worn(family, at.theta):
         fresh = True
-        slopes = quick_slopes(forward, family, hint, at)
+        slopes = approximate_jacobian(forward, family, hint, at)
     while rounds > 0:
         step = damped_step(slopes.seen(data), at, family, prior, damping)
         if step.promised > enough.far and not fresh:
-            slopes = quick_slopes(forward, family, hint, at)
+            slopes = approximate_jacobian(forward, family, hint, at)
             fresh = True
             continue
         if enough.is_reached(at.cost, step, damping):
@@ -174,7 +179,7 @@ def refine(
         rounds -= 1
         if new is None or new.cost > at.cost:
             if not fresh:
-                slopes = quick_slopes(forward, family, hint, at)
+                slopes = approximate_jacobian(forward, family, hint, at)
                 fresh = True
             elif damping > _DAMPING[2]:
                 break
@@ -185,7 +190,11 @@ def refine(
         good = gained > _GOOD * step.promised
         damping = max(damping / 10, _DAMPING[1]) if good else 3 * damping
         fresh = slopes.worn(family, new.theta)
-        slopes = quick_slopes(forward, family, hint, new) if fresh else learnt(slopes, sd, at, new)
+        slopes = (
+            approximate_jacobian(forward, family, hint, new)
+            if fresh
+            else learnt(slopes, sd, at, new)
+        )
         at = new
         if gained < enough.settled:
             break
@@ -193,7 +202,9 @@ def refine(
     return Fit(family, hint, at, prior, J.T @ J, slopes, data.force)
 
 
-def exactly(forward: Forward, fit: Fit, data: Data, noise: float, times: int = _POLISHED) -> Fit:
+def exactly(
+    forward: ForwardModel, fit: Fit, data: Data, noise: float, times: int = _POLISHED
+) -> Fit:
     """A fit with exact slopes, for what is said of it; they lead it on to where quick ones do not.
 
     Args:
@@ -209,7 +220,7 @@ def exactly(forward: Forward, fit: Fit, data: Data, noise: float, times: int = _
     for _ in range(times):
         if fit.slopes.exact:
             return fit
-        slopes = find_slopes(forward, fit.family, fit.hint, fit.at)
+        slopes = exact_jacobian(forward, fit.family, fit.hint, fit.at)
         fit = refine(
             forward,
             fit.family,
@@ -224,6 +235,6 @@ def exactly(forward: Forward, fit: Fit, data: Data, noise: float, times: int = _
         )
     if fit.slopes.exact:
         return fit
-    slopes = find_slopes(forward, fit.family, fit.hint, fit.at)
+    slopes = exact_jacobian(forward, fit.family, fit.hint, fit.at)
     J = slopes.seen(data)
     return replace(fit, curvature=J.T @ J, slopes=slopes)

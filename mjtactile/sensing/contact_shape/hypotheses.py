@@ -11,14 +11,14 @@ import numpy as np
 
 from mjtactile.core.types import Array
 from mjtactile.sensing.contact_shape.fit_state import Data
-from mjtactile.sensing.contact_shape.forward_model import Forward
+from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.gauss_newton import Fit, exactly
 from mjtactile.sensing.contact_shape.initial_search import Films
-from mjtactile.sensing.contact_shape.primitives import Hint
+from mjtactile.sensing.contact_shape.primitives import InitialGuess
 from mjtactile.sensing.contact_shape.relative_motion import Track
-from mjtactile.sensing.contact_shape.shape_filter import Common
-from mjtactile.sensing.contact_shape.shape_models import Family, kinds_of
-from mjtactile.sensing.settings import BodySettings
+from mjtactile.sensing.contact_shape.shape_filter import ShapeFilter
+from mjtactile.sensing.contact_shape.shape_models import ShapeModel, kinds_of
+from mjtactile.sensing.settings import ContactShapeSettings
 
 _BEHIND = 10.0  # of the log of evidence: a family that is not looked for again in a press
 
@@ -29,10 +29,10 @@ class Candidate:
     far, what all looks have told of what it keeps, and by how much it was `behind` the likeliest
     when it was given up."""
 
-    family: Family
+    family: ShapeModel
     fit: Fit
     image_log: float
-    common: Common
+    common: ShapeFilter
     behind: float = 0.0
 
     @property
@@ -42,27 +42,27 @@ class Candidate:
 
 
 @dataclass(frozen=True, eq=False)
-class Looked:
+class Evaluation:
     """A body of the newest image, with what was known before: the `image_log` of its family's
     evidence and what its looks had in common; the image's own evidence counts by a `share`."""
 
     fit: Fit
     image_log: float
-    common: Common
+    common: ShapeFilter
     share: float
 
-    def exactly(self, forward: Forward, data: Data, noise: float) -> Looked:
+    def exactly(self, forward: ForwardModel, data: Data, noise: float) -> Evaluation:
         """With the body's exact slopes."""
         return replace(self, fit=exactly(forward, self.fit, data, noise))
 
     def with_noise(self, noise: float) -> Candidate:
         """As a candidate, where the markers' variances are `noise` times what is believed."""
         log = self.image_log + self.share * self.fit.log_evidence_with(noise)
-        return Candidate(self.fit.family, self.fit, log, self.common.with_look(self.fit))
+        return Candidate(self.fit.family, self.fit, log, self.common.with_observation(self.fit))
 
 
 @dataclass(frozen=True, eq=False)
-class Press:
+class PressHistory:
     """What the images of a press have told.
 
     Attributes:
@@ -102,7 +102,7 @@ class Press:
                 sums[kind] += probability * share
         return sums
 
-    def near(self, families: Sequence[Family]) -> list[Family]:
+    def near(self, families: Sequence[ShapeModel]) -> list[ShapeModel]:
         """Those of `families` that are not far behind by what the press has told."""
         known = (*self.candidates, *self.left)
         close = {one.family.name for one in known if one.behind < _BEHIND}
@@ -117,12 +117,12 @@ class Press:
 
 def weighed(
     films: Films,
-    found: list[Looked],
-    hint: Hint,
+    found: list[Evaluation],
+    hint: InitialGuess,
     data: Data,
-    s: BodySettings,
-    past: Press | None = None,
-) -> Press | None:
+    s: ContactShapeSettings,
+    past: PressHistory | None = None,
+) -> PressHistory | None:
     """Bodies of an image, weighed; those that are given up, with those that were in the `past`, are
     remembered.
 
@@ -132,7 +132,7 @@ def weighed(
     """
     if not found:
         return None
-    noise = max(s.noise_least, min(one.fit.misfit for one in found))
+    noise = max(s.noise_min, min(one.fit.misfit for one in found))
     roughly = [one.with_noise(noise) for one in found]
     most = max(one.log for one in roughly)
     least = most - s.log_lost
@@ -146,7 +146,7 @@ def weighed(
         before = (*past.left, *past.candidates)
         lost += [one for one in before if one.family.name not in seen]
     kept.remove(spoken)
-    return Press(
+    return PressHistory(
         (spoken, *kept), spoken.fit, noise, data.force, 0, len(hint.parts), 0.0, left=tuple(lost)
     )
 

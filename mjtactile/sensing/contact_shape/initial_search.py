@@ -10,13 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.quasistatic import FilmState
+from mjtactile.quasistatic import MembraneSolution
 from mjtactile.quasistatic.solution import AREA
-from mjtactile.sensing.contact_shape.fit_state import At, Data, Prior, begin, standing
-from mjtactile.sensing.contact_shape.forward_model import Forward, converged
+from mjtactile.sensing.contact_shape.fit_state import Data, FitState, Prior, begin, standing
+from mjtactile.sensing.contact_shape.forward_model import ForwardModel, converged
 from mjtactile.sensing.contact_shape.gauss_newton import Fit, refine
-from mjtactile.sensing.contact_shape.primitives import Hint, principal
-from mjtactile.sensing.contact_shape.shape_models import Family
+from mjtactile.sensing.contact_shape.primitives import InitialGuess, principal
+from mjtactile.sensing.contact_shape.shape_models import ShapeModel
 
 _APPROACH = (1.2, 0.7, 0.3, 0.0)  # mm above the start: the film is pressed in steps
 _WIDE = (0.75, 1.05)  # times what a contact's area has, of a disc that presses there
@@ -32,17 +32,17 @@ _ORDER = {"ball": 0, "smooth": 1, "cylinder": 2}  # others later
 class Films:
     """The film of one sensor, and by how much markers' heights (N,) m go up with a share of gas."""
 
-    fine: Forward
+    fine: ForwardModel
     by_gas: Array
 
 
 def search(
     films: Films,
-    families: Sequence[Family],
-    hint: Hint,
+    families: Sequence[ShapeModel],
+    hint: InitialGuess,
     data: Data,
     noise: float,
-    near: FilmState | None = None,
+    near: MembraneSolution | None = None,
     known: float = math.inf,
 ) -> list[Fit]:
     """Each family's body, of which nothing is known yet.
@@ -63,19 +63,19 @@ def search(
     """
     found: list[Fit] = []
     for family in sorted(families, key=lambda one: _ORDER.get(one.name, len(_ORDER))):
-        one = _begun(films.fine, family, hint, data, found, noise, near, known)
+        one = _best_start(films.fine, family, hint, data, found, noise, near, known)
         if one is not None:
             found.append(one)
     if not found:
         return []
-    found = _bent_alike(films.fine, hint, data, found, noise)
+    found = _reuse_curvature(films.fine, hint, data, found, noise)
     least = min(one.chi2 for one in found)
     noise = max(noise, least / len(data.heights))
     return [one for one in found if one.chi2 <= least + _HOPELESS * noise]
 
 
-def _bent_alike(
-    forward: Forward, hint: Hint, data: Data, found: list[Fit], noise: float
+def _reuse_curvature(
+    forward: ForwardModel, hint: InitialGuess, data: Data, found: list[Fit], noise: float
 ) -> list[Fit]:
     """The same, but a smooth body that explains less than the lying cylinder, which is one,
     begun there."""
@@ -95,14 +95,14 @@ def _bent_alike(
     return [other if one is smooth else one for one in found]
 
 
-def _begun(
-    forward: Forward,
-    family: Family,
-    hint: Hint,
+def _best_start(
+    forward: ForwardModel,
+    family: ShapeModel,
+    hint: InitialGuess,
     data: Data,
     known: Sequence[Fit],
     noise: float,
-    near: FilmState | None,
+    near: MembraneSolution | None,
     least: float,
 ) -> Fit | None:
     """From the start that explains most where it feels the force."""
@@ -129,7 +129,7 @@ def _begun(
 
 
 def _starts(
-    family: Family, hint: Hint, known: Sequence[Fit], pressed: _Pressed | None
+    family: ShapeModel, hint: InitialGuess, known: Sequence[Fit], pressed: _Pressed | None
 ) -> Sequence[Array]:
     """A family's own, where another body presses, and about as wide as that contact is; what is a
     simpler case of another, or another of it, begins as that is."""
@@ -172,7 +172,7 @@ class _Pressed:
     halves: Array
 
     @classmethod
-    def of(cls, forward: Forward, state: FilmState | None) -> _Pressed | None:
+    def of(cls, forward: ForwardModel, state: MembraneSolution | None) -> _Pressed | None:
         """By a film at rest; None where nothing touches."""
         if state is None or not (state.force > 0).any():
             return None
@@ -185,7 +185,7 @@ class _Pressed:
         return cls(middle, float(state.found[AREA]), math.atan2(axes[1, 1], axes[0, 1]), wide)
 
 
-def _pressing(forward: Forward, state: FilmState) -> tuple[Array, Array, Array]:
+def _pressing(forward: ForwardModel, state: MembraneSolution) -> tuple[Array, Array, Array]:
     """Of nodes that touch: force (n,) N, and places x and y (n,) m."""
     touching = state.force > 0
     x, y = (
@@ -196,14 +196,14 @@ def _pressing(forward: Forward, state: FilmState) -> tuple[Array, Array, Array]:
 
 
 def beside(
-    forward: Forward,
-    family: Family,
-    hint: Hint,
+    forward: ForwardModel,
+    family: ShapeModel,
+    hint: InitialGuess,
     start: Array,
     data: Data,
     prior: Prior,
-    state: FilmState | None,
-) -> At | None:
+    state: MembraneSolution | None,
+) -> FitState | None:
     """Put a body in the place of another: as high as that one's contact does no work on the change,
     and then as the force says.
 
@@ -223,7 +223,7 @@ def beside(
         return None
     force, x, y = _pressing(forward, state)
     theta = np.clip(start, family.low, family.high)
-    heights = forward.film.heights_of(family.build(theta, hint), np.column_stack([x, y]))
+    heights = forward.film.obstacle_heights(family.build(theta, hint), np.column_stack([x, y]))
     there = np.isfinite(heights)
     if not there.any():
         return None
@@ -238,8 +238,13 @@ def beside(
 
 
 def approach(
-    forward: Forward, family: Family, hint: Hint, start: Array, data: Data, prior: Prior
-) -> At | None:
+    forward: ForwardModel,
+    family: ShapeModel,
+    hint: InitialGuess,
+    start: Array,
+    data: Data,
+    prior: Prior,
+) -> FitState | None:
     """Press a body in until it feels the force that was felt.
 
     Args:
@@ -275,13 +280,13 @@ def approach(
 
 
 def _to_force(
-    forward: Forward,
-    family: Family,
-    hint: Hint,
-    reached: tuple[Array, FilmState, float],
+    forward: ForwardModel,
+    family: ShapeModel,
+    hint: InitialGuess,
+    reached: tuple[Array, MembraneSolution, float],
     data: Data,
     prior: Prior,
-) -> At | None:
+) -> FitState | None:
     theta, state, force = reached
     heights = family.heights
     stiffness = _STIFFNESS[1] * len(heights)

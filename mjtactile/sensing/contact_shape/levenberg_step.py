@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
-from mjtactile.sensing.contact_shape.fit_state import At, Prior
-from mjtactile.sensing.contact_shape.shape_models import Family
+from mjtactile.sensing.contact_shape.fit_state import FitState, Prior
+from mjtactile.sensing.contact_shape.shape_models import ShapeModel
 
 # mm and rad that a step may go at most, and shares of a curvature (1/m, of what is as flat as that
 # at least) and of a size
@@ -31,7 +31,7 @@ class Step:
     cut: bool
 
 
-def damped_step(J: Array, at: At, family: Family, prior: Prior, damping: float) -> Step:
+def damped_step(J: Array, at: FitState, family: ShapeModel, prior: Prior, damping: float) -> Step:
     """One damped Gauss-Newton step.
 
     Args:
@@ -70,7 +70,7 @@ def _within(H: Array, gradient: Array, step: Array, most: Array, far: NDArray[np
     return step * float((most / np.maximum(np.abs(step), 1e-12)).min())
 
 
-def _straight(family: Family, theta: Array) -> Array:
+def _straight(family: ShapeModel, theta: Array) -> Array:
     """How far (k,) each number may go at once."""
     bent = [abs(value) for value, name in zip(theta, family.names, strict=True) if name[0] == "k"]
     curved = _BEND_STEP * max([_FLAT, *bent])

@@ -8,17 +8,17 @@ from mjtactile.sensing.contact_shape.fit_state import Data, Prior, begin
 from mjtactile.sensing.contact_shape.gauss_newton import Fit, refine
 from mjtactile.sensing.contact_shape.initial_search import Films
 from mjtactile.sensing.contact_shape.refit import LOOKED
-from mjtactile.sensing.contact_shape.shape_models import Family, several
-from mjtactile.sensing.settings import BodySettings
+from mjtactile.sensing.contact_shape.shape_models import ShapeModel, several
+from mjtactile.sensing.settings import ContactShapeSettings
 
 _PARTS = ("ball", "cylinder", "disc", "block")
 
 
-def other_parts(films: Films, best: Fit, data: Data, s: BodySettings) -> list[Fit]:
+def other_parts(films: Films, best: Fit, data: Data, s: ContactShapeSettings) -> list[Fit]:
     """One after the other of several bodies is tried as of another family, and stays so where it
     explains more."""
     tried: list[Fit] = []
-    noise = max(s.noise_least, best.misfit)
+    noise = max(s.noise_min, best.misfit)
     for place in range(len(best.family.parts)):
         for name in _PARTS:
             names = [part.name for part in best.family.parts]
@@ -35,7 +35,7 @@ def other_parts(films: Films, best: Fit, data: Data, s: BodySettings) -> list[Fi
 
 
 def _with_part(
-    films: Films, fit: Fit, family: Family, place: int, data: Data, noise: float
+    films: Films, fit: Fit, family: ShapeModel, place: int, data: Data, noise: float
 ) -> Fit | None:
     """Of several bodies one is of another family: the likeliest of its starts."""
     part = family.parts[place]

@@ -8,14 +8,14 @@ from dataclasses import replace
 
 from mjtactile.sensing.contact_shape.fit_state import Data
 from mjtactile.sensing.contact_shape.gauss_newton import exactly
-from mjtactile.sensing.contact_shape.hypotheses import Looked, Press, weighed
+from mjtactile.sensing.contact_shape.hypotheses import Evaluation, PressHistory, weighed
 from mjtactile.sensing.contact_shape.initial_search import Films, search
 from mjtactile.sensing.contact_shape.multi_contact import other_parts
-from mjtactile.sensing.contact_shape.primitives import Hint
-from mjtactile.sensing.contact_shape.refit import FOLLOWED, LOOKED, begun_anew, from_before
-from mjtactile.sensing.contact_shape.shape_filter import Common
+from mjtactile.sensing.contact_shape.primitives import InitialGuess
+from mjtactile.sensing.contact_shape.refit import FOLLOWED, LOOKED, restart_fit, warm_start
+from mjtactile.sensing.contact_shape.shape_filter import ShapeFilter
 from mjtactile.sensing.contact_shape.shape_models import FAMILIES, several
-from mjtactile.sensing.settings import BodySettings
+from mjtactile.sensing.settings import ContactShapeSettings
 
 _WORSE = 1.5  # times as much is left as when all families were looked for: they are again,
 _BAD = 0.25  # of the misfit that is too much: with so much they are looked for at each look
@@ -25,8 +25,12 @@ _ONE = tuple(FAMILIES.values())
 
 
 def follow(
-    films: Films, press: Press | None, hint: Hint, data: Data, s: BodySettings
-) -> Press | None:
+    films: Films,
+    press: PressHistory | None,
+    hint: InitialGuess,
+    data: Data,
+    s: ContactShapeSettings,
+) -> PressHistory | None:
     """One image more.
 
     Args:
@@ -41,10 +45,10 @@ def follow(
     """
     if press is None:
         return _first(films, hint, data, s)
-    grown = data.force > s.look_force * press.force
-    told = grown or data.force < press.force / s.look_force
+    grown = data.force > s.check_force * press.force
+    told = grown or data.force < press.force / s.check_force
     looked = None
-    if not told and press.images + 1 < s.look_images:
+    if not told and press.images + 1 < s.check_images:
         looked = _follow(films, press, hint, data)
     # what is followed may be stuck
     if looked is None or _is_worse(looked, press, s):
@@ -53,7 +57,7 @@ def follow(
         return _first(films, hint, data, s)
     worse = _is_worse(looked, press, s)
     # what is dragged is worse explained, and still the same: only what comes deeper is another
-    if grown and (worse or looked.now.misfit > _BAD * s.misfit_most):
+    if grown and (worse or looked.now.misfit > _BAD * s.misfit_max):
         other = _first(films, hint, data, s, looked)
         if other is not None and other.now.misfit < _BETTER * looked.now.misfit:
             return _with_past(films, press, looked, other, hint, data, s)
@@ -61,30 +65,36 @@ def follow(
     return replace(looked, doubted=looked.now.misfit) if worse else looked
 
 
-def _is_worse(looked: Press, press: Press, s: BodySettings) -> bool:
+def _is_worse(looked: PressHistory, press: PressHistory, s: ContactShapeSettings) -> bool:
     """Whether an image is explained worse than that in which all families were looked for."""
     return looked.now.misfit > max(_WORSE * press.doubted, s.misfit_asks)
 
 
 def _first(
-    films: Films, hint: Hint, data: Data, s: BodySettings, but: Press | None = None
-) -> Press | None:
+    films: Films,
+    hint: InitialGuess,
+    data: Data,
+    s: ContactShapeSettings,
+    but: PressHistory | None = None,
+) -> PressHistory | None:
     """All families, from nothing, or from the film on a body that is not believed any more, but for
     those that the press has left far behind; what explains no more than that body is given up."""
     if but is None:
-        found = search(films, _ONE, hint, data, s.noise_least)
+        found = search(films, _ONE, hint, data, s.noise_min)
     else:
         now = but.now
-        found = search(films, but.near(_ONE), hint, data, s.noise_least, now.state, now.chi2)
+        found = search(films, but.near(_ONE), hint, data, s.noise_min, now.state, now.chi2)
     least = min((one.misfit for one in found), default=math.inf)
     if len(hint.parts) > 1 and least > s.misfit_one:
         balls = several(["ball"] * len(hint.parts))
-        both = search(films, (balls,), hint, data, s.noise_least)
+        both = search(films, (balls,), hint, data, s.noise_min)
         found += both
         if both and s.misfit_one < both[0].misfit < least:
             found += other_parts(films, both[0], data, s)
     given = [
-        Looked(one, -s.log_body * max(len(one.family.parts) - 1, 0), Common.of(one.family), 1.0)
+        Evaluation(
+            one, -s.log_body * max(len(one.family.parts) - 1, 0), ShapeFilter.of(one.family), 1.0
+        )
         for one in found
     ]
     looked = weighed(films, given, hint, data, s)
@@ -92,8 +102,14 @@ def _first(
 
 
 def _with_past(
-    films: Films, past: Press, looked: Press, other: Press, hint: Hint, data: Data, s: BodySettings
-) -> Press:
+    films: Films,
+    past: PressHistory,
+    looked: PressHistory,
+    other: PressHistory,
+    hint: InitialGuess,
+    data: Data,
+    s: ContactShapeSettings,
+) -> PressHistory:
     """What was `looked` at and what was found from nothing, `other`, with all that the press has
     told of their families before this image; of one that was not there, that it would have
     explained as much."""
@@ -106,34 +122,38 @@ def _with_past(
         one = known.get(name)
         if one is None:
             before = best.log - s.log_body * max(len(fit.family.parts) - 1, 0)
-            found.append(Looked(fit, before, Common.of(fit.family), s.log_again))
+            found.append(Evaluation(fit, before, ShapeFilter.of(fit.family), s.log_again))
         else:
-            found.append(Looked(fit, one.image_log, one.common, s.log_again))
+            found.append(Evaluation(fit, one.image_log, one.common, s.log_again))
     both = weighed(films, found, hint, data, s, past)
     assert both is not None
     return replace(both, doubted=both.now.misfit)
 
 
-def _look(films: Films, press: Press, hint: Hint, data: Data, s: BodySettings) -> Press | None:
+def _look(
+    films: Films, press: PressHistory, hint: InitialGuess, data: Data, s: ContactShapeSettings
+) -> PressHistory | None:
     """All that may still be it, each from where it was."""
-    found: list[Looked] = []
+    found: list[Evaluation] = []
     for number, one in enumerate(press.candidates):
         start = press.now if number == 0 else one.fit
         best = min((each.fit for each in found), key=lambda fit: fit.chi2, default=None)
         known = math.inf if best is None else best.chi2
-        body = from_before(films, one, start, press.noise, hint, data, LOOKED, known)
+        body = warm_start(films, one, start, press.noise, hint, data, LOOKED, known)
         least = press.noise if best is None else best.misfit
         if body is None or body.misfit > _STUCK * least:
             near = (best or press.now).state
-            body = begun_anew(films, one, body, press.noise, hint, data, known, near)
+            body = restart_fit(films, one, body, press.noise, hint, data, known, near)
         if body is not None:
-            found.append(Looked(body, one.image_log, one.common, s.log_again))
+            found.append(Evaluation(body, one.image_log, one.common, s.log_again))
     looked = weighed(films, found, hint, data, s, press)
     return None if looked is None else replace(looked, doubted=press.doubted)
 
 
-def _follow(films: Films, press: Press, hint: Hint, data: Data) -> Press | None:
-    body = from_before(films, press.candidates[0], press.now, press.noise, hint, data, FOLLOWED)
+def _follow(
+    films: Films, press: PressHistory, hint: InitialGuess, data: Data
+) -> PressHistory | None:
+    body = warm_start(films, press.candidates[0], press.now, press.noise, hint, data, FOLLOWED)
     if body is None:
         return None
     body = exactly(films.fine, body, data, press.noise, times=0)

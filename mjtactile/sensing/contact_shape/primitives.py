@@ -23,7 +23,7 @@ _RIM_OUT = 1.4  # roundings by which a round rim's own lies outside of what it s
 
 
 @dataclass(frozen=True, eq=False)
-class Hint:
+class InitialGuess:
     """Where a fit starts: `place` (2,) m in S of the touch, `height` m of the sheet's outer face
     there, `area` m^2 and `angle` rad of the patch as the nodal estimate has it, and half sides
     `frame` (2,) m of where a body may be, of an ellipse where it is `round`; places x, y (nx, ny) m
@@ -39,16 +39,16 @@ class Hint:
     nodes: tuple[Array, Array]
     rounding: float
     force: float
-    parts: tuple[Hint, ...] = ()
+    parts: tuple[InitialGuess, ...] = ()
     round: bool = False
 
-    def on(self, nodes: tuple[Array, Array], rounding: float) -> Hint:
+    def on(self, nodes: tuple[Array, Array], rounding: float) -> InitialGuess:
         """The same over another film's nodes."""
         parts = tuple(part.on(nodes, rounding) for part in self.parts)
         return replace(self, nodes=nodes, rounding=rounding, parts=parts)
 
 
-def room_in(frame: Frame, edge: float) -> Array:
+def feasible_half_extents(frame: Frame, edge: float) -> Array:
     """Half sides (2,) m of where a body may be that goes on: `edge` m within a rectangle, or half
     axes of the largest ellipse in another outline."""
     half = np.array([frame.length, frame.width]) / 2 - edge
@@ -71,7 +71,7 @@ def about(axis: int, angle: float) -> Array:
     return R
 
 
-def place_of(theta: Array, hint: Hint) -> Array:
+def place_of(theta: Array, hint: InitialGuess) -> Array:
     """The body's point that its first three numbers tell, (3,) m in S."""
     x, y, z = (1e-3 * theta[:3]).tolist()
     return np.array([hint.place[0] + x, hint.place[1] + y, hint.height + z])
@@ -86,13 +86,13 @@ def principal(theta: Array) -> tuple[float, float, float]:
     return middle + half, middle - half, direction % math.pi
 
 
-def _above(theta: Array, hint: Hint, up: float) -> tuple[float, float, float]:
+def _above(theta: Array, hint: InitialGuess, up: float) -> tuple[float, float, float]:
     """The place `up` m over that of the first three numbers."""
     x, y, z = place_of(theta, hint).tolist()
     return x, y, z + up
 
 
-def smooth(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
+def smooth(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
     """An ellipsoid whose lowest point and curvatures are given: a ball, a lying cylinder, a plane
     are exact."""
     most, least, direction = principal(theta)
@@ -101,7 +101,7 @@ def smooth(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
     return (ready("ellipsoid", sizes, _above(theta, hint, tall), about(2, direction)),)
 
 
-def smooth_starts(hint: Hint) -> tuple[Array, ...]:
+def smooth_starts(hint: InitialGuess) -> tuple[Array, ...]:
     c = math.cos(hint.angle)
     s = math.sin(hint.angle)
     along = np.array([c * c, c * s, s * s])  # of the curvature along the patch's longer axis
@@ -112,17 +112,17 @@ def smooth_starts(hint: Hint) -> tuple[Array, ...]:
     )
 
 
-def ball(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
+def ball(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
     radius = 1 / max(float(theta[3]), _FLAT)
     return (ready("sphere", (radius,), _above(theta, hint, radius)),)
 
 
-def cylinder(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
+def cylinder(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
     """Lying, as long as the sensor is; its ends are before the frame."""
     radius = 1 / max(theta[3], _FLAT)
     R = about(2, theta[4]) @ about(1, theta[5])
     place = place_of(theta, hint)
-    ways = _ways_in_ellipse if hint.round else _ways_to
+    ways = _directions_in_ellipse if hint.round else _distance_to_edge
     back, forth = ways(hint.frame, place, R[:, 0])
     middle = place + R[:, 0] * (forth - back) / 2 + R[:, 2] * radius
     turned = np.column_stack([R[:, 1], R[:, 2], R[:, 0]])
@@ -141,7 +141,7 @@ def _soft(off: Array, rounding: float) -> Array:
     return rise
 
 
-def off_middle(theta: Array, hint: Hint) -> tuple[Array, Array, Array]:
+def offset_from_center(theta: Array, hint: InitialGuess) -> tuple[Array, Array, Array]:
     """Nodes' places from the body's middle, (nx, ny) m, and the tilted face's heights there."""
     place = place_of(theta, hint)
     x = hint.nodes[0] - place[0]
@@ -149,8 +149,8 @@ def off_middle(theta: Array, hint: Hint) -> tuple[Array, Array, Array]:
     return x, y, place[2] + theta[3] * y - theta[4] * x
 
 
-def _off_lines(thetas: Array, hint: Hint) -> tuple[Array, Array, Array]:
-    """As `off_middle`, of bodies `thetas` (m, k): x (m, nx, 1), y (m, 1, ny), heights
+def _off_lines(thetas: Array, hint: InitialGuess) -> tuple[Array, Array, Array]:
+    """As `offset_from_center`, of bodies `thetas` (m, k): x (m, nx, 1), y (m, 1, ny), heights
     (m, nx, ny)."""
     place = 1e-3 * thetas[:, :3, None, None]
     x = (hint.nodes[0][:, :1] - hint.place[0]) - place[:, 0]
@@ -163,7 +163,7 @@ def _faces(heights: Array) -> list[tuple[Obstacle, ...]]:
     return [(ready("heights", (), (0.0, 0.0, 0.0), heights=one),) for one in heights]
 
 
-def discs(thetas: Array, hint: Hint) -> list[tuple[Obstacle, ...]]:
+def discs(thetas: Array, hint: InitialGuess) -> list[tuple[Obstacle, ...]]:
     """Of each of `thetas` (m, 6)."""
     x, y, heights = _off_lines(thetas, hint)
     off = np.sqrt(x**2 + y**2)
@@ -172,11 +172,11 @@ def discs(thetas: Array, hint: Hint) -> list[tuple[Obstacle, ...]]:
     return _faces(heights)
 
 
-def disc(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
+def disc(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
     return discs(theta[None], hint)[0]
 
 
-def blocks(thetas: Array, hint: Hint) -> list[tuple[Obstacle, ...]]:
+def blocks(thetas: Array, hint: InitialGuess) -> list[tuple[Obstacle, ...]]:
     """Of each of `thetas` (m, 8)."""
     x, y, heights = _off_lines(thetas, hint)
     c = np.cos(thetas[:, 5])[:, None, None]
@@ -188,15 +188,15 @@ def blocks(thetas: Array, hint: Hint) -> list[tuple[Obstacle, ...]]:
     return _faces(heights)
 
 
-def block(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
+def block(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
     return blocks(theta[None], hint)[0]
 
 
-def disc_starts(hint: Hint) -> tuple[Array, ...]:
+def disc_starts(hint: InitialGuess) -> tuple[Array, ...]:
     return tuple(np.array([0, 0, 0, 0, 0, radius]) for radius in (3.2, 5.2))
 
 
-def block_starts(hint: Hint) -> tuple[Array, ...]:
+def block_starts(hint: InitialGuess) -> tuple[Array, ...]:
     return tuple(
         np.array([0, 0, 0, 0, 0, hint.angle + turn, half, half])
         for half in (4.0,)
@@ -204,7 +204,7 @@ def block_starts(hint: Hint) -> tuple[Array, ...]:
     )
 
 
-def _ways_to(frame: Array, place: Array, along: Array) -> tuple[float, float]:
+def _distance_to_edge(frame: Array, place: Array, along: Array) -> tuple[float, float]:
     """How far, m, a line through `place` goes back and forth before a rectangle of half sides
     `frame` (2,)."""
     ways = []
@@ -218,7 +218,7 @@ def _ways_to(frame: Array, place: Array, along: Array) -> tuple[float, float]:
     return ways[0], ways[1]
 
 
-def _ways_in_ellipse(half: Array, place: Array, along: Array) -> tuple[float, float]:
+def _directions_in_ellipse(half: Array, place: Array, along: Array) -> tuple[float, float]:
     """The same before an ellipse of half axes `half` (2,)."""
     at = place[:2] / half
     way = along[:2] / half
@@ -228,10 +228,10 @@ def _ways_in_ellipse(half: Array, place: Array, along: Array) -> tuple[float, fl
     return max((root + b) / a, 1e-3), max((root - b) / a, 1e-3)
 
 
-def lying_starts(curvatures: tuple[float, ...]) -> Callable[[Hint], tuple[Array, ...]]:
+def lying_starts(curvatures: tuple[float, ...]) -> Callable[[InitialGuess], tuple[Array, ...]]:
     turns = np.arange(4) * math.pi / 4
 
-    def starts(hint: Hint) -> tuple[Array, ...]:
+    def starts(hint: InitialGuess) -> tuple[Array, ...]:
         return tuple(
             np.array([0, 0, 0, k, hint.angle + turn, 0]) for k in curvatures for turn in turns
         )

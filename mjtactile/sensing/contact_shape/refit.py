@@ -8,25 +8,25 @@ from dataclasses import replace
 
 import numpy as np
 
-from mjtactile.quasistatic import FilmState
+from mjtactile.quasistatic import MembraneSolution
 from mjtactile.sensing.contact_shape.contact_area import FACES
 from mjtactile.sensing.contact_shape.fit_state import Data, begin, standing
 from mjtactile.sensing.contact_shape.gauss_newton import Fit, refine
 from mjtactile.sensing.contact_shape.hypotheses import Candidate
 from mjtactile.sensing.contact_shape.initial_search import Films, approach, beside, search
-from mjtactile.sensing.contact_shape.primitives import Hint
+from mjtactile.sensing.contact_shape.primitives import InitialGuess
 
 FOLLOWED = 3  # rounds of a fit that is followed
 LOOKED = 5  # the same, at a look
 _LEVEL = ("tilt_x", "tilt_y", "lean")
 
 
-def from_before(
+def warm_start(
     films: Films,
     one: Candidate,
     newest: Fit,
     noise: float,
-    hint: Hint,
+    hint: InitialGuess,
     data: Data,
     rounds: int,
     known: float = math.inf,
@@ -63,21 +63,21 @@ def from_before(
     )
 
 
-def begun_anew(
+def restart_fit(
     films: Films,
     one: Candidate,
     stuck: Fit | None,
     noise: float,
-    hint: Hint,
+    hint: InitialGuess,
     data: Data,
     known: float,
-    near: FilmState,
+    near: MembraneSolution,
 ) -> Fit | None:
     """The same, or what is found anew beside the film `near` it, where that explains more: on flat
     faces fits end before they have come to the end, and what is round has been thought sharp while
     few nodes touched it."""
     if one.family.name in FACES or one.family.parts:
-        other = _from_middle(films, one, noise, hint, data, known, near)
+        other = _restart_from_centroid(films, one, noise, hint, data, known, near)
     else:
         other = _from_nothing(films, one, noise, hint, data, known, near)
     if other is None or (stuck is not None and stuck.chi2 < other.chi2):
@@ -89,10 +89,10 @@ def _from_nothing(
     films: Films,
     one: Candidate,
     noise: float,
-    hint: Hint,
+    hint: InitialGuess,
     data: Data,
     known: float,
-    near: FilmState,
+    near: MembraneSolution,
 ) -> Fit | None:
     """From all its starts; believed as the looks before have it once it is there."""
     found = search(films, (one.family,), hint, data, noise, near, known)
@@ -114,14 +114,14 @@ def _from_nothing(
     )
 
 
-def _from_middle(
+def _restart_from_centroid(
     films: Films,
     one: Candidate,
     noise: float,
-    hint: Hint,
+    hint: InitialGuess,
     data: Data,
     known: float,
-    near: FilmState,
+    near: MembraneSolution,
 ) -> Fit | None:
     """From the middle of the touch."""
     family = one.family
@@ -139,7 +139,7 @@ def _from_middle(
     )
 
 
-def _matched(old: Hint, new: Hint) -> Hint:
+def _matched(old: InitialGuess, new: InitialGuess) -> InitialGuess:
     """`new` with its parts in the order of those of `old`, which stay where there are not as
     many."""
     if not old.parts:

@@ -8,16 +8,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjtactile.core.types import Array, BodyMotion
+from mjtactile.core.types import Array, RelativeMotion
 from mjtactile.sensing.contact_shape.gauss_newton import Fit
 from mjtactile.sensing.contact_shape.primitives import place_of
-from mjtactile.sensing.settings import BodySettings
+from mjtactile.sensing.settings import ContactShapeSettings
 
 _LEAST = 3  # images that a rate wants
 
 
 @dataclass(frozen=True, eq=False)
-class RubberMotion:
+class MembraneMotion:
     """How the rubber under a contact has moved since the image before: `step` (2,) m, and `twist`
     rad about z."""
 
@@ -25,7 +25,7 @@ class RubberMotion:
     twist: float
 
 
-def rubber_step(weights: tuple[Array, Array], positions: tuple[Array, Array]) -> RubberMotion:
+def rubber_step(weights: tuple[Array, Array], positions: tuple[Array, Array]) -> MembraneMotion:
     """Of two images.
 
     Args:
@@ -42,13 +42,13 @@ def rubber_step(weights: tuple[Array, Array], positions: tuple[Array, Array]) ->
     away = away - weight @ away
     left = moved - step
     turning = weight @ (away[:, 0] * left[:, 1] - away[:, 1] * left[:, 0])
-    return RubberMotion(
+    return MembraneMotion(
         step[:2], float(turning / max(weight @ (away[:, :2] ** 2).sum(axis=1), 1e-12))
     )
 
 
 @dataclass(frozen=True, eq=False)
-class BodyPose:
+class ShapePose:
     """Where a body of `family` stands in one image: `time` s; its place over the rubber, (2,) m
     since the track began, and the `angle` rad about z over the rubber; its `turns` (3,) rad about
     x, y and z (NaN: the family has none); of all these the variances `var` (6,); what the rubber
@@ -62,16 +62,16 @@ class BodyPose:
     twisted: float
 
 
-Track = tuple[BodyPose, ...]
+Track = tuple[ShapePose, ...]
 
 
 def tracked(
     track: Track,
     found: Fit,
     time: float,
-    rubber: RubberMotion | None,
+    rubber: MembraneMotion | None,
     scale: float,
-    s: BodySettings,
+    s: ContactShapeSettings,
 ) -> Track:
     """A track with one image more.
 
@@ -102,20 +102,20 @@ def tracked(
     precision = found.curvature / scale + np.eye(len(found.theta))
     cov = np.linalg.inv(precision) * np.outer(found.family.sd, found.family.sd)
     turns = np.full(3, np.nan)
-    turn_var = np.full(3, np.nan)
+    rotation_var = np.full(3, np.nan)
     for axis, number in enumerate(TURNS[name]):
         if number is not None:
             turns[axis] = found.theta[number]
-            turn_var[axis] = cov[number, number]
+            rotation_var[axis] = cov[number, number]
     place = place_of(found.theta, found.hint)[:2] - dragged
     values = np.array([*place, turns[2] - twisted, *turns])
     places = 1e-6 * np.diag(cov)[:2] + s.motion_sd**2
-    var = np.array([*places, turn_var[2], *turn_var])
-    stand = BodyPose(name, time, values, var, dragged, twisted)
+    var = np.array([*places, rotation_var[2], *rotation_var])
+    stand = ShapePose(name, time, values, var, dragged, twisted)
     return (*(old for old in track if time - old.time < s.motion_time), stand)
 
 
-def motion(track: Track, found: Fit, *, slips: bool) -> BodyMotion | None:
+def motion(track: Track, found: Fit, *, slips: bool) -> RelativeMotion | None:
     """Rates of a body over the rubber.
 
     Args:
@@ -145,7 +145,7 @@ def motion(track: Track, found: Fit, *, slips: bool) -> BodyMotion | None:
     rolling_cov = np.where(np.outer(known, known), np.diag(rate_var[3:5]), rolls_cov)
     flat = bool(known.all())
     sliding = velocity if slips or flat else np.zeros(2)
-    return BodyMotion(
+    return RelativeMotion(
         velocity=velocity,
         velocity_cov=velocity_cov,
         rolling=rolling,

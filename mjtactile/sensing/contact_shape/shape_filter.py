@@ -16,13 +16,13 @@ import numpy as np
 from mjtactile.core.types import Array
 from mjtactile.sensing.contact_shape.fit_state import Prior
 from mjtactile.sensing.contact_shape.gauss_newton import Fit
-from mjtactile.sensing.contact_shape.primitives import Hint
-from mjtactile.sensing.contact_shape.shape_models import Family
+from mjtactile.sensing.contact_shape.primitives import InitialGuess
+from mjtactile.sensing.contact_shape.shape_models import ShapeModel
 
 
 @dataclass(frozen=True, eq=False)
-class Common:
-    """What looks have told of the numbers that a body keeps (`Family.kept`), over their sd:
+class ShapeFilter:
+    """What looks have told of the numbers that a body keeps (`ShapeModel.kept`), over their sd:
     `precision` (m, m), and that times their mean, `told` (m,); and `drift`, the sum of squares by
     which they did not stay the same."""
 
@@ -31,12 +31,12 @@ class Common:
     drift: float = 0.0
 
     @classmethod
-    def of(cls, family: Family) -> Common:
+    def of(cls, family: ShapeModel) -> ShapeFilter:
         """Before any look: nothing."""
         count = int(family.kept.sum())
         return cls(np.zeros((count, count)), np.zeros(count))
 
-    def with_look(self, fit: Fit) -> Common:
+    def with_observation(self, fit: Fit) -> ShapeFilter:
         """With one look more.
 
         Args:
@@ -50,7 +50,7 @@ class Common:
         seen = np.linalg.solve(own, seen)
         told = np.linalg.solve(own, told)
         drift = self.drift + self._off(seen, told)
-        return Common(self.precision + seen, self.told + told, drift)
+        return ShapeFilter(self.precision + seen, self.told + told, drift)
 
     def _off(self, seen: Array, told: Array) -> float:
         """Square of how far a look that has `seen` (m, m) precisely what it has `told` (m,) is from
@@ -62,7 +62,7 @@ class Common:
         off = told - seen @ known @ self.told
         return float(off @ np.linalg.solve(seen + seen @ known @ seen + tiny, off))
 
-    def prior(self, fit: Fit, noise: float, hint: Hint) -> Prior:
+    def prior(self, fit: Fit, noise: float, hint: InitialGuess) -> Prior:
         """What is believed of all numbers in the next look.
 
         Args:

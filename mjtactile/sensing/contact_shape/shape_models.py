@@ -15,7 +15,7 @@ import numpy as np
 from mjtactile.core.types import Array
 from mjtactile.quasistatic import Obstacle
 from mjtactile.sensing.contact_shape.primitives import (
-    Hint,
+    InitialGuess,
     ball,
     block,
     block_starts,
@@ -25,7 +25,7 @@ from mjtactile.sensing.contact_shape.primitives import (
     disc_starts,
     discs,
     lying_starts,
-    off_middle,
+    offset_from_center,
     principal,
     smooth,
     smooth_starts,
@@ -39,7 +39,7 @@ LINE = 0.25
 
 
 @dataclass(frozen=True, eq=False)
-class Family:
+class ShapeModel:
     """A family of bodies, of which one may be a simpler case of another.
 
     Attributes:
@@ -68,16 +68,16 @@ class Family:
     share: Array
     low: Array
     high: Array
-    build: Callable[[Array, Hint], tuple[Obstacle, ...]]
-    starts: Callable[[Hint], tuple[Array, ...]]
-    parts: tuple[Family, ...] = ()
+    build: Callable[[Array, InitialGuess], tuple[Obstacle, ...]]
+    starts: Callable[[InitialGuess], tuple[Array, ...]]
+    parts: tuple[ShapeModel, ...] = ()
 
     def __reduce__(self):  # its functions do not pickle
         if self.parts:
             return several, (tuple(part.name for part in self.parts),)
         return _named, (self.name,)
 
-    def build_each(self, thetas: Array, hint: Hint) -> list[tuple[Obstacle, ...]]:
+    def build_each(self, thetas: Array, hint: InitialGuess) -> list[tuple[Obstacle, ...]]:
         """The same as `build` of each of `thetas` (m, k), at once where that is faster."""
         at_once = {"disc": discs, "block": blocks}.get(self.name)
         if at_once is not None:
@@ -98,7 +98,7 @@ class Family:
         """`numbers` (k, ...) of each of the parts."""
         return np.split(numbers, np.cumsum([len(part.names) for part in self.parts])[:-1])
 
-    def rebased(self, theta: Array, old: Hint, new: Hint) -> Array:
+    def rebased(self, theta: Array, old: InitialGuess, new: InitialGuess) -> Array:
         """Numbers that counted from `old`, from `new`."""
         if self.parts:
             given = zip(self.parts, self.split(theta), old.parts, new.parts, strict=True)
@@ -109,7 +109,7 @@ class Family:
         return moved
 
 
-def kinds_of(family: Family, theta: Array, cov: Array) -> dict[str, float]:
+def kinds_of(family: ShapeModel, theta: Array, cov: Array) -> dict[str, float]:
     """What a user calls a body with numbers `theta` and covariance `cov`, with probabilities."""
     from scipy.special import ndtr  # takes a while to import
 
@@ -128,10 +128,12 @@ def kinds_of(family: Family, theta: Array, cov: Array) -> dict[str, float]:
     return {"smooth": 1 - sharp, "edge" if least < LINE * most else "tip": sharp}
 
 
-def face_of(family: Family, theta: Array, hint: Hint, moved: Array) -> tuple[Array, float]:
+def face_of(
+    family: ShapeModel, theta: Array, hint: InitialGuess, moved: Array
+) -> tuple[Array, float]:
     """Of a body with a flat face: how far, (nx, ny) m, each node that has `moved` (2, nx, ny) m is
     beyond the face's rim, negative within; and the face's area, m^2."""
-    x, y, _ = off_middle(theta, hint)
+    x, y, _ = offset_from_center(theta, hint)
     x = x + moved[0]
     y = y + moved[1]
     if family.name == "disc":
@@ -171,16 +173,16 @@ _STIFF = 0.01
 _SHARE = {"k": 0.03, "radius": 0.05, "half": 0.05}
 
 
-def several(names: Sequence[str]) -> Family:
+def several(names: Sequence[str]) -> ShapeModel:
     """Bodies that touch at the same time, each of a family of its own; their hint has as many
     parts."""
     parts = tuple(FAMILIES[name] for name in names)
 
-    def build(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
+    def build(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
         given = zip(parts, family.split(theta), hint.parts, strict=True)
         return tuple(body for part, numbers, own in given for body in part.build(numbers, own))
 
-    def starts(hint: Hint) -> tuple[Array, ...]:
+    def starts(hint: InitialGuess) -> tuple[Array, ...]:
         own = [part.starts(of) for part, of in zip(parts, hint.parts, strict=True)]
         many = max(len(one) for one in own)
         return tuple(np.concatenate([one[k % len(one)] for one in own]) for k in range(many))
@@ -189,7 +191,7 @@ def several(names: Sequence[str]) -> Family:
     mean, sd, steps, loose, share, low, high = (
         np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS
     )
-    family = Family(
+    family = ShapeModel(
         "+".join(names), numbers, mean, sd, steps, loose, share, low, high, build, starts, parts
     )
     return family
@@ -198,16 +200,16 @@ def several(names: Sequence[str]) -> Family:
 _COLUMNS = ("mean", "sd", "steps", "loose", "share", "low", "high")
 
 
-def _named(name: str) -> Family:
+def _named(name: str) -> ShapeModel:
     return FAMILIES[name]
 
 
 def _family(
     name: str,
     numbers: tuple[tuple[str, float, float, float, float], ...],
-    build: Callable[[Array, Hint], tuple[Obstacle, ...]],
-    starts: Callable[[Hint], tuple[Array, ...]],
-) -> Family:
+    build: Callable[[Array, InitialGuess], tuple[Obstacle, ...]],
+    starts: Callable[[InitialGuess], tuple[Array, ...]],
+) -> ShapeModel:
     columns = list(zip(*numbers, strict=True))
     names = columns[0]
     mean, sd, low, high = (np.array(column, float) for column in columns[1:])
@@ -216,11 +218,11 @@ def _family(
         [_LOOSE.get(number, _STIFF * spread) for number, spread in zip(names, sd, strict=True)]
     )
     share = np.array([_SHARE.get(number.split("_")[0], 0.0) for number in names])
-    return Family(name, names, mean, sd, steps, loose, share, low, high, build, starts)
+    return ShapeModel(name, names, mean, sd, steps, loose, share, low, high, build, starts)
 
 
 _AT = (("x", 0, 3, -8, 8), ("y", 0, 3, -8, 8), ("z", 0, 1, -4, 3))  # mm
-FAMILIES: dict[str, Family] = {
+FAMILIES: dict[str, ShapeModel] = {
     family.name: family
     for family in (
         _family(

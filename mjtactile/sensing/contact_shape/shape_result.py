@@ -10,29 +10,29 @@ from typing import Any
 import cv2
 import numpy as np
 
-from mjtactile.core.types import SHAPES, Array, FeltShape
+from mjtactile.core.types import SHAPES, Array, ContactShape
 from mjtactile.sensing.contact_shape.contact_area import areas, nearest_part, shares
-from mjtactile.sensing.contact_shape.forward_model import Forward
+from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.gauss_newton import Fit
-from mjtactile.sensing.contact_shape.primitives import Hint, about, place_of, principal
+from mjtactile.sensing.contact_shape.primitives import InitialGuess, about, place_of, principal
 from mjtactile.sensing.contact_shape.shape_filter import touching
-from mjtactile.sensing.contact_shape.shape_models import Family, kinds_of
+from mjtactile.sensing.contact_shape.shape_models import ShapeModel, kinds_of
 from mjtactile.sensing.contact_shape.stiction_factor import sticks
-from mjtactile.sensing.settings import BodySettings
+from mjtactile.sensing.settings import ContactShapeSettings
 
 _FINER = 4  # of the film's nodes, for an outline
 _UNTOLD = math.pi / math.sqrt(12)  # rad, sd of a direction of which nothing is known
 
 
 def words(
-    forward: Forward,
+    forward: ForwardModel,
     found: Fit,
     kind: str,
     probabilities: dict[str, float],
     scale: float,
     interval: tuple[float, float],
-    s: BodySettings,
-) -> FeltShape:
+    s: ContactShapeSettings,
+) -> ContactShape:
     """What is said of a body.
 
     Args:
@@ -47,16 +47,16 @@ def words(
     Returns:
         The shape.
     """
-    cov = said_cov(found, scale, s)
+    cov = reported_covariance(found, scale, s)
     if found.family.parts:
         return _several(forward, found, cov, probabilities, interval, s)
     force = sticks(forward, found.state, s) * found.state.force_normal
-    whole = _Whole(areas(forward, found, s)[0], force, interval, found.misfit)
+    whole = _ContactSummary(areas(forward, found, s)[0], force, interval, found.misfit)
     outline = _outline(forward, found, found.state.contact_forces)
     return _body(found.family, found.theta, found.hint, cov, kind, probabilities, whole, outline, s)
 
 
-def said_cov(found: Fit, scale: float, s: BodySettings) -> Array:
+def reported_covariance(found: Fit, scale: float, s: ContactShapeSettings) -> Array:
     """Covariance of a body's numbers, with what film and simulated sheet have wrong: all curvatures
     or sizes too large, or too small, the more the fewer nodes touch."""
     by_node = {"k": s.curvature_by_node, "radius": s.size_by_node, "half": s.size_by_node}
@@ -66,7 +66,7 @@ def said_cov(found: Fit, scale: float, s: BodySettings) -> Array:
 
 
 @dataclass(frozen=True)
-class _Whole:
+class _ContactSummary:
     """What is said of a body beside its numbers: `area` m^2 and its `interval`, `force` N, the
     `misfit`."""
 
@@ -77,19 +77,19 @@ class _Whole:
 
 
 def _body(
-    family: Family,
+    family: ShapeModel,
     theta: Array,
-    hint: Hint,
+    hint: InitialGuess,
     cov: Array,
     kind: str,
     probabilities: dict[str, float],
-    whole: _Whole,
+    whole: _ContactSummary,
     outline: Array,
-    s: BodySettings,
-) -> FeltShape:
+    s: ContactShapeSettings,
+) -> ContactShape:
     measures = _MEASURES[family.name](theta, cov, s)
     R, turn = _axes(family, theta, measures.get("direction", 0.0))
-    return FeltShape(
+    return ContactShape(
         kind,
         probabilities,
         area=whole.area,
@@ -106,13 +106,13 @@ def _body(
 
 
 def _several(
-    forward: Forward,
+    forward: ForwardModel,
     found: Fit,
     cov: Array,
     probabilities: dict[str, float],
     interval: tuple[float, float],
-    s: BodySettings,
-) -> FeltShape:
+    s: ContactShapeSettings,
+) -> ContactShape:
     """Several bodies at once, each with the contact that is nearest to it: its share of the area is
     that of the force, since gas presses the sheet on each."""
     family = found.family
@@ -129,7 +129,7 @@ def _several(
         own = slice(ends[place], ends[place + 1])
         carried = np.where(nearest == place, force, 0.0)
         kinds = kinds_of(part, thetas[place], cov[own, own])
-        whole = _Whole(
+        whole = _ContactSummary(
             sizes[place],
             carry[place] * borne,
             (sizes[place] / most * interval[0], sizes[place] / most * interval[1]),
@@ -148,7 +148,7 @@ def _several(
         )
         bodies.append(body)
     bodies.sort(key=lambda body: -body.force_normal)
-    return FeltShape(
+    return ContactShape(
         "several",
         probabilities,
         area=sum(body.area for body in bodies),
@@ -164,7 +164,7 @@ def _several(
     )
 
 
-def _smooth(theta: Array, cov: Array, s: BodySettings) -> dict[str, Any]:
+def _smooth(theta: Array, cov: Array, s: ContactShapeSettings) -> dict[str, Any]:
     most, least, direction = principal(theta)
     step = 1e-3
     rows = np.array(
@@ -192,13 +192,13 @@ def _radius(curvature: float, sd: float) -> dict[str, Any]:
     return {"radius": 1 / max(curvature, 1e-3), "radius_sd": sd / max(curvature, 1e-3) ** 2}
 
 
-def _ball(theta: Array, cov: Array, s: BodySettings) -> dict[str, Any]:
+def _ball(theta: Array, cov: Array, s: ContactShapeSettings) -> dict[str, Any]:
     sd = math.sqrt(cov[3, 3])
     bent = {"curvatures": (theta[3], theta[3]), "curvatures_sd": (sd, sd)}
     return bent | _radius(theta[3], sd)
 
 
-def _cylinder(theta: Array, cov: Array, s: BodySettings) -> dict[str, Any]:
+def _cylinder(theta: Array, cov: Array, s: ContactShapeSettings) -> dict[str, Any]:
     sd = math.sqrt(cov[3, 3])
     bent = {"curvatures": (theta[3], 0.0), "curvatures_sd": (sd, 0.0)}
     return bent | _radius(theta[3], sd) | _direction(theta[4], cov[4, 4])
@@ -208,12 +208,12 @@ def _direction(angle: float, variance: float) -> dict[str, Any]:
     return {"direction": angle % math.pi, "direction_sd": min(math.sqrt(variance), _UNTOLD)}
 
 
-def _disc(theta: Array, cov: Array, s: BodySettings) -> dict[str, Any]:
+def _disc(theta: Array, cov: Array, s: ContactShapeSettings) -> dict[str, Any]:
     flat = {"curvatures": (0.0, 0.0), "curvatures_sd": (0.0, 0.0)}
     return flat | {"radius": 1e-3 * theta[5], "radius_sd": 1e-3 * math.sqrt(cov[5, 5])}
 
 
-def _face(theta: Array, cov: Array, s: BodySettings) -> dict[str, Any]:
+def _face(theta: Array, cov: Array, s: ContactShapeSettings) -> dict[str, Any]:
     flat = {"curvatures": (0.0, 0.0), "curvatures_sd": (0.0, 0.0)}
     return flat | _direction(theta[5], cov[5, 5])
 
@@ -232,7 +232,7 @@ _TURNS: dict[str, tuple[int | None, int | None, int | None]] = {
 
 
 def _axes(
-    family: Family, theta: Array, direction: float
+    family: ShapeModel, theta: Array, direction: float
 ) -> tuple[Array, tuple[int | None, int | None, int | None]]:
     """The body's axes in S, and which numbers turn it about x, y, z."""
     turns = _TURNS[family.name]
@@ -257,7 +257,7 @@ def _pose_cov(cov: Array, turns: tuple[int | None, int | None, int | None]) -> A
     return pose
 
 
-def _outline(forward: Forward, found: Fit, force: Array) -> Array:
+def _outline(forward: ForwardModel, found: Fit, force: Array) -> Array:
     """Border (P, 2) m of where the film presses with `force` (nx, ny) N, between its nodes."""
     if not (force > 0).any():
         return np.zeros((0, 2))

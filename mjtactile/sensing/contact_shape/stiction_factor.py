@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-from mjtactile.quasistatic import FilmState
-from mjtactile.sensing.contact_shape.forward_model import Forward
-from mjtactile.sensing.settings import BodySettings
+from mjtactile.quasistatic import MembraneSolution
+from mjtactile.sensing.contact_shape.forward_model import ForwardModel
+from mjtactile.sensing.settings import ContactShapeSettings
 
 
-def sticks(forward: Forward, state: FilmState, s: BodySettings) -> float:
+def sticks(forward: ForwardModel, state: MembraneSolution, s: ContactShapeSettings) -> float:
     """Force of a sheet that sticks over that of the film.
 
     Between a body and the nearer side of the frame the sheet is drawn out more than on the other

@@ -19,13 +19,13 @@ from mjtactile.core import geometry, optics
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.fiducials import Fiducials
 from mjtactile.core.optics import Camera
-from mjtactile.core.types import Array, CameraChange, FiducialsSeen
+from mjtactile.core.types import Array, CameraDrift, FiducialDetections
 from mjtactile.sensing.force.camera_drift_model import MODES, camera_modes
 from mjtactile.sensing.force.tone_curve import tone_of
-from mjtactile.sensing.pose.image_transform import PictureChange
+from mjtactile.sensing.pose.image_transform import ImageTransform
 from mjtactile.sensing.settings import FiducialSettings, InverseSettings
 
-KNOWN_MODES = MODES + 2
+OBSERVED_MODES = MODES + 2
 """Those of a camera that is not seen, and the picture's middle, u and v."""
 _TURN = 5
 _ZOOM = 6
@@ -36,12 +36,12 @@ _STEP = 1e-3  # of a mode's sd, for differences
 _ROUNDS = 4
 _BELONGS = 0.5  # of an outlier's misfit: below it nobody is one
 _AS_DARK = 0.03  # of levels as above: a load changes those of markers by 0.01
-_LEVELS_LEAST = 0.01  # rms, of a level inside over that outside: noise has 0.005
+_LEVELS_MIN = 0.01  # rms, of a level inside over that outside: noise has 0.005
 _LINEAR_PX = 0.3  # of the picture's motion, beyond which one linear step is not enough
 
 
 @dataclass(frozen=True, eq=False)
-class CameraSeen:
+class CameraDriftEstimate:
     """The camera in one image: modes in their sd, `mean` (K,), and the lower factor `root` (K, K)
     of their covariance; by how much fiducials are `darker` than they were, their mean; `change`
     says the same in words (None: fiducials were not seen, and it is that of an image before)."""
@@ -49,24 +49,24 @@ class CameraSeen:
     mean: Array
     root: Array
     darker: float
-    change: CameraChange | None
+    change: CameraDrift | None
 
 
-def known_modes(
+def observed_modes(
     design: SensorDesign, p_SM: Array, darker: Array, s: InverseSettings, own: FiducialSettings
 ) -> Array:
-    """One sd of each mode of a camera that fiducials show: (m, 3, KNOWN_MODES) m by which markers
-    seem to move; arguments as of `camera_modes`."""
-    modes = np.zeros((len(p_SM), 3, KNOWN_MODES))
+    """One sd of each mode of a camera that fiducials show: (m, 3, OBSERVED_MODES) m by which
+    markers seem to move; arguments as of `camera_modes`."""
+    modes = np.zeros((len(p_SM), 3, OBSERVED_MODES))
     modes[:, :, :MODES] = camera_modes(design, p_SM, darker, s)
-    depth = p_SM[:, 2] + design.camera.distance - design.pane_thickness_apparent
+    depth = p_SM[:, 2] + design.camera.distance - design.apparent_glass_thickness
     modes[:, 2, _ZOOM] = -s.drift_zoom * depth
     modes[:, 0, MODES] = own.picture * depth / design.camera.fx
     modes[:, 1, MODES + 1] = own.picture * depth / design.camera.fy
     return modes
 
 
-class CameraFinder:
+class CameraDriftEstimator:
     """Finds how a camera has changed, for one sensor with fiducials.
 
     Args:
@@ -90,7 +90,7 @@ class CameraFinder:
         self._s = s
         self._own = own
         # sd (3,) px of what the image stages' covariance does not know of
-        size = own.pane_size if fiducials.surface == "pane" else own.floor
+        size = own.glass_size if fiducials.surface == "pane" else own.floor
         self._floor = np.array([own.floor, own.floor, size])
         self._p_CF = fiducials.p_SF(design) - design.camera.p_SC
         turn = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False)
@@ -102,7 +102,7 @@ class CameraFinder:
         away = self._unmoved[:, :2] - [camera.cx, camera.cy]
         self._far = float(np.hypot(away[:, 0], away[:, 1]).mean())
 
-    def find(self, now: FiducialsSeen, rest: FiducialsSeen) -> CameraSeen | None:
+    def find(self, now: FiducialDetections, rest: FiducialDetections) -> CameraDriftEstimate | None:
         """What has changed since `rest`.
 
         Args:
@@ -144,14 +144,14 @@ class CameraFinder:
         covariance[_SIZE, _SIZE] += (self._own.curve_left * grown) ** 2
         root = np.linalg.cholesky(covariance)
         change = self._change(mean, now, rest, here, there, misfit)
-        return CameraSeen(mean, root, float(darker.mean()), change)
+        return CameraDriftEstimate(mean, root, float(darker.mean()), change)
 
     def _grown(self, mean: Array, darker: float) -> float:
         """By how much circles that are `darker` than they were grew, in the size's sd."""
         s = self._s
         return float(mean[_SIZE]) + s.drift_levels * float(mean[_LEVELS]) * darker / s.drift_size
 
-    def doubted(self, seen: CameraSeen, darker: Array) -> CameraSeen:
+    def doubted(self, seen: CameraDriftEstimate, darker: Array) -> CameraDriftEstimate:
         """The camera with what it leaves in doubt of markers that are `darker` (m,) than they were.
 
         Circles grow with the change of their level by a curve, of which fiducials show one place
@@ -161,27 +161,27 @@ class CameraFinder:
         farther = float(darker.mean()) - seen.darker
         if abs(farther) < _AS_DARK:
             return seen
-        bent = self._own.curve_share * math.hypot(1.0, float(seen.mean[_LEVELS]))
+        bent = self._own.curve_fraction * math.hypot(1.0, float(seen.mean[_LEVELS]))
         off = self._s.drift_levels * bent * farther / self._s.drift_size
         covariance = seen.root @ seen.root.T
         covariance[_SIZE, _SIZE] += off**2
         covariance[_LEVELS, _LEVELS] += bent**2
         return replace(seen, root=np.linalg.cholesky(covariance))
 
-    def picture(self, mean: Array, darker: float) -> PictureChange:
+    def picture(self, mean: Array, darker: float) -> ImageTransform:
         """What of a camera's change `mean` (K,) is one of its picture, whose circles are `darker`
         than they were."""
         s = self._s
         by_levels = s.drift_levels * float(mean[_LEVELS]) * darker
-        return PictureChange(
+        return ImageTransform(
             np.array([self.camera.cx, self.camera.cy]),
             self._own.picture * mean[MODES:],
-            s.knock_turn * float(mean[_TURN]),
+            s.knock_rotation * float(mean[_TURN]),
             s.drift_zoom * float(mean[_ZOOM]),
             s.drift_size * float(mean[_SIZE]) + by_levels,
         )
 
-    def undone(self, p_SM: Array, darker: Array, seen: CameraSeen) -> Array:
+    def undone(self, p_SM: Array, darker: Array, seen: CameraDriftEstimate) -> Array:
         """Where markers (m, 3) m in S would be seen by the camera of the rest reference, whose
         picture is already taken back; `darker` (m,) as of `camera_modes`."""
         R, aside = self._motion(seen.mean)
@@ -191,17 +191,17 @@ class CameraFinder:
         if levels_px == 0.0:
             return design.camera.p_SC + away
         # from where the camera seems to be through its pane, distance goes with one over the radius
-        apparent = away - [0.0, 0.0, design.pane_thickness_apparent]
+        apparent = away - [0.0, 0.0, design.apparent_glass_thickness]
         radius_px = design.camera.fx * design.markers.radius / apparent[:, 2]
-        grown_px = levels_px * (darker - seen.darker)
-        nearer = grown_px / (radius_px - grown_px)
+        radius_change_px = levels_px * (darker - seen.darker)
+        nearer = radius_change_px / (radius_px - radius_change_px)
         return design.camera.p_SC + away + nearer[:, None] * apparent
 
     def _motion(self, mean: Array) -> tuple[Array, Array]:
         """Turn (3, 3) and shift (3,) m of what the camera sees, but for the turn of its picture."""
         s = self._s
-        turn = s.knock_turn * np.array([mean[3], mean[4], 0.0])
-        return geometry.rotation_from_vector(turn), s.knock_place * mean[:3]
+        turn = s.knock_rotation * np.array([mean[3], mean[4], 0.0])
+        return geometry.rotation_from_vector(turn), s.knock_shift * mean[:3]
 
     def _left(self, mean: Array, ids: Array, shown: Array, before: Array, rows: Array) -> Array:
         """What `mean` leaves unexplained of circles (n, 3) px that are `shown` and were `before`,
@@ -219,10 +219,10 @@ class CameraFinder:
         s = self._s
         camera = self.design.camera
         px = max(moved_px, self._own.still)
-        sd = np.ones(KNOWN_MODES)
-        sd[:3] = px * camera.distance / camera.fx / s.knock_place
+        sd = np.ones(OBSERVED_MODES)
+        sd[:3] = px * camera.distance / camera.fx / s.knock_shift
         sd[2] *= self._own.axial
-        sd[3:6] = px / camera.fx / s.knock_turn
+        sd[3:6] = px / camera.fx / s.knock_rotation
         sd[_ZOOM] = px / self._far / s.drift_zoom
         sd[MODES:] = px / self._own.picture
         return sd
@@ -232,12 +232,12 @@ class CameraFinder:
         differences of the outline's projection where the camera moves or turns."""
         s = self._s
         size = s.drift_size
-        found = np.zeros((len(self._p_CF), 3, KNOWN_MODES))
+        found = np.zeros((len(self._p_CF), 3, OBSERVED_MODES))
         nothing = self._unmoved
         for k, axis in enumerate(np.eye(3)):
-            aside = self._outlines(np.eye(3), _STEP * s.knock_place * axis)
+            aside = self._outlines(np.eye(3), _STEP * s.knock_shift * axis)
             turned = self._outlines(
-                geometry.rotation_from_vector(_STEP * s.knock_turn * axis), np.zeros(3)
+                geometry.rotation_from_vector(_STEP * s.knock_rotation * axis), np.zeros(3)
             )
             found[:, :, k] = (aside - nothing) / _STEP
             found[:, :, 3 + k] = (turned - nothing) / _STEP
@@ -260,29 +260,29 @@ class CameraFinder:
     def _change(
         self,
         mean: Array,
-        now: FiducialsSeen,
-        rest: FiducialsSeen,
+        now: FiducialDetections,
+        rest: FiducialDetections,
         here: Array | slice,
         there: Array | slice,
         misfit: float,
-    ) -> CameraChange:
+    ) -> CameraDrift:
         s = self._s
         design = self.design
         camera = design.camera
         # the picture's middle, at the membrane's distance
-        place = s.knock_place * mean[:2] / camera.distance
-        turn = s.knock_turn * mean[3:6]
+        place = s.knock_shift * mean[:2] / camera.distance
+        turn = s.knock_rotation * mean[3:6]
         shift = (place + [turn[1], -turn[0]]) * [camera.fx, camera.fy]
         shift += self._own.picture * mean[MODES:]
-        nearer = -s.knock_place * float(mean[2]) / camera.distance
+        nearer = -s.knock_shift * float(mean[2]) / camera.distance
         tone = tone_of(now.inside[here], now.outside[here], rest.inside[there], rest.outside[there])
         blur = np.square(now.blur_px[here]) - np.square(rest.blur_px[there])
         more = _middle(blur)
-        return CameraChange(
+        return CameraDrift(
             shift=(float(shift[0]), float(shift[1])),
             turn=float(turn[2]),
             scale=s.drift_zoom * float(mean[_ZOOM]) + nearer,
-            grown_px=s.drift_size * float(mean[_SIZE]),
+            radius_change_px=s.drift_size * float(mean[_SIZE]),
             light=tone.light,
             gamma=tone.gamma,
             black=tone.black,
@@ -319,7 +319,7 @@ def _solve(rows: Array, moved: Array, likely: Array, outlier: float) -> tuple[Ar
 
 
 def _darker(
-    now: FiducialsSeen, rest: FiducialsSeen, here: Array | slice, there: Array | slice
+    now: FiducialDetections, rest: FiducialDetections, here: Array | slice, there: Array | slice
 ) -> Array:
     """By how much (n,) the level inside over that outside has changed; none at all where that is
     the levels' own noise, of which the slope of a curve would be made."""
@@ -329,7 +329,7 @@ def _darker(
     known = np.abs(darker) < np.inf
     if not known.all():
         darker[~known] = 0.0
-    changed = float(darker @ darker) > len(darker) * _LEVELS_LEAST**2
+    changed = float(darker @ darker) > len(darker) * _LEVELS_MIN**2
     return darker if changed else np.zeros_like(darker)
 
 

@@ -39,8 +39,8 @@ def camera_modes(design: SensorDesign, p_SM: Array, darker: Array, s: InverseSet
     away = p_SM - design.camera.p_SC
     depth = away[:, 2:]
     modes = np.zeros((len(p_SM), 3, MODES))
-    modes[:, :, :3] = s.knock_place * np.eye(3)
-    modes[:, :, 3:6] = s.knock_turn * np.cross(np.eye(3), away[:, None]).transpose(0, 2, 1)
+    modes[:, :, :3] = s.knock_shift * np.eye(3)
+    modes[:, :, 3:6] = s.knock_rotation * np.cross(np.eye(3), away[:, None]).transpose(0, 2, 1)
     modes[:, 2, 6] = -s.drift_zoom * depth[:, 0]
     # depth goes with one over the size, and along the ray
     radius_px = design.camera.fx * design.markers.radius / depth
@@ -51,7 +51,7 @@ def camera_modes(design: SensorDesign, p_SM: Array, darker: Array, s: InverseSet
 
 
 @dataclass(frozen=True, eq=False)
-class CameraBelief:
+class CameraDriftFilter:
     """What images up to `time` s have told of the camera: `mean` (MODES,) of the modes, in their
     sd, and the lower factor `known` (MODES, MODES) of their covariance. In each image all circles
     seem larger by another `jitter`, in sd of that mode."""
@@ -64,13 +64,13 @@ class CameraBelief:
     @classmethod
     def unseen(
         cls, s: InverseSettings, *, knocked: bool = False, steady: bool = False
-    ) -> CameraBelief:
+    ) -> CameraDriftFilter:
         """Of a camera that no image has shown since the references: one that may have been
         `knocked`, or is as `steady` as it was there."""
         sd = np.ones(MODES)
         if not knocked:
-            sd[:3] = s.drift_camera / s.knock_place
-            sd[3:6] = s.drift_turn / s.knock_turn
+            sd[:3] = s.drift_camera / s.knock_shift
+            sd[3:6] = s.drift_rotation / s.knock_rotation
         if steady:
             sd[6:] = _STEADY
         return cls(np.zeros(MODES), np.diag(sd))
@@ -85,16 +85,18 @@ class CameraBelief:
         alone[_SIZE] = self.jitter
         return np.column_stack([self.known, alone])
 
-    def later(self, time: float, s: InverseSettings) -> CameraBelief:
+    def later(self, time: float, s: InverseSettings) -> CameraDriftFilter:
         """The same at `time` s, in another image: meanwhile the camera has changed a little."""
-        usual = np.diagonal(CameraBelief.unseen(s).known)
+        usual = np.diagonal(CameraDriftFilter.unseen(s).known)
         cov = self.known @ self.known.T
         cov += np.diag((s.drift_walk * usual) ** 2 * abs(time - self.time))
-        return CameraBelief(self.mean, np.linalg.cholesky(cov), time, s.drift_jitter / s.drift_size)
+        return CameraDriftFilter(
+            self.mean, np.linalg.cholesky(cov), time, s.drift_jitter / s.drift_size
+        )
 
     def told(
         self, found: Array, left: Array, root: Array, time: float, weight: float = 1.0
-    ) -> CameraBelief:
+    ) -> CameraDriftFilter:
         """After an image at `time` s.
 
         Args:
@@ -109,7 +111,7 @@ class CameraBelief:
             image, P^-1 grows by J, and the mean moves by P root^-T left^-1 found. An image from
             which no such numbers come tells nothing.
         """
-        nothing = CameraBelief(self.mean, self.known, time)
+        nothing = CameraDriftFilter(self.mean, self.known, time)
         try:
             back = np.linalg.inv(root[:, :MODES])
             after = np.linalg.inv(left[:MODES, :MODES])
@@ -121,7 +123,7 @@ class CameraBelief:
         moved = known @ (known.T @ (back.T @ (after @ found[:MODES])))
         if not np.isfinite(known).all() or not np.isfinite(moved).all():
             return nothing
-        return CameraBelief(self.mean + weight * moved, known, time)
+        return CameraDriftFilter(self.mean + weight * moved, known, time)
 
 
 def drift_of(found: Array, seen: Array) -> float:

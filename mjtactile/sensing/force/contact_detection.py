@@ -16,7 +16,7 @@ from mjtactile.core.types import Array, Markers, Traction
 from mjtactile.sensing.force.inverse_fem import InverseMembrane
 from mjtactile.sensing.force.linearization import Shape
 from mjtactile.sensing.force.rest_equilibrium import InverseRest
-from mjtactile.sensing.settings import DEFAULTS, ZeroSettings
+from mjtactile.sensing.settings import DEFAULTS, ContactDetectionSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,13 +35,16 @@ class Detection:
     level: float
 
 
-def threshold(noise: float, s: ZeroSettings = DEFAULTS.zero) -> float:
+def threshold(noise: float, s: ContactDetectionSettings = DEFAULTS.zero) -> float:
     """Normal force, N, above which there is a touch."""
-    return max(s.touch_least, s.touch_sd * noise)
+    return max(s.touch_min, s.touch_sd * noise)
 
 
 def detect_touch(
-    time: float, traction: Traction, before: Detection | None, s: ZeroSettings = DEFAULTS.zero
+    time: float,
+    traction: Traction,
+    before: Detection | None,
+    s: ContactDetectionSettings = DEFAULTS.zero,
 ) -> Detection:
     """Decide on touch from the net force of an image at `time` s."""
     force = -float(traction.wrench[2])
@@ -64,28 +67,28 @@ def detect_touch(
 
 
 @dataclass(frozen=True, eq=False)
-class Zero:
+class RestTracker:
     """The rest state that is followed, and by how much all markers stand apart from it, `apart` (N,
-    3) m, a mean over about `ZeroSettings.smooth` s; `share` is by how much more of its gas it has
-    just been followed."""
+    3) m, a mean over about `ContactDetectionSettings.smooth` s; `share` is by how much more of its
+    gas it has just been followed."""
 
     rest: InverseRest
     apart: Array
     share: float = 0.0
 
     @classmethod
-    def of(cls, rest: InverseRest) -> Zero:
+    def of(cls, rest: InverseRest) -> RestTracker:
         return cls(rest, np.zeros_like(rest.offset))
 
 
 def follow(
     estimator: InverseMembrane,
-    zero: Zero,
+    zero: RestTracker,
     shape: Shape,
     markers: Markers,
     step: float,
-    s: ZeroSettings = DEFAULTS.zero,
-) -> Zero:
+    s: ContactDetectionSettings = DEFAULTS.zero,
+) -> RestTracker:
     """The zero after `step` s more without touch: gas and offsets move a little towards what the
     markers show.
 
@@ -102,15 +105,15 @@ def follow(
     bulge = _of_gas(estimator, rest, shape)
     moved = estimator.positions(bulge) - estimator.positions(0 * bulge)
     share, local = _explain(apart[ids], moved[ids], markers.cov_p)
-    pace = step / (step + s.follow) * (s.slowly if local > s.local_most else 1.0)
+    pace = step / (step + s.follow) * (s.slowly if local > s.local_max else 1.0)
     share = float(np.clip(pace * share, -s.drift_rate * step, s.drift_rate * step))
     if rest.gas.constant is None:
         gas = rest.gas
     else:
         gas = replace(rest.gas, constant=rest.gas.constant * (1 + share))
     left = np.zeros_like(apart)
-    left[ids] = s.offset_share * pace * (apart[ids] - share * moved[ids])
-    return Zero(
+    left[ids] = s.offset_fraction * pace * (apart[ids] - share * moved[ids])
+    return RestTracker(
         replace(rest, gas=gas, c=rest.c + share * bulge, offset=rest.offset + left),
         apart - share * moved - left,
         share,
@@ -127,11 +130,11 @@ def _of_gas(estimator: InverseMembrane, rest: InverseRest, shape: Shape) -> Arra
     if rest.gas.constant is None:
         return shape.gain.stiffness.solve((chamber.ambient + rest.gas.gauge) * state.gradient)
     # Pa
-    per_share = (
+    per_fraction = (
         rest.gas.constant
-        / (estimator.design.chamber_volume_flat + state.volume) ** chamber.heat_ratio
+        / (estimator.design.chamber_volume_flat + state.volume) ** chamber.polytropic_exponent
     )
-    return shape.gain.stiffness.solve(per_share * state.gradient)
+    return shape.gain.stiffness.solve(per_fraction * state.gradient)
 
 
 def _explain(apart: Array, moved: Array, cov: Array) -> tuple[float, float]:

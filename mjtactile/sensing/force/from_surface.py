@@ -28,8 +28,8 @@ _AWAY = 3.0  # smoothing lengths from contact, beyond which the sheet is free
 _ROUNDS = 3  # of looking for what is free, and of leaving out points that fit no surface
 _OUTLIER = 3.0  # sd, at which a point counts half
 _FEWEST = 40  # points
-_LEAST_SEEN = 0.25  # of a cell's usual number of points: less is a hole
-_FREE_LEAST = 0.2  # of the surface, from which its tension is told
+_MIN_SEEN = 0.25  # of a cell's usual number of points: less is a hole
+_FREE_MIN = 0.2  # of the surface, from which its tension is told
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ class SurfaceForce:
     tension: float
 
 
-def force_of_surface(
+def estimate_force_from_surface(
     points: ArrayLike,
     pressure: float,
     outline: ArrayLike,
@@ -108,8 +108,8 @@ def force_of_surface(
     grid = _Grid(corners, smoothing)
     heights, seen = grid.fit(points, "points")
     bent = grid.curvature(heights)
-    rest_heights, rest_seen = grid.fit(membrane.points, "membrane")
-    seen &= rest_seen
+    rest_heights, rest_observed = grid.fit(membrane.points, "membrane")
+    seen &= rest_observed
     rest_bent = grid.curvature(rest_heights)
     tension = _tension_of_rest(grid, rest_bent, seen, membrane.pressure)
     # what its smooth tension leaves at rest is the camera's, or a stretch that differs by direction
@@ -141,7 +141,7 @@ def _grown(grid: _Grid, held: Array, seen: NDArray[np.bool_], pressure: float) -
     for _ in range(_ROUNDS):
         contact = seen & (np.abs(pressure - factor * held) > _PRESSED * pressure)
         free = seen & ~grid.grown(contact, _AWAY)
-        if free.sum() < _FREE_LEAST * seen.sum():
+        if free.sum() < _FREE_MIN * seen.sum():
             break
         factor = pressure / float(held[free].mean())
     return factor
@@ -217,7 +217,7 @@ class _Grid:
             spread = 1.48 * float(np.median(np.abs(off))) + 1e-9
             weight = 1 / (1 + (off / (_OUTLIER * spread)) ** 2)
         shape = self.inside.shape
-        seen = each.reshape(shape) > _LEAST_SEEN * usual
+        seen = each.reshape(shape) > _MIN_SEEN * usual
         return heights.reshape(shape), self.inside & ~self.grown(~seen | ~self.inside, 1.0)
 
     def _interpolation(self, places: Array) -> Any:

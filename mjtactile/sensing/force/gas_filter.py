@@ -16,7 +16,7 @@ import numpy as np
 from mjtactile.core.sensor_parts import Chamber
 from mjtactile.core.types import Array, PressureReading
 from mjtactile.sensing.force.spline_fem import Gas
-from mjtactile.sensing.settings import DEFAULTS, GaugeSettings
+from mjtactile.sensing.settings import DEFAULTS, GasFilterSettings
 
 # sd of the pressure when a valve has just moved, of the ambient one: so wide that the first reading
 # decides; half and twice of it change nothing (`bench gauge`)
@@ -48,7 +48,7 @@ class GasState:
         zero has moved, or the weather."""
         return replace(self, zero=self.zero + share)
 
-    def seen_again(self, volume: float) -> GasState:
+    def refine_estimate(self, volume: float) -> GasState:
         """The same with another volume, m^3, in the last image."""
         return replace(self, seen=(*self.seen[:-1], (self.seen[-1][0], volume)))
 
@@ -62,17 +62,17 @@ class GasState:
         return v1 + beyond, max(time - t1, t0 - time, 0.0) * abs(v1 - v0) / (t1 - t0)
 
 
-class GaugeFilter:
+class GasFilter:
     """Follows one chamber's gas."""
 
-    def __init__(self, chamber: Chamber, settings: GaugeSettings = DEFAULTS.gauge):
-        self._gamma = chamber.heat_ratio
+    def __init__(self, chamber: Chamber, settings: GasFilterSettings = DEFAULTS.gauge):
+        self._gamma = chamber.polytropic_exponent
         self._ambient = chamber.ambient
         self.settings = settings
 
     def begin(self, gas: Gas, time: float, volume: float) -> GasState:
         """The gas at rest in `volume` m^3, as it was measured a while ago."""
-        pressure = self._ambient + gas.pressure_gauge(volume, self._ambient, self._gamma)
+        pressure = self._ambient + gas.gauge_pressure(volume, self._ambient, self._gamma)
         is_open = gas.constant is None
         return GasState(
             time,
@@ -103,13 +103,13 @@ class GaugeFilter:
         )
         return gas, sd
 
-    def saw(self, state: GasState, time: float, volume: float, dent_share: float) -> GasState:
-        """After an image at `time` s that shows `volume` m^3, wrong by `dent_share` of its
+    def saw(self, state: GasState, time: float, volume: float, dent_fraction: float) -> GasState:
+        """After an image at `time` s that shows `volume` m^3, wrong by `dent_fraction` of its
         change."""
         cov = state.cov.copy()
         if not state.is_open:
             change = self._gamma * (volume - state.seen[-1][1]) / volume
-            cov[0, 0] += (dent_share * change) ** 2
+            cov[0, 0] += (dent_fraction * change) ** 2
         return replace(state, seen=(*state.seen[-1:], (time, volume)), cov=cov)
 
     def switched(self, state: GasState, reading: PressureReading) -> GasState:
@@ -133,12 +133,12 @@ class GaugeFilter:
         """After a reading, and whether it says much that was not known. One that is known
         already changes nothing."""
         ahead = reading.time - state.time
-        if not math.isfinite(reading.pressure_gauge) or ahead <= 0:
+        if not math.isfinite(reading.gauge_pressure) or ahead <= 0:
             return state, False
         s = self.settings
         value = state.value + state.rate * ahead
         cov = _moved(state.cov, ahead) + self._noise(state, ahead)
-        measured = reading.pressure_gauge / self._ambient
+        measured = reading.gauge_pressure / self._ambient
         variance = (reading.sd / self._ambient) ** 2
         if not state.is_open:
             volume, beyond = state.volume_at(reading.time)
@@ -148,7 +148,7 @@ class GaugeFilter:
         off = measured - value
         deviation = off / math.sqrt(cov[0, 0] + variance)
         surprise = state.surprise + s.blend * (deviation - state.surprise)
-        surprised = abs(deviation) > s.deviation_most or abs(surprise) > s.surprise_most
+        surprised = abs(deviation) > s.deviation_max or abs(surprise) > s.surprise_max
         if surprised:
             surprise = 0.0
             cov[0, 0] += off**2
@@ -172,7 +172,9 @@ class GaugeFilter:
         """What may have changed within `seconds` besides the rate."""
         s = self.settings
         walk, rate = (s.open_walk, s.open_rate) if state.is_open else (s.walk, s.rate_walk)
-        rate = math.hypot(rate, s.rate_share * state.rate)  # a hole's rate falls with the pressure
+        rate = math.hypot(
+            rate, s.rate_fraction * state.rate
+        )  # a hole's rate falls with the pressure
         return np.diag([walk**2 * seconds, rate**2 * seconds])
 
 

@@ -25,20 +25,20 @@ from numpy.typing import NDArray
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, Markers, Traction
 from mjtactile.kernels import kernel
-from mjtactile.sensing.force.camera_drift_estimator import CameraSeen, known_modes
-from mjtactile.sensing.force.camera_drift_model import CameraBelief, camera_modes, drift_of
-from mjtactile.sensing.force.linearization import Gain, Shape
-from mjtactile.sensing.force.model_error import AXES, Doubt, ShapeEvidence
+from mjtactile.sensing.force.camera_drift_estimator import CameraDriftEstimate, observed_modes
+from mjtactile.sensing.force.camera_drift_model import CameraDriftFilter, camera_modes, drift_of
+from mjtactile.sensing.force.linearization import Linearization, Shape
+from mjtactile.sensing.force.model_error import AXES, FitDiagnostics, ModelErrorVariance
 from mjtactile.sensing.force.prior import LoadPrior
 from mjtactile.sensing.force.rest_equilibrium import InverseRest, darker
 from mjtactile.sensing.force.slopes import MarkerSlopes
 from mjtactile.sensing.force.spline_fem import State, Stiffness
-from mjtactile.sensing.force.traction_grid import LoadedSheet
+from mjtactile.sensing.force.traction_grid import LoadedMembrane
 from mjtactile.sensing.settings import (
     DEFAULTS,
-    DoubtSettings,
     FiducialSettings,
     InverseSettings,
+    ModelErrorSettings,
     PriorSettings,
 )
 
@@ -48,7 +48,7 @@ STEP_LIMIT = 2e-3  # m
 SETTLED = 1e-4  # m: a step that ends the iteration
 
 
-class InverseMembrane(LoadedSheet):
+class InverseMembrane(LoadedMembrane):
     """Traction estimator of one sensor.
 
     Args:
@@ -64,7 +64,7 @@ class InverseMembrane(LoadedSheet):
         design: SensorDesign,
         settings: InverseSettings = DEFAULTS.inverse,
         prior: PriorSettings = DEFAULTS.prior,
-        doubt: DoubtSettings = DEFAULTS.doubt,
+        doubt: ModelErrorSettings = DEFAULTS.doubt,
         fiducials: FiducialSettings = DEFAULTS.fiducials,
     ):
         super().__init__(design, settings)
@@ -77,8 +77,8 @@ class InverseMembrane(LoadedSheet):
             len(self.y) - 2,
             *map(np.ascontiguousarray, (*self.node_loads(), *self.prior.root)),
         )
-        self._doubt = Doubt(design, self.nodes, doubt)
-        self._posterior_share = np.array(settings.posterior_share)[AXES]
+        self._doubt = ModelErrorVariance(design, self.nodes, doubt)
+        self._posterior_fraction = np.array(settings.posterior_fraction)[AXES]
         self._slopes: MarkerSlopes | None = None
         if design.markers.pitch_x * design.markers.pitch_y > settings.slopes_cell:
             distance = design.camera.distance
@@ -92,14 +92,14 @@ class InverseMembrane(LoadedSheet):
         rest: InverseRest,
         start: Shape | None = None,
         *,
-        camera: CameraBelief | CameraSeen | None = None,
+        camera: CameraDriftFilter | CameraDriftEstimate | None = None,
         lost: bool = False,
     ) -> Shape:
         """Tractions and deformation that explain the markers, starting from the last frame's where
         there is one, with what is known of the `camera` (None: that nobody knocked it since
         `rest`). Where fiducials show it, markers are as they would be without its change. Some of a
         gas that no gauge measures may have been `lost`."""
-        camera = camera or CameraBelief.unseen(self.settings)
+        camera = camera or CameraDriftFilter.unseen(self.settings)
         c, before = (rest.c, None) if start is None else (start.c, start)
         gain = None if start is None else start.gain
         for steps in range(1, STEPS_MAX + 1):
@@ -110,7 +110,7 @@ class InverseMembrane(LoadedSheet):
             ):
                 gain = self._gain(c, markers, rest, before, camera, lost)
             seen = markers.p_SM - rest.offset[markers.ids]
-            if isinstance(camera, CameraBelief):
+            if isinstance(camera, CameraDriftFilter):
                 seen -= gain.modes @ camera.mean
             shape = self._step(c, markers, seen, rest, gain, steps)
             settled = float(np.abs(shape.c - c).max()) < SETTLED
@@ -121,7 +121,13 @@ class InverseMembrane(LoadedSheet):
         return shape  # pyright: ignore[reportPossiblyUnboundVariable] the loop runs at least once
 
     def _step(
-        self, c: Array, markers: Markers, seen: Array, rest: InverseRest, gain: Gain, count: int
+        self,
+        c: Array,
+        markers: Markers,
+        seen: Array,
+        rest: InverseRest,
+        gain: Linearization,
+        count: int,
     ) -> Shape:
         """One Gauss-Newton step from `c`: the sheet relaxes, tractions and drift explain what
         markers, `seen` (m, 3) m by a camera as is believed, show beyond that."""
@@ -170,12 +176,12 @@ class InverseMembrane(LoadedSheet):
         return Shape(
             c=c,
             traction=traction,
-            pressure_gauge=pressure,
+            gauge_pressure=pressure,
             misfit=float(misfit @ noise) / len(misfit),
             gain=gain,
             steps=count,
             excess=excess,
-            drift=drift_of(drift, gain.drift_seen),
+            drift=drift_of(drift, gain.observed_drift),
             camera=drift[1:],
         )
 
@@ -202,9 +208,9 @@ class InverseMembrane(LoadedSheet):
         markers: Markers,
         rest: InverseRest,
         before: Shape | None,
-        camera: CameraBelief | CameraSeen,
+        camera: CameraDriftFilter | CameraDriftEstimate,
         lost: bool,
-    ) -> Gain:
+    ) -> Linearization:
         """The linearisation at `c` for these markers; `before` is what was found last."""
         state = self._state(c, rest)
         ids = markers.ids
@@ -218,21 +224,21 @@ class InverseMembrane(LoadedSheet):
         modes = self._camera_modes(self.positions(c)[ids], changed, camera)
         rows = (3 if tilts is None else 5) * len(ids)
         half = np.empty((rows, 3 * len(self.nodes)))
-        gas_seen = np.empty(rows)
+        gas_observed = np.empty(rows)
         kernel("inverse_gain")(
             *self._sight(stiffness, ids, weights, tilts),
             *self._nodes,
             prior,
             stiffness.solve(load),
             half,
-            gas_seen,
+            gas_observed,
         )
-        drift = _drift_seen(gas_seen, weights @ modes @ camera.root)
+        drift = _observed_drift(gas_observed, weights @ modes @ camera.root)
         innovation = _innovation(half, drift)
         seen = drift.copy()
         kernel("solve_lower")(*seen.shape, innovation, seen)
         known = seen.T @ seen
-        return Gain(
+        return Linearization(
             c=c,
             ids=ids,
             stiffness=stiffness,
@@ -243,7 +249,7 @@ class InverseMembrane(LoadedSheet):
             distrust=distrust,
             drift=drift,
             drift_gas=(pressure, load),
-            drift_seen=np.maximum(np.diagonal(known), 1e-6),
+            observed_drift=np.maximum(np.diagonal(known), 1e-6),
             prior=prior,
             innovation=innovation,
             reweighted=0 if before is None else before.gain.reweighted + 1,
@@ -276,12 +282,12 @@ class InverseMembrane(LoadedSheet):
         return np.sqrt(np.maximum(1.0, excess / usual))
 
     def _camera_modes(
-        self, p_SM: Array, changed: Array, camera: CameraBelief | CameraSeen
+        self, p_SM: Array, changed: Array, camera: CameraDriftFilter | CameraDriftEstimate
     ) -> Array:
         """How (m, 3, modes) m markers at `p_SM` (m, 3) move with one sd of the camera's modes."""
-        if isinstance(camera, CameraBelief):
+        if isinstance(camera, CameraDriftFilter):
             return camera_modes(self.design, p_SM, changed, self.settings)
-        return known_modes(self.design, p_SM, changed, self.settings, self._known)
+        return observed_modes(self.design, p_SM, changed, self.settings, self._known)
 
     def _gas_drift(
         self, state: State, rest: InverseRest, lost: float | None
@@ -293,11 +299,11 @@ class InverseMembrane(LoadedSheet):
         pressure = self.sheet.gas_pressure(state, rest.gas)[0] + chamber.ambient
         if rest.gas_sd is not None:
             change = (volume - rest.gas_volume) / volume if rest.gas.constant is not None else 0.0
-            sd = math.hypot(rest.gas_sd, self.settings.dent_share * change * pressure)
+            sd = math.hypot(rest.gas_sd, self.settings.dent_fraction * change * pressure)
             return sd, sd * state.gradient
         dent = self.sheet.state(rest.c).volume - state.volume
         drift = self.settings.drift_gas if lost is None else lost
-        share = float(np.hypot(drift, self.settings.dent_share * dent / volume))
+        share = float(np.hypot(drift, self.settings.dent_fraction * dent / volume))
         pressure *= share if rest.gas.constant is not None else 0.0
         return pressure, pressure * state.gradient
 
@@ -323,7 +329,7 @@ class InverseMembrane(LoadedSheet):
         if before is not None:
             change = wrench - _net(before.traction * self.node_area, positions)
             moved = self._at_nodes @ (shape.c - before.c).T
-        felt = ShapeEvidence(
+        felt = FitDiagnostics(
             force,
             change,
             self.node_area @ moved / (self.node_area.sum() * max(seconds, 1e-3)),
@@ -333,7 +339,7 @@ class InverseMembrane(LoadedSheet):
         )
         cov = self._posterior(shape, positions)
         cov.flat[:: len(cov) + 1] += self._doubt.variance(felt)
-        return Traction(self.x, self.y, nodal, wrench, cov, shape.pressure_gauge, method="inverse")
+        return Traction(self.x, self.y, nodal, wrench, cov, shape.gauge_pressure, method="inverse")
 
     def sharpness(self, shape: Shape) -> Array:
         """The part of the wrench's variance, (6,), that is there since the sheet's splines do not
@@ -359,13 +365,13 @@ class InverseMembrane(LoadedSheet):
             gain.innovation,
             cov,
         )
-        scale = np.sqrt(self.posterior_share(shape))
+        scale = np.sqrt(self.posterior_fraction(shape))
         return cov * np.outer(scale, scale)
 
-    def posterior_share(self, shape: Shape) -> Array:
+    def posterior_fraction(self, shape: Shape) -> Array:
         """Share (6,) of the wrench's predicted variances: more where markers misfit or show
         drift."""
-        return np.maximum(max(1.0, shape.misfit) * self._posterior_share, shape.drift - 1)
+        return np.maximum(max(1.0, shape.misfit) * self._posterior_fraction, shape.drift - 1)
 
 
 def _net(force: Array, positions: Array) -> Array:
@@ -374,7 +380,7 @@ def _net(force: Array, positions: Array) -> Array:
     return np.array([*force.sum(axis=1), M[2, 1] - M[1, 2], M[0, 2] - M[2, 0], M[1, 0] - M[0, 1]])
 
 
-def _drift_seen(gas: Array, camera: Array) -> Array:
+def _observed_drift(gas: Array, camera: Array) -> Array:
     """The whitened markers' response (r, 1 + modes) to one sd of drift: of the `gas` (r,), and of
     the `camera`'s modes (m, 3, modes). Slopes, the rows after 3 m, hardly see the camera move."""
     markers, _, modes = camera.shape

@@ -1,5 +1,5 @@
-"""What an inverse step is made with, `Gain`, and what it finds, `Shape`: values that the next image
-begins from."""
+"""What an inverse step is made with, `Linearization`, and what it finds, `Shape`: values that the
+next image begins from."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array, Markers
-from mjtactile.sensing.force.camera_drift_estimator import CameraSeen
-from mjtactile.sensing.force.camera_drift_model import CameraBelief
+from mjtactile.sensing.force.camera_drift_estimator import CameraDriftEstimate
+from mjtactile.sensing.force.camera_drift_model import CameraDriftFilter
 from mjtactile.sensing.force.rest_equilibrium import InverseRest, darker
 from mjtactile.sensing.force.spline_fem import Stiffness
 
@@ -21,18 +21,18 @@ _DARKER_NEAR = 0.03  # of darkness, over which the camera's modes are kept
 
 
 @dataclass(frozen=True, eq=False)
-class Gain:
+class Linearization:
     """One linearisation, at `c` (3, n), for markers `ids`: the `stiffness`, the whitened markers'
     `half` covariance (r, 3 J) by the tractions' prior (r = 3 m positions, and 2 m slopes where they
     count); `weights` (m, 3, 3) that whiten positions, `slope_weights` (m,) and `tilts` (2, m, 2,
     3), the whitened slopes' derivatives by the sheet's tangents, or None, and the factors
     `distrust` (2, m) on the sd of both that they contain; the response (r, 1 + modes) to one sd of
     `drift` (gas, the camera's modes), the gas's part of it as pressure, Pa, and as a load (3, n),
-    and the share `drift_seen` (1 + modes,) of their variances that estimates have; prior sd (3 J,)
-    of the tractions; the lower factor of the predicted covariance of the whitened markers; and how
-    often it was `reweighted`: tractions had been found before it was made; by how much markers were
-    `darker` than at rest (m,), what was known of the `camera` before, how (m, 3, modes) m markers
-    move with its modes, and the share (modes, modes) of its covariance that is `left`."""
+    and the share `observed_drift` (1 + modes,) of their variances that estimates have; prior sd (3
+    J,) of the tractions; the lower factor of the predicted covariance of the whitened markers; and
+    how often it was `reweighted`: tractions had been found before it was made; by how much markers
+    were `darker` than at rest (m,), what was known of the `camera` before, how (m, 3, modes) m
+    markers move with its modes, and the share (modes, modes) of its covariance that is `left`."""
 
     c: Array
     ids: NDArray[np.int64]
@@ -44,13 +44,13 @@ class Gain:
     distrust: Array
     drift: Array
     drift_gas: tuple[float, Array]
-    drift_seen: Array
+    observed_drift: Array
     prior: Array
     innovation: Array
     reweighted: int
     gas: tuple[tuple[bool, bool], float]
     darker: Array
-    camera: CameraBelief | CameraSeen
+    camera: CameraDriftFilter | CameraDriftEstimate
     lost: bool
     modes: Array
     left: Array
@@ -60,12 +60,12 @@ class Gain:
         c: Array,
         markers: Markers,
         rest: InverseRest,
-        camera: CameraBelief | CameraSeen,
+        camera: CameraDriftFilter | CameraDriftEstimate,
         lost: bool,
     ) -> bool:
         """Whether it can be used near `c`, for these markers, with what is known of the gas and of
         the camera."""
-        if lost != self.lost or not _as_well_known(camera, self.camera):
+        if lost != self.lost or not _equally_certain(camera, self.camera):
             return False
         if not np.array_equal(self.ids, markers.ids) or np.abs(c - self.c).max() >= NEAR:
             return False
@@ -88,16 +88,18 @@ class Shape:
 
     c: Array
     traction: Array
-    pressure_gauge: float
+    gauge_pressure: float
     misfit: float
-    gain: Gain
+    gain: Linearization
     steps: int
     excess: Array
     drift: float
     camera: Array
 
 
-def _as_well_known(one: CameraBelief | CameraSeen, other: CameraBelief | CameraSeen) -> bool:
+def _equally_certain(
+    one: CameraDriftFilter | CameraDriftEstimate, other: CameraDriftFilter | CameraDriftEstimate
+) -> bool:
     """Whether about as much is known of the camera."""
     if type(one) is not type(other) or one.root.shape != other.root.shape:
         return False

@@ -16,7 +16,7 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.sensor_parts import MarkerLayout
 from mjtactile.core.types import Array
-from mjtactile.sensing.settings import DEFAULTS, DoubtSettings
+from mjtactile.sensing.settings import DEFAULTS, ModelErrorSettings
 
 # Fx, Fy are shear, then the normal force, the torques that tilt, the one that spins
 AXES = np.array([0, 0, 1, 2, 2, 3])
@@ -27,7 +27,7 @@ _TILTS = AXES == 2
 
 
 @dataclass(frozen=True, eq=False)
-class ShapeEvidence:
+class FitDiagnostics:
     """What a shape says: nodal `force` (3, J) N, by how much the wrench has changed since the last
     image, `change` (6,), the mean `velocity` (3,) m/s of the sheet since then, and the mean over
     all markers of their squared noise over its sd, `excess`; by how much the pressure has changed
@@ -41,16 +41,16 @@ class ShapeEvidence:
     lag: float = 0.0
 
 
-class Doubt:
+class ModelErrorVariance:
     """The model's own share of a wrench's variance, of one sensor with nodes (J, 2) m."""
 
     def __init__(
-        self, design: SensorDesign, nodes: Array, settings: DoubtSettings = DEFAULTS.doubt
+        self, design: SensorDesign, nodes: Array, settings: ModelErrorSettings = DEFAULTS.doubt
     ):
         layout = design.markers
         sheet = design.membrane
         frame = design.frame
-        self._sharp_most = settings.sharp_most
+        self._sharp_max = settings.sharp_max
         s = settings
         shares = [s.share, s.lateral, s.sharp, s.caught, s.outside, s.burst]
         self._shares = np.array(shares, float)[:, AXES]
@@ -62,7 +62,7 @@ class Doubt:
         self._area = frame.area
         self._unit = np.array([1.0, 1.0, 1.0, *np.full(3, settings.lever)])
 
-    def variance(self, felt: ShapeEvidence) -> Array:
+    def variance(self, felt: FitDiagnostics) -> Array:
         """Of force, N^2, and torque, (N m)^2, about the origin of S, (6,)."""
         size = float(np.linalg.norm(felt.force.sum(axis=1)))
         sums = np.abs(felt.force)
@@ -89,7 +89,7 @@ class Doubt:
 
         Args:
             force: (3, J) N of the nodes.
-            excess: As `ShapeEvidence` has it.
+            excess: As `FitDiagnostics` has it.
 
         Returns:
             Of force, N^2, and torque, (N m)^2, about the origin of S, (6,).
@@ -100,7 +100,7 @@ class Doubt:
         return self._unit**2 * (variance + np.where(_TILTS, 0.0, drawn))
 
     def _sharp_loads(self, force: Array, excess: float) -> list[list[float]]:
-        excess = min(excess, self._sharp_most)
+        excess = min(excess, self._sharp_max)
         size = float(np.linalg.norm(force.sum(axis=1)))
         caught = math.sqrt(max(excess - 1, 0.0))
         return [[size * excess], [float(np.abs(force[:2]).sum()) * caught]]

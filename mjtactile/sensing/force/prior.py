@@ -46,7 +46,7 @@ class LoadPrior:
         nothing found."""
         by_x, by_y = self._soften
         pressing = (by_x @ np.maximum(-traction[2], 0.0).reshape(self._shape) @ by_y.T).ravel()
-        pressing /= np.hypot(1.0, pressing / self.settings.pressure_most)
+        pressing /= np.hypot(1.0, pressing / self.settings.pressure_limit)
         background = self.settings.background * self.settings.pressure_sd
         shear = np.hypot(self.settings.friction * pressing, background / 2)
         return np.concatenate([shear, shear, np.hypot(pressing, background)])

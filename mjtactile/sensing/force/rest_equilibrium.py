@@ -15,7 +15,7 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, Markers
 from mjtactile.sensing.force.spline_fem import FEWEST_SPANS, Gas, Sheet, State
-from mjtactile.sensing.force.stress_relaxation import Relaxing
+from mjtactile.sensing.force.stress_relaxation import RelaxingMembrane
 from mjtactile.sensing.settings import InverseSettings
 
 _GAS_NEAR = 3.0  # Pa, over which the sheet at rest is kept
@@ -30,7 +30,7 @@ class InverseRest:
     `c` (3, n) m of the model that bulges as far as the markers do, and what then remains, `offset`
     (N, 3) m, measured less modelled marker positions. Where a gauge measures the gas: the sd of its
     pressure, `gas_sd` Pa, in a chamber of `gas_volume` m^3, and the pressure at rest,
-    `pressure_gauge` Pa. `darkness` (N,) is that of the markers then; NaN, or None: unknown. Of
+    `gauge_pressure` Pa. `darkness` (N,) is that of the markers then; NaN, or None: unknown. Of
     rubber that relaxes the scale is that of its lasting modulus, and `faded` (3, qx, qy) N/m what
     is lost by now of the stress that a quick deformation meets; None: it does not relax."""
 
@@ -40,14 +40,14 @@ class InverseRest:
     offset: Array
     gas_sd: float | None = None
     gas_volume: float = math.nan
-    pressure_gauge: float = math.nan
+    gauge_pressure: float = math.nan
     darkness: Array | None = None
     faded: Array | None = None
     young: float = 1.0
     stretch: float = 1.0
 
 
-class MarkedSheet:
+class MarkedMembrane:
     """The sheet of one sensor and the markers on it.
 
     Args:
@@ -60,7 +60,7 @@ class MarkedSheet:
         self.settings = settings
         self.sheet = Sheet(design, _spans(design, settings))
         relaxation = design.relaxation
-        self.rubber = None if relaxation is None else Relaxing(self.sheet, relaxation)
+        self.rubber = None if relaxation is None else RelaxingMembrane(self.sheet, relaxation)
         self._quick = 1.0 if relaxation is None else relaxation.quick
         self._material = design.markers.p_SM
         self._seats = np.ascontiguousarray(self.sheet.own(self._material[:, :2]))
@@ -69,18 +69,18 @@ class MarkedSheet:
     def rest_state(
         self,
         markers: Markers,
-        pressure_gauge: float,
+        gauge_pressure: float,
         *,
         sealed: bool = True,
         inflated_s: float = math.inf,
     ) -> InverseRest:
         """Calibrate on a state with nothing touching and a known gauge pressure, Pa, in which the
         membrane has been for `inflated_s` s: see `InverseRest`."""
-        valve = Gas(pressure_gauge)
+        valve = Gas(gauge_pressure)
         scale = young = stretch = 1.0
         c = self.sheet.equilibrium(valve)
         height = markers.p_SM[:, 2]
-        if pressure_gauge > self.settings.informative_pressure:
+        if gauge_pressure > self.settings.informative_pressure:
             for _ in range(_REST_STEPS):
                 modelled = self._at_markers[markers.ids] @ c[2]
                 # pressed in below the frame: no bulge
@@ -92,7 +92,7 @@ class MarkedSheet:
                 c = self.sheet.equilibrium(valve, quick, start=c, faded=faded, stretch=stretch)
         faded = self._faded(c, young, inflated_s)
         state = self.sheet.state(c, young * self._quick, faded, stretch)
-        gas = self.sheet.seal(state, pressure_gauge) if sealed else valve
+        gas = self.sheet.seal(state, gauge_pressure) if sealed else valve
         offset = np.zeros((self.design.markers.count, 3))
         offset[markers.ids] = markers.p_SM - self.positions(c)[markers.ids]
         darkness = np.full(self.design.markers.count, np.nan)
@@ -138,7 +138,7 @@ class MarkedSheet:
                 rest.gas, scale, start=c, faded=rest.faded, stretch=rest.stretch
             )
             held = self.sheet.gas_pressure(self.sheet.state(c), rest.gas)[0]
-        return replace(rest, c=c, pressure_gauge=held)
+        return replace(rest, c=c, gauge_pressure=held)
 
     def _state(self, c: Array, rest: InverseRest) -> State:
         """The sheet of this sensor at `c` (3, n) m."""

@@ -31,7 +31,7 @@ def misfit(
     """Mean square misfit of the markers' heights to the best-fitting bulge's `z` (n,) m, over its
     variance. `flat_px` is the rms residual of the flat reference."""
     x, y = (markers.p_SM[:, :2] / (design.frame.length / 2, design.frame.width / 2)).T
-    share = s.lens_share_measured if lens_measured else s.lens_share
+    share = s.lens_fraction_measured if lens_measured else s.lens_fraction
     modes = share * z[:, None] * np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
     own = (
         markers.cov_p[:, 2, 2]
@@ -66,25 +66,25 @@ def require_bulge(
     Raises:
         DeviceError: It is none.
     """
-    pressure_gauge = rest.gas.gauge
-    most = settings.reference.stiffness_off_most
+    gauge_pressure = rest.gas.gauge
+    most = settings.reference.stiffness_off_max
     if not 1 / most < rest.stiffness_scale < most:
         height = 1e3 * float(np.abs(markers.p_SM[:, 2]).max())
         raise DeviceError(
-            f"sensor {design.name}: at {pressure_gauge:.0f} Pa the markers stand "
+            f"sensor {design.name}: at {gauge_pressure:.0f} Pa the markers stand "
             f"{height:.2f} mm high at most, as if the membrane were "
             f"{rest.stiffness_scale:.1f} times as stiff as in the sensor file: does the valve "
             "move, and are the membrane's young_MPa and thickness_mm right?"
         )
     # hardly a bulge, and no stiffness was fitted to it
-    if pressure_gauge <= settings.inverse.informative_pressure:
+    if gauge_pressure <= settings.inverse.informative_pressure:
         return
     squares = misfit(design, markers, z, flat_px, lens_measured=lens_measured, s=settings.reference)
-    if squares > settings.reference.bulge_misfit_most:
+    if squares > settings.reference.bulge_misfit_max:
         off = 1e3 * float(np.abs(markers.p_SM[:, 2] - z).max())
         raise DeviceError(
             f"sensor {design.name}: at rest the membrane is not the bulge that "
-            f"{pressure_gauge:.0f} Pa make: markers are up to {off:.2f} mm off "
+            f"{gauge_pressure:.0f} Pa make: markers are up to {off:.2f} mm off "
             f"({np.sqrt(squares):.1f} standard deviations, rms); does something touch it? Else "
             "the lens is not as in the sensor file: `mjtactile calibrate camera`"
         )

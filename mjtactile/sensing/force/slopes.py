@@ -48,7 +48,7 @@ class MarkerSlopes:
         s = self._settings
         sd = np.hypot(s.slope_model_sd, slope_sd(n, p_CM, markers.cov_p[:, 2, 2]))
         off = np.abs(self.off(markers, c)).max(axis=1)
-        is_used = (sd < s.slope_sd_most) & (off < s.slope_off_most)  # False for NaN
+        is_used = (sd < s.slope_sd_max) & (off < s.slope_off_max)  # False for NaN
         return np.where(is_used, 1 / sd, 0.0)
 
     def rows(self, c: Array, ids: NDArray[np.int64]) -> Array:

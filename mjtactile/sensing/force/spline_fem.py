@@ -25,7 +25,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError, MjtactileError
 from mjtactile.core.types import Array
 from mjtactile.kernels import band_stride, kernel
-from mjtactile.sensing.constitutive_law import SheetLaw
+from mjtactile.sensing.constitutive_law import ConstitutiveLaw
 
 # nodes in each interval of the spline: what is integrated varies over markers, several intervals
 # wide
@@ -47,10 +47,10 @@ class Gas:
     def __post_init__(self) -> None:
         if not isinstance(self.gauge, int | float | np.number) or not np.isfinite(self.gauge):
             raise InputError(
-                f"{self.gauge!r} is not a pressure, Pa", source="chamber", field="pressure_gauge"
+                f"{self.gauge!r} is not a pressure, Pa", source="chamber", field="gauge_pressure"
             )
 
-    def pressure_gauge(self, volume: float, ambient: float, gamma: float) -> float:
+    def gauge_pressure(self, volume: float, ambient: float, gamma: float) -> float:
         """Gauge pressure, Pa, at gas volume m^3 (Eq. G1)."""
         if self.constant is None:
             return self.gauge
@@ -128,7 +128,7 @@ class Sheet:
         self._up_x = np.concatenate([ax.at(ax.points, 0), ax.at(ax.points, 1)])
         self._up_y = np.concatenate([ay.at(ay.points, 0), ay.at(ay.points, 1)]).T.copy()
         sheet = design.membrane
-        self.law = law = SheetLaw(sheet)
+        self.law = law = ConstitutiveLaw(sheet)
         numbers = np.array([ax.length, ay.length, sheet.pre_stretch**2, *law.numbers])
         # as kernels take them
         self.numbers = numbers
@@ -262,17 +262,17 @@ class Sheet:
         return np.array([M[1, 2] - M[2, 1], M[2, 0] - M[0, 2], M[0, 1] - M[1, 0]])
 
     @staticmethod
-    def residual(state: State, pressure_gauge: float) -> Array:
+    def residual(state: State, gauge_pressure: float) -> Array:
         """Generalised forces (3, n) N that hold the state: elastic minus gas (Eq. F9); zero at
         rest."""
-        return state.elastic - pressure_gauge * state.gradient
+        return state.elastic - gauge_pressure * state.gradient
 
-    def tangent(self, state: State, pressure_gauge: float) -> Array:
+    def tangent(self, state: State, gauge_pressure: float) -> Array:
         """d(residual)/dc at constant pressure, N/m (Eq. F10): the lower band (3 n, stride) as
         kernels/band_cholesky_f64.h has it, with the three components of a spline together."""
         band = np.empty((3 * self.count, band_stride(self.width)))
         law = self._law(state.stretch)
-        kernel("sheet_tangent")(*self.shape, *law, state.c, state.scale, pressure_gauge, band)
+        kernel("sheet_tangent")(*self.shape, *law, state.c, state.scale, gauge_pressure, band)
         return band
 
     # -- equilibrium
@@ -281,15 +281,17 @@ class Sheet:
         """Gauge pressure, Pa, and stiffness -dp/dV, Pa/m^3, of the gas in this state."""
         chamber = self.design.chamber
         volume = self.design.chamber_volume_flat + state.volume
-        pressure = gas.pressure_gauge(volume, chamber.ambient, chamber.heat_ratio)
-        return pressure, gas.stiffness(volume, chamber.heat_ratio)
+        pressure = gas.gauge_pressure(volume, chamber.ambient, chamber.polytropic_exponent)
+        return pressure, gas.stiffness(volume, chamber.polytropic_exponent)
 
-    def seal(self, state: State, pressure_gauge: float) -> Gas:
+    def seal(self, state: State, gauge_pressure: float) -> Gas:
         """The gas that is in the chamber in this state, at this gauge pressure, kept from now
         on."""
         chamber = self.design.chamber
         volume = self.design.chamber_volume_flat + state.volume
-        return Gas(pressure_gauge, (chamber.ambient + pressure_gauge) * volume**chamber.heat_ratio)
+        return Gas(
+            gauge_pressure, (chamber.ambient + gauge_pressure) * volume**chamber.polytropic_exponent
+        )
 
     def linearise(self, state: State, gas: Gas) -> tuple[Array, Stiffness]:
         """Residual (3, n) and its factorised tangent, gas stiffness included. Where wrinkles make

@@ -18,7 +18,7 @@ from mjtactile.sensing.force.spline_fem import Sheet
 
 
 @dataclass(frozen=True, eq=False)
-class RubberMemory:
+class RelaxationState:
     """What each term has given up, `faded` (terms, 3, qx, qy) N/m, with the lasting `stress` (3,
     qx, qy) N/m at `time` s."""
 
@@ -32,7 +32,7 @@ class RubberMemory:
         return self.faded.sum(axis=0)
 
 
-class Relaxing:
+class RelaxingMembrane:
     """Follows what the rubber of one sensor's sheet gives up; `scale` is that of its lasting
     modulus, as in `InverseRest`."""
 
@@ -41,20 +41,22 @@ class Relaxing:
         self._relaxation = relaxation
         self._shares = relaxation.shares[:, None, None, None]
 
-    def begin(self, c: Array, scale: float, inflated_s: float, time: float) -> RubberMemory:
+    def begin(self, c: Array, scale: float, inflated_s: float, time: float) -> RelaxationState:
         """Of a sheet that was flat for ever and then at `c` (3, n) m for `inflated_s` s, up to
         `time` s."""
         flat = scale * self._sheet.stress(np.zeros_like(c))
         stress = scale * self._sheet.stress(c)
         kept = self._kept(inflated_s)
-        return RubberMemory(self._shares * (kept * flat + (1 - kept) * stress), stress, time)
+        return RelaxationState(self._shares * (kept * flat + (1 - kept) * stress), stress, time)
 
-    def after(self, memory: RubberMemory, c: Array, scale: float, time: float) -> RubberMemory:
+    def after(
+        self, memory: RelaxationState, c: Array, scale: float, time: float
+    ) -> RelaxationState:
         """What it remembers at `time` s, when it is at `c` (3, n) m."""
         stress = scale * self._sheet.stress(c)
         kept = self._kept(max(time - memory.time, 0.0))
         towards = self._shares * (memory.stress + stress) / 2
-        return RubberMemory(kept * memory.faded + (1 - kept) * towards, stress, time)
+        return RelaxationState(kept * memory.faded + (1 - kept) * towards, stress, time)
 
     def _kept(self, elapsed: float) -> Array:
         return self._relaxation.kept(elapsed)[:, None, None, None]

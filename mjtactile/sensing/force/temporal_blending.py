@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array, Markers
 
-_DEGREE_MOST = 5
+_DEGREE_MAX = 5
 _MARKERS_TO_A_TERM = 3
 _STILL = 1.5  # of the noise's mean square, which the polynomial may have taken out
 _KEPT = 0.95  # of what was seen, from still picture to still picture: 20 of them count
@@ -54,7 +54,7 @@ class Blend:
         return self.share / (1 - self.share)
 
 
-class BlendFinder:
+class BlendEstimator:
     """Follows one sensor's pictures; nothing changes.
 
     Args:
@@ -112,7 +112,7 @@ class BlendFinder:
 
 def _degree(markers: int) -> int:
     """Of the polynomial: as high as so many markers carry."""
-    for degree in range(_DEGREE_MOST, 0, -1):
+    for degree in range(_DEGREE_MAX, 0, -1):
         terms = (degree + 1) * (degree + 2) // 2
         if _MARKERS_TO_A_TERM * terms <= markers:
             return degree

@@ -11,7 +11,7 @@ import numpy as np
 from mjtactile.core.types import Array
 
 _ROUNDS = 5
-_STEP_MOST = 0.3  # of ln gamma in a round
+_STEP_LIMIT = 0.3  # of ln gamma in a round
 _FEWEST = 3
 _AS_BEFORE = 0.02  # of all levels: less is no other curve
 _TOP = 255.0
@@ -63,7 +63,7 @@ def tone_of(inside: Array, outside: Array, inside_then: Array, outside_then: Arr
         black, light, steeper = np.linalg.solve(normal, columns @ level)
         if not light > 0:
             return _UNKNOWN
-        change = float(np.clip(steeper / light, -_STEP_MOST, _STEP_MOST))
+        change = float(np.clip(steeper / light, -_STEP_LIMIT, _STEP_LIMIT))
         power = float(np.clip(power + change, 0.1, 10.0))
         if abs(change) < 1e-3:
             break

@@ -10,14 +10,14 @@ from mjtactile.core.bspline import hats
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
 from mjtactile.sensing.force.linearization import Shape
-from mjtactile.sensing.force.rest_equilibrium import MarkedSheet
+from mjtactile.sensing.force.rest_equilibrium import MarkedMembrane
 from mjtactile.sensing.force.spline_fem import product
 from mjtactile.sensing.settings import InverseSettings
 
 REFINE = 5  # cells of the fine grid, for outlines, to a cell of the traction grid
 
 
-class LoadedSheet(MarkedSheet):
+class LoadedMembrane(MarkedMembrane):
     """The sheet of one sensor, its markers, and J nodes on its inner grid lines `x` (nx,), `y`
     (ny,) m.
 

@@ -38,11 +38,11 @@ def band(
     left = np.maximum(np.ceil(left), 0)
     right = np.minimum(np.floor(right), size[1] - 1)
     holed = hollow[:, None] & (hole_right > hole_left)
-    middle_left = np.where(holed, np.minimum(np.floor(hole_left), right), right)
-    middle_right = np.where(holed, np.maximum(np.ceil(hole_right), left), right + 1)
-    middle_right = np.maximum(middle_right, middle_left + 1)
-    begin = np.stack([left, middle_right], axis=-1)
-    length = np.stack([middle_left - left + 1, right - middle_right + 1], axis=-1)
+    center_left = np.where(holed, np.minimum(np.floor(hole_left), right), right)
+    center_right = np.where(holed, np.maximum(np.ceil(hole_right), left), right + 1)
+    center_right = np.maximum(center_right, center_left + 1)
+    begin = np.stack([left, center_right], axis=-1)
+    length = np.stack([center_left - left + 1, right - center_right + 1], axis=-1)
     length = np.where(inside_rows[..., None], np.maximum(length, 0), 0).astype(np.int64)
     begin = np.where(length > 0, begin, 0).astype(np.int64)
     counts = length.sum(axis=(1, 2))
@@ -123,7 +123,7 @@ class Around:
         apart = np.hypot(*(center[i] - center[j]).T)
         close = (i < count) & (apart < reach[i] + reach[j] + width + s.neighbour_margin)
         # no candidate that is the marker itself, or what it lies on, such as a sheet of paper
-        close &= (apart > np.maximum(reach[i], s.min_distance_share * reach[j])) & (
+        close &= (apart > np.maximum(reach[i], s.min_distance_fraction * reach[j])) & (
             reach[j] < s.max_size_ratio * reach[i]
         )
         order = np.flatnonzero(close)[np.argsort(i[close], kind="stable")]

@@ -257,7 +257,7 @@ def _robust(pixels: Pixels, residual: NDArray, theta: Array, s: EdgeSettings) ->
     """
     scale = np.maximum(
         s.outlier_residuals * np.sqrt(pixels.sums(residual * residual) / pixels.counts),
-        s.outlier_share * np.abs(theta[:, 5] - theta[:, 6]),
+        s.outlier_fraction * np.abs(theta[:, 5] - theta[:, 6]),
     )
     t = residual * pixels.spread(1 / np.maximum(scale, 1e-3))
     t *= t

@@ -24,7 +24,7 @@ from mjtactile.sensing.image import candidates, edge_fit, ellipse, markers
 from mjtactile.sensing.image.candidates import Candidates
 from mjtactile.sensing.image.ellipse_fit import as_ellipses, fit_candidates, sound
 from mjtactile.sensing.image.fit_validation import implausible, judge
-from mjtactile.sensing.settings import DEFAULTS, Settings, ThoroughSettings
+from mjtactile.sensing.settings import DEFAULTS, ExhaustiveDetectionSettings, Settings
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ def detect_thoroughly(
     return kept, Rejected(places, ellipse.axes_from_shape(outlines)[0], reasons)
 
 
-def _with_grey_edges(grey: NDArray, s: ThoroughSettings) -> NDArray:
+def _with_grey_edges(grey: NDArray, s: ExhaustiveDetectionSettings) -> NDArray:
     """`grey`; blurred a little where it is black and white only (drawn, or a threshold's), so that
     nothing between two pixels shows where an edge is. Blur of any size leaves as much of the
     staircase's error, 0.05 px of radius at 13-20 px; with some, the fit sees it and its error bars
@@ -95,10 +95,10 @@ def _with_grey_edges(grey: NDArray, s: ThoroughSettings) -> NDArray:
     level = (grey.astype(np.float32) - low)[edge] / step[edge] if step.any() else np.zeros(0)
     if (
         not level.size
-        or ((level > s.grey_levels[0]) & (level < s.grey_levels[1])).mean() > s.grey_share
+        or ((level > s.grey_levels[0]) & (level < s.grey_levels[1])).mean() > s.grey_fraction
     ):
         return grey
-    return np.rint(cv2.GaussianBlur(grey.astype(np.float32), (0, 0), s.drawn_blur)).astype(
+    return np.rint(cv2.GaussianBlur(grey.astype(np.float32), (0, 0), s.sampled_blur)).astype(
         grey.dtype
     )
 
@@ -110,7 +110,7 @@ def _with_more(
     scale = 1
     more = found
     s = settings.thorough
-    while min(dark.shape) // scale >= s.least_side:
+    while min(dark.shape) // scale >= s.min_side:
         if scale == 1:
             small = dark
         else:
@@ -131,7 +131,9 @@ def _with_more(
     return more.take(new)
 
 
-def _new(all_of_them: Candidates, s: ThoroughSettings, larger: float) -> NDArray[np.bool_]:
+def _new(
+    all_of_them: Candidates, s: ExhaustiveDetectionSettings, larger: float
+) -> NDArray[np.bool_]:
     """Which (N,) are neither one that came before them, seen again, nor a part of a larger one (up
     to `larger` times)."""
     center = all_of_them.center
@@ -156,7 +158,7 @@ def _black_hat(dark: NDArray[np.uint8], settings: Settings) -> NDArray[np.uint8]
     soft = cv2.GaussianBlur(dark, (3, 3), 0)
     kernel = cv2.getStructuringElement(cv2.MORPH_RECT, (s.closing_size, s.closing_size))
     hat = cv2.subtract(cv2.morphologyEx(soft, cv2.MORPH_CLOSE, kernel), soft)
-    half = cv2.convertScaleAbs(cv2.dilate(hat, kernel), alpha=s.dark_share)
+    half = cv2.convertScaleAbs(cv2.dilate(hat, kernel), alpha=s.dark_fraction)
     return cv2.compare(
         hat, cv2.max(half, 2 * candidates.noise_margin(soft, settings.candidates)), cv2.CMP_GT
     )
@@ -186,7 +188,7 @@ def _second_try(
         found.center[~keep],
         found.shape[~keep],
         blur=blur,
-        blur_sd=s.blur_sd_share * blur,
+        blur_sd=s.blur_sd_fraction * blur,
         others=(found.center[keep], found.shape[keep]),
         s=settings.edges,
     )

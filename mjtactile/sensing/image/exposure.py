@@ -24,9 +24,9 @@ def is_overexposed(
     if polarity == "dark":
         aside = shape + [s.ground_distance, 0.0, s.ground_distance]
     else:
-        aside = s.inside_share * shape
+        aside = s.inside_fraction * shape
     u, v = (
         np.rint(boundary(ellipses.center_px[good], aside, 8)[0]).astype(np.int64).transpose(2, 0, 1)
     )
     inside = (u >= 0) & (v >= 0) & (u < grey.shape[1]) & (v < grey.shape[0])
-    return bool((grey[v[inside], u[inside]] > s.clipped_level * top).mean() > s.clipped_share)
+    return bool((grey[v[inside], u[inside]] > s.clipped_level * top).mean() > s.clipped_fraction)

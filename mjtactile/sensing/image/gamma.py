@@ -24,7 +24,7 @@ from mjtactile.sensing.settings import DEFAULTS, GammaSettings, Settings
 _MIDDLE = 128.0  # grey levels, to which levels are relative inside
 _DARKEST = 1e-6  # light of a model's pixel, which may not be negative
 _STEPS = 12
-_MOST_STEP = 0.3  # of log gamma
+_MAX_STEP = 0.3  # of log gamma
 _SETTLED = 1e-3
 _WHITE = 65535
 
@@ -44,7 +44,7 @@ class Gamma:
         # never, where it is unknown
         return bool(off > s.min_sds * self.sd / self.value and off > s.min_log_change)
 
-    def size_doubt(self, assumed: float, s: GammaSettings) -> float:
+    def size_uncertainty(self, assumed: float, s: GammaSettings) -> float:
         """Sd in px of circles' size where `assumed` was used."""
         return s.size_per_log * float(np.hypot(np.log(self.value / assumed), self.sd / self.value))
 
@@ -128,7 +128,7 @@ def _fit(pixels: Pixels, theta: Array, s: GammaSettings) -> Gamma:
         )
         own = pull / tells
         sd = np.sqrt(variance / tells)
-        step = float(np.clip((own / sd**2).sum() / (1 / sd**2).sum(), -_MOST_STEP, _MOST_STEP))
+        step = float(np.clip((own / sd**2).sum() / (1 / sd**2).sum(), -_MAX_STEP, _MAX_STEP))
         theta = _moved(theta, solved[..., 0] - solved[..., 1] * step)
         log_gamma += step
         if abs(step) < _SETTLED:
@@ -179,6 +179,6 @@ def _judged(log_gamma: float, own: Array, sd: Array, s: GammaSettings) -> Gamma:
     scatter = max(float(np.median(np.abs(own[good]) / sd[good])) / 0.6745, 1.0)
     return Gamma(
         gamma,
-        gamma * float(np.hypot(scatter / np.sqrt((1 / sd[good] ** 2).sum()), s.model_sd_share)),
+        gamma * float(np.hypot(scatter / np.sqrt((1 / sd[good] ** 2).sum()), s.model_sd_fraction)),
         int(good.sum()),
     )

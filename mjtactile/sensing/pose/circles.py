@@ -27,7 +27,7 @@ from mjtactile.core.sensor_parts import CameraDesign
 from mjtactile.core.types import Array, CirclePoses, Ellipses
 from mjtactile.kernels import kernel
 
-_LEAST_TILT = 1e-3  # rad; below it the normal's derivative vanishes and only its bound is left
+_MIN_TILT = 1e-3  # rad; below it the normal's derivative vanishes and only its bound is left
 
 
 def estimate_poses(
@@ -96,11 +96,11 @@ def _tilted(n: Array, p: Array) -> Array:
     """Normals (N, 3), pushed away from exactly face-on, where the ellipse does not change with the
     tilt."""
     far = np.sqrt((p * p).sum(axis=1))
-    flat = -(n * p).sum(axis=1) > np.cos(_LEAST_TILT) * far
+    flat = -(n * p).sum(axis=1) > np.cos(_MIN_TILT) * far
     if not flat.any():
         return n
     view = p / far[:, None]
-    return np.where(flat[:, None], _LEAST_TILT * geometry.tangents(view)[0] - view, n)
+    return np.where(flat[:, None], _MIN_TILT * geometry.tangents(view)[0] - view, n)
 
 
 def _radii(radius: ArrayLike, count: int) -> Array:

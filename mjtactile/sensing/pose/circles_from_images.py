@@ -22,7 +22,7 @@ from mjtactile.sensing.image.exposure import is_overexposed
 from mjtactile.sensing.image.gamma import UNKNOWN, Gamma, estimate_gamma, linear_light
 from mjtactile.sensing.image.markers import Polarity, grey_image
 from mjtactile.sensing.pose.circles import estimate_poses, pose_covariances
-from mjtactile.sensing.pose.neighbor_smoothing import share_elongation
+from mjtactile.sensing.pose.neighbor_smoothing import smooth_aspect_ratio
 from mjtactile.sensing.pose.pose_disambiguation import prefer
 from mjtactile.sensing.settings import DEFAULTS, Settings
 from mjtactile.sensing.surface.depth_smoothing import agree_on_depth
@@ -55,7 +55,7 @@ def load_image(path: str | Path) -> NDArray:
 
 
 @dataclass(frozen=True)
-class Located:
+class DetectedCircles:
     """The circles of one image: their `ellipses` and `poses`, the likelier of the two of each
     circle first, with the covariance `cov_p_alt` (N, 3, 3) m^2 of the other's centre and the
     probability `sure` (N,) that the first is right; what they `shared` with neighbours (of
@@ -85,7 +85,7 @@ class Located:
         return "no circle found"
 
 
-def find_circles(
+def detect_circles(
     image: NDArray | Image,
     camera: optics.Camera | CameraDesign,
     radius: ArrayLike,
@@ -95,7 +95,7 @@ def find_circles(
     neighbours: Neighbours = "auto",
     gamma: float | Literal["auto"] = 1.0,
     settings: Settings = DEFAULTS,
-) -> Located:
+) -> DetectedCircles:
     """Find circles of a known radius in one image, and their poses.
 
     Where the bright side of the edges is clipped, all dark circles look smaller by tenths of a
@@ -144,7 +144,7 @@ def find_circles(
         gamma=said,
         nonlinear=nonlinear,
     )
-    return _with_size_doubt(found, settings)
+    return _with_size_uncertainty(found, settings)
 
 
 def _check_options(neighbours: str, gamma: object) -> None:
@@ -166,12 +166,12 @@ def _check_options(neighbours: str, gamma: object) -> None:
         )
 
 
-def _with_size_doubt(found: Located, settings: Settings) -> Located:
+def _with_size_uncertainty(found: DetectedCircles, settings: Settings) -> DetectedCircles:
     """What was found, with the covariance of a size that clipping or an unknown gamma may have
     changed."""
     size_sd = settings.locate.size_sd if found.overexposed else 0.0
     if found.nonlinear or found.assumed == found.gamma.value:
-        size_sd = np.hypot(size_sd, found.gamma.size_doubt(found.assumed, settings.gamma))
+        size_sd = np.hypot(size_sd, found.gamma.size_uncertainty(found.assumed, settings.gamma))
     if not size_sd:
         return found
     doubt = _doubtful_size(found.poses, found.ellipses, float(size_sd))
@@ -188,13 +188,13 @@ def _together(
     radius: ArrayLike,
     neighbours: Neighbours,
     settings: Settings,
-) -> Located:
+) -> DetectedCircles:
     """Poses of the circles, with as much help of each other as `neighbours` allows."""
     camera = camera if isinstance(camera, optics.Camera) else optics.Camera.from_design(camera)
     poses = estimate_poses(ellipses, camera, radius)
     if neighbours == "never":
         return _preferred(ellipses, camera, poses, settings)
-    alike = share_elongation(ellipses, settings.consensus)
+    alike = smooth_aspect_ratio(ellipses, settings.consensus)
     shared = () if alike is ellipses else ("elongation",)
     found = _preferred(
         alike, camera, estimate_poses(alike, camera, radius) if shared else poses, settings, shared
@@ -217,7 +217,7 @@ def _preferred(
     poses: CirclePoses,
     settings: Settings,
     shared: tuple[str, ...] = (),
-) -> Located:
+) -> DetectedCircles:
     _, cov_n = pose_covariances(ellipses, camera, poses.p_CM, poses.n_C)
     cov_p_alt, cov_n_alt = pose_covariances(ellipses, camera, poses.p_CM_alt, poses.n_C_alt)
     better, cov_p_alt, sure = prefer(
@@ -227,7 +227,7 @@ def _preferred(
     uv_px = optics.project(camera, better.p_CM)
     inside = (better.status == "ok") & ~np.isfinite(uv_px).all(axis=1)
     better = replace(better, uv_px=uv_px, status=np.where(inside, NOT_BEYOND_GLASS, better.status))
-    return Located(ellipses, better, cov_p_alt, sure, shared)
+    return DetectedCircles(ellipses, better, cov_p_alt, sure, shared)
 
 
 def _doubtful_size(poses: CirclePoses, ellipses: Ellipses, size_sd: float) -> Array:
@@ -246,11 +246,11 @@ def locate(
     min_radius_px: float = 1.5,
     neighbours: Neighbours = "auto",
 ) -> list[dict[str, Any]]:
-    """`find_circles` as JSON-ready records; see `marker_records`."""
-    found = find_circles(
+    """`detect_circles` as JSON-ready records; see `circles_to_records`."""
+    found = detect_circles(
         image, camera, radius, polarity=polarity, min_radius_px=min_radius_px, neighbours=neighbours
     )
-    return marker_records(found)
+    return circles_to_records(found)
 
 
 def plain_grey(image: NDArray | Image) -> NDArray | Image:
@@ -266,11 +266,11 @@ def plain_grey(image: NDArray | Image) -> NDArray | Image:
     return image
 
 
-def marker_records(found: Located) -> list[dict[str, Any]]:
+def circles_to_records(found: DetectedCircles) -> list[dict[str, Any]]:
     """Make plain records of the circles that were found, for JSON.
 
     Args:
-        found: What `find_circles` returned.
+        found: What `detect_circles` returned.
 
     Returns:
         One record a marker: `uv_px`, `ellipse_px`; `center_mm`, `cov_center_mm2`, `normal` of the

@@ -15,7 +15,7 @@ from mjtactile.core.sensor_parts import CameraDesign
 from mjtactile.core.types import Array, CirclePoses, Ellipses, Image
 from mjtactile.sensing.image.exhaustive_detection import detect_thoroughly
 from mjtactile.sensing.image.markers import Polarity, grey_image
-from mjtactile.sensing.pose.circles_from_images import find_circles, plain_grey
+from mjtactile.sensing.pose.circles_from_images import detect_circles, plain_grey
 from mjtactile.sensing.settings import DEFAULTS, Settings
 
 NOBODY = -1  # of a circle that is not followed
@@ -92,7 +92,7 @@ def track_circles(
                 grey, polarity=polarity, min_radius_px=min_radius_px, settings=settings
             )
         else:
-            found = find_circles(
+            found = detect_circles(
                 image,
                 camera,
                 radius,

@@ -11,7 +11,7 @@ from mjtactile.core import optics
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.fiducials import Fiducials
 from mjtactile.core.optics import Camera
-from mjtactile.core.types import Array, Ellipses, FiducialsSeen
+from mjtactile.core.types import Array, Ellipses, FiducialDetections
 
 
 class FiducialFinder:
@@ -35,8 +35,8 @@ class FiducialFinder:
         self._reach = float(apart.min()) / 2
 
     def split(
-        self, ellipses: Ellipses, before: FiducialsSeen | None
-    ) -> tuple[Array, FiducialsSeen]:
+        self, ellipses: Ellipses, before: FiducialDetections | None
+    ) -> tuple[Array, FiducialDetections]:
         """Tell fiducials from markers.
 
         Args:
@@ -64,7 +64,7 @@ class FiducialFinder:
         return rest, _seen(ids, ellipses, nearest)
 
 
-def average(seen: Sequence[FiducialsSeen]) -> FiducialsSeen:
+def average(seen: Sequence[FiducialDetections]) -> FiducialDetections:
     """Mean of repeated measurements; a fiducial counts when at least half of them saw it.
 
     Args:
@@ -86,10 +86,10 @@ def average(seen: Sequence[FiducialsSeen]) -> FiducialsSeen:
     names = ("center_px", "radius_px", "cov", "inside", "outside", "blur_px")
     center, radius, cov, inside, outside, blur = (mean(name) for name in names)
     share = count[ids][:, None, None]
-    return FiducialsSeen(ids, center, radius, cov / share, inside, outside, blur)
+    return FiducialDetections(ids, center, radius, cov / share, inside, outside, blur)
 
 
-def _seen(ids: Array, ellipses: Ellipses, at: Array) -> FiducialsSeen:
+def _seen(ids: Array, ellipses: Ellipses, at: Array) -> FiducialDetections:
     a, b = ellipses.semi_axes_px[at].T
     radius = np.sqrt(a * b)
     of_shape = np.zeros((len(a), 3, 5))
@@ -102,4 +102,4 @@ def _seen(ids: Array, ellipses: Ellipses, at: Array) -> FiducialsSeen:
     outside = unknown if ellipses.outside is None else ellipses.outside[at]
     inside = unknown if ellipses.darkness is None else outside * np.exp(ellipses.darkness[at])
     blur = unknown if ellipses.blur_px is None else ellipses.blur_px[at]
-    return FiducialsSeen(ids, ellipses.center_px[at], radius, cov, inside, outside, blur)
+    return FiducialDetections(ids, ellipses.center_px[at], radius, cov, inside, outside, blur)

@@ -84,7 +84,7 @@ def measure_flat(
         )
     uv = total[ids] / times[ids][:, None]
     R_SC, p_SC, residual = fit_camera_pose(design, camera, design.markers.p_SM[ids], uv)
-    if residual > s.residual_most:
+    if residual > s.residual_max:
         raise DeviceError(
             f"sensor {design.name}: flat reference: marker centres are {residual:.1f} px (rms) off "
             "the layout; check the lens, [markers] layout and radius_mm in the sensor file, and "

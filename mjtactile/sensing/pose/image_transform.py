@@ -12,7 +12,7 @@ from mjtactile.core.types import Array, Ellipses
 
 
 @dataclass(frozen=True, eq=False)
-class PictureChange:
+class ImageTransform:
     """By how much a picture is shifted, `shift` (2,) px, turned (from u to v, rad) and larger
     (`scale`) about its `middle` (2,) px, and by how much radii are `grown` px beside that."""
 
@@ -43,4 +43,4 @@ class PictureChange:
         )
 
 
-UNCHANGED = PictureChange(np.zeros(2), np.zeros(2), 0.0, 0.0, 0.0)
+UNCHANGED = ImageTransform(np.zeros(2), np.zeros(2), 0.0, 0.0, 0.0)

@@ -17,12 +17,14 @@ import numpy as np
 
 from mjtactile.core.types import Array, Ellipses
 from mjtactile.sensing.image import ellipse
-from mjtactile.sensing.settings import DEFAULTS, ConsensusSettings
+from mjtactile.sensing.settings import DEFAULTS, NeighborSmoothingSettings
 
 _ROUNDS = 8
 
 
-def share_elongation(ellipses: Ellipses, s: ConsensusSettings = DEFAULTS.consensus) -> Ellipses:
+def smooth_aspect_ratio(
+    ellipses: Ellipses, s: NeighborSmoothingSettings = DEFAULTS.consensus
+) -> Ellipses:
     """Ellipses with their elongation replaced by the field that they agree on; the same object if
     they do not agree.
 

@@ -30,13 +30,16 @@ from scipy.spatial import KDTree
 
 from mjtactile.core import geometry
 from mjtactile.core.types import Array, CirclePoses
-from mjtactile.sensing.settings import DEFAULTS, PreferenceSettings
+from mjtactile.sensing.settings import DEFAULTS, PoseDisambiguationSettings
 
 _ROUNDS = 30
 
 
 def prefer(
-    poses: CirclePoses, cov_p_alt: Array, cov_n: Array, s: PreferenceSettings = DEFAULTS.preference
+    poses: CirclePoses,
+    cov_p_alt: Array,
+    cov_n: Array,
+    s: PoseDisambiguationSettings = DEFAULTS.preference,
 ) -> tuple[CirclePoses, Array, Array]:
     """`poses` with the likelier of each circle's two as the first, the covariance (N, 3, 3) m^2 of
     the other's centre, and the probability (N,) that the first is right.
@@ -62,7 +65,9 @@ def prefer(
     return better, np.where(wide, poses.cov_p, cov_p_alt), np.where(second, 1 - first, first)
 
 
-def _probability(poses: CirclePoses, n: Array, cov_n: Array, s: PreferenceSettings) -> Array:
+def _probability(
+    poses: CirclePoses, n: Array, cov_n: Array, s: PoseDisambiguationSettings
+) -> Array:
     """P(first) (N,) of the normals `n` (2, N, 3)."""
     prior = _tilt_prior(n, cov_n, s)
     found = _surface_normals(poses, s)
@@ -83,7 +88,7 @@ def _probability(poses: CirclePoses, n: Array, cov_n: Array, s: PreferenceSettin
     return q[0] / q.sum(axis=0)
 
 
-def _tilt_prior(n: Array, cov_n: Array, s: PreferenceSettings) -> Array:
+def _tilt_prior(n: Array, cov_n: Array, s: PoseDisambiguationSettings) -> Array:
     """Density (2, N) per steradian of the normals for tilts that are all equally likely; blurred by
     their own sd."""
     variance = np.trace(_bounded(cov_n, s), axis1=2, axis2=3) / 2
@@ -91,7 +96,7 @@ def _tilt_prior(n: Array, cov_n: Array, s: PreferenceSettings) -> Array:
     return 1 / (np.pi**2 * sine)
 
 
-def _bounded(cov_n: Array, s: PreferenceSettings) -> Array:
+def _bounded(cov_n: Array, s: PoseDisambiguationSettings) -> Array:
     """Covariances (2, N, 3, 3) of normals, scaled down where they are more than a linear model may
     say."""
     return (
@@ -113,7 +118,7 @@ def _density(n: Array, mean: Array, cov: Array, least: float) -> Array:
 
 
 def _surface_normals(
-    poses: CirclePoses, s: PreferenceSettings
+    poses: CirclePoses, s: PoseDisambiguationSettings
 ) -> tuple[Array, Array, Array] | None:
     """Normals (N, 3) of the planes through each circle's surroundings, their covariance (N, 3, 3),
     and where (N,) they are of any use; None where there are too few circles.

@@ -4,7 +4,7 @@ it comes from.
 One frozen class a stage, one module a room; `Settings` holds one of each, `DEFAULTS` is what
 everything uses that is not told otherwise:
 
-    Chain(design, settings=DEFAULTS.override({"zero.touch_least": 0.03}))
+    Chain(design, settings=DEFAULTS.override({"zero.touch_min": 0.03}))
 
 A number's `source` names the benchmark that it was fitted with (`bench touch`: presses with seeds
 below 1000, which its own table leaves out), what bounds it, or TRIED: it was chosen by
@@ -21,31 +21,31 @@ from typing import Any
 
 from mjtactile.core.errors import InputError
 from mjtactile.sensing.settings.force import (
-    DoubtSettings,
+    ContactDetectionSettings,
     FiducialSettings,
-    GaugeSettings,
+    GasFilterSettings,
     InverseSettings,
+    ModelErrorSettings,
     PriorSettings,
-    ZeroSettings,
 )
 from mjtactile.sensing.settings.image import (
     CandidateSettings,
     EdgeSettings,
+    ExhaustiveDetectionSettings,
     GammaSettings,
     MarkerSettings,
     ProfileSettings,
-    ThoroughSettings,
     TrackingSettings,
 )
 from mjtactile.sensing.settings.locate import (
-    ConsensusSettings,
     LocateSettings,
-    PreferenceSettings,
+    NeighborSmoothingSettings,
+    PoseDisambiguationSettings,
     SmoothnessSettings,
 )
 from mjtactile.sensing.settings.pose import IdentitySettings, ReferenceSettings, SurfaceSettings
 from mjtactile.sensing.settings.touch import (
-    BodySettings,
+    ContactShapeSettings,
     MaterialSettings,
     PatchSettings,
     SlipSettings,
@@ -55,11 +55,11 @@ from mjtactile.sensing.settings.tunable_parameter import TRIED, as_numbers, chec
 
 __all__ = [
     "DEFAULTS",
-    "BodySettings",
     "CandidateSettings",
-    "ConsensusSettings",
-    "DoubtSettings",
+    "ContactDetectionSettings",
+    "ContactShapeSettings",
     "EdgeSettings",
+    "ExhaustiveDetectionSettings",
     "FiducialSettings",
     "GammaSettings",
     "IdentitySettings",
@@ -67,8 +67,10 @@ __all__ = [
     "LocateSettings",
     "MarkerSettings",
     "MaterialSettings",
+    "ModelErrorSettings",
+    "NeighborSmoothingSettings",
     "PatchSettings",
-    "PreferenceSettings",
+    "PoseDisambiguationSettings",
     "PriorSettings",
     "ProfileSettings",
     "ReferenceSettings",
@@ -77,9 +79,7 @@ __all__ = [
     "SmoothnessSettings",
     "SqueezeSettings",
     "SurfaceSettings",
-    "ThoroughSettings",
     "TrackingSettings",
-    "ZeroSettings",
     "as_numbers",
 ]
 
@@ -88,7 +88,7 @@ __all__ = [
 class Settings:
     """All stages' numbers."""
 
-    fewest_seen: float = number(
+    min_detected: float = number(
         0.4, "share of the markers below which the shape is a guess", TRIED, high=1.0
     )
     markers: MarkerSettings = field(default_factory=MarkerSettings)
@@ -102,19 +102,19 @@ class Settings:
     prior: PriorSettings = field(default_factory=PriorSettings)
     inverse: InverseSettings = field(default_factory=InverseSettings)
     fiducials: FiducialSettings = field(default_factory=FiducialSettings)
-    doubt: DoubtSettings = field(default_factory=DoubtSettings)
-    gauge: GaugeSettings = field(default_factory=GaugeSettings)
-    zero: ZeroSettings = field(default_factory=ZeroSettings)
+    doubt: ModelErrorSettings = field(default_factory=ModelErrorSettings)
+    gauge: GasFilterSettings = field(default_factory=GasFilterSettings)
+    zero: ContactDetectionSettings = field(default_factory=ContactDetectionSettings)
     patches: PatchSettings = field(default_factory=PatchSettings)
-    body: BodySettings = field(default_factory=BodySettings)
+    body: ContactShapeSettings = field(default_factory=ContactShapeSettings)
     slip: SlipSettings = field(default_factory=SlipSettings)
     squeeze: SqueezeSettings = field(default_factory=SqueezeSettings)
     material: MaterialSettings = field(default_factory=MaterialSettings)
     locate: LocateSettings = field(default_factory=LocateSettings)
-    consensus: ConsensusSettings = field(default_factory=ConsensusSettings)
+    consensus: NeighborSmoothingSettings = field(default_factory=NeighborSmoothingSettings)
     smoothness: SmoothnessSettings = field(default_factory=SmoothnessSettings)
-    preference: PreferenceSettings = field(default_factory=PreferenceSettings)
-    thorough: ThoroughSettings = field(default_factory=ThoroughSettings)
+    preference: PoseDisambiguationSettings = field(default_factory=PoseDisambiguationSettings)
+    thorough: ExhaustiveDetectionSettings = field(default_factory=ExhaustiveDetectionSettings)
     gamma: GammaSettings = field(default_factory=GammaSettings)
 
     def override(self, values: Mapping[str, Any]) -> Settings:

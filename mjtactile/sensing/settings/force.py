@@ -17,7 +17,7 @@ class PriorSettings:
     background: float = number(
         0.03, "share of it that a node keeps when nothing was felt there", TRIED
     )
-    pressure_most: float = number(
+    pressure_limit: float = number(
         20e3,
         "Pa; more on one node is a spike that no object makes",
         "a sheet of 28 N/m bent around 3 mm",
@@ -50,8 +50,8 @@ class InverseSettings:
     slope_model_sd: float = number(
         0.01, "what the sheet's splines cannot follow of slopes next to an edge", "bench touch"
     )
-    slope_sd_most: float = number(0.1, "slopes known worse are left out", TRIED)
-    slope_off_most: float = number(
+    slope_sd_max: float = number(0.1, "slopes known worse are left out", TRIED)
+    slope_off_max: float = number(
         0.6, "and those farther off what is expected: the other of an ellipse's two", TRIED
     )
     slopes_cell: float = number(
@@ -65,7 +65,7 @@ class InverseSettings:
     drift_camera: float = number(
         3e-6, "m, sd of the camera's place since then", "10 K in 10 mm of a plastic housing"
     )
-    drift_turn: float = number(3e-5, "rad, sd of its direction", "a 50th of a pixel")
+    drift_rotation: float = number(3e-5, "rad, sd of its direction", "a 50th of a pixel")
     drift_zoom: float = number(0.01, "sd of the picture's scale", "a lens warmed; bench trust")
     drift_size: float = number(
         0.2, "px, sd of circles' radii", "gamma, clipping: 0.1 px and more; bench trust"
@@ -88,7 +88,7 @@ class InverseSettings:
         "a tenth of one circle's noise: flicker, JPEG; bench trust",
         low=0.0,
     )
-    changed_least: float = number(
+    changed_min: float = number(
         4.0,
         "sd of a mode beyond what images before have told, from which on the camera has changed",
         "bench trust: zoom, gamma",
@@ -104,19 +104,19 @@ class InverseSettings:
         "N on the sheet, at which an image tells half as much of the camera, for the same reason",
         "a hold of 20 s at 0.9 N, let go: 0.016 N otherwise",
     )
-    knock_place: float = number(
+    knock_shift: float = number(
         3e-4, "m, sd of the camera's place once it was knocked", "some pixels; bench trust"
     )
-    knock_turn: float = number(0.01, "rad, sd of its direction then", "the same; bench trust")
-    knock_least: float = number(
+    knock_rotation: float = number(0.01, "rad, sd of its direction then", "the same; bench trust")
+    knock_min: float = number(
         6.0,
         "mean square of the drift found over its variance, from which on it was knocked",
         "bench trust: knocks of 0.5 px and more have 9, grasps 3",
     )
-    dent_share: float = number(
+    dent_fraction: float = number(
         0.03, "sd of the volume of a dent between the markers, of that volume", "bench touch"
     )
-    posterior_share: tuple[float, float, float, float] = number(
+    posterior_fraction: tuple[float, float, float, float] = number(
         (0.006, 0.3, 0.25, 0.006),
         "of the predicted variance of shear, normal force, tilt and spin: contacts are smoother "
         "than the prior says, and nearly all markers see shear",
@@ -166,15 +166,15 @@ class InverseSettings:
     remembered_images: int = number(
         15, "images that nothing explains after which what was before is forgotten", "half a second"
     )
-    overload_least: float = number(
+    overload_min: float = number(
         1.0, "N, before the markers fit no shape any more, that are said to be too much", SEEN
     )
-    excess_most: float = number(
+    excess_max: float = number(
         80.0,
         "mean `excess` of all markers above which nothing smooth explains them",
         "bench bars: a cube's corner has up to 71",
     )
-    misfit_most: float = number(
+    misfit_max: float = number(
         50.0,
         "mean square of the markers' misfit over their sd above which the shape is not explained",
         "bench touch",
@@ -195,7 +195,7 @@ class FiducialSettings:
         "px, sd of a fiducial's place and radius that the image stages do not know of",
         "bench trust: fiducials at rest",
     )
-    pane_size: float = number(
+    glass_size: float = number(
         0.2,
         "px, sd of the radius of a fiducial on the pane: its blur is another than the markers'",
         "gamma of 1.3 at 2 px of blur against 0.7",
@@ -215,7 +215,7 @@ class FiducialSettings:
         "of a camera's motion aside, that it moves along its axis: what shows all larger is a lens",
         "bench trust: zoom",
     )
-    curve_share: float = number(
+    curve_fraction: float = number(
         0.3,
         "of how growth goes with levels, that it may go by more or less where markers are",
         "bench fiducials: clipped whites",
@@ -235,7 +235,7 @@ class FiducialSettings:
 
 
 @dataclass(frozen=True)
-class DoubtSettings:
+class ModelErrorSettings:
     """What the wrench's posterior leaves out (sensing/force/model_error.py), each for shear, normal
     force, tilt and spin."""
 
@@ -259,7 +259,7 @@ class DoubtSettings:
         "the same bars in the median",
         low=0.0,
     )
-    sharp_most: float = number(20.0, "that excess at most", _BARS)
+    sharp_max: float = number(20.0, "that excess at most", _BARS)
     outside: tuple[float, float, float, float] = number(
         (0.18, 0.15, 0.8, 0.5),
         "of the load beyond the outermost markers, and of a quarter of that beside them",
@@ -299,7 +299,7 @@ class DoubtSettings:
 
 
 @dataclass(frozen=True)
-class GaugeSettings:
+class GasFilterSettings:
     """The gas that a pressure gauge tells of (sensing/force/gas_filter.py). Pressures and amounts
     are shares of the absolute ambient pressure: 1e-5 is a pascal."""
 
@@ -311,41 +311,41 @@ class GaugeSettings:
     rate_time: float = number(3.0, "s, over which a rate is forgotten that is not seen", GAUGED)
     walk: float = number(0.7e-5, "1/sqrt(s), of a sealed amount", "bench trust: shipped grasps")
     rate_walk: float = number(1e-5, "1/s/sqrt(s), of its rate", "bench trust: shipped grasps")
-    rate_share: float = number(1.0, "1/sqrt(s), of the rate that is there", GAUGED)
+    rate_fraction: float = number(1.0, "1/sqrt(s), of the rate that is there", GAUGED)
     open_walk: float = number(1e-4, "1/sqrt(s), of a pressure that a valve keeps", GAUGED)
     open_rate: float = number(3e-3, "1/s/sqrt(s), of its rate", "1.4 kPa in a second")
     moving_rate: float = number(0.2, "1/s, sd of its rate then", "1 kPa in 50 ms")
     drift: float = number(5e-5, "sd of what is sealed, beside the pressure's own", GAUGED)
-    deviation_most: float = number(4.5, "sd by which one reading may surprise", GAUGED)
-    surprise_most: float = number(1.7, "sd by which the mean of several may", "4 sd of that mean")
+    deviation_max: float = number(4.5, "sd by which one reading may surprise", GAUGED)
+    surprise_max: float = number(1.7, "sd by which the mean of several may", "4 sd of that mean")
     telling: float = number(4.0, "of a reading's variance: what is known worse is told", GAUGED)
     blend: float = number(0.3, "of the newest reading in that mean", GAUGED, high=1.0)
     shortest: float = number(0.02, "s, in which a surprise has come about", GAUGED)
-    moved_most: float = number(
+    moved_max: float = number(
         60.0, "Pa in an image, from which on the force is unknown", "bench trust: valves, holes"
     )
     least: float = number(0.01, "of ambient pressure, that a chamber has at least", "vacuum")
 
 
 @dataclass(frozen=True)
-class ZeroSettings:
+class ContactDetectionSettings:
     """Is there a touch, and the zero that follows the weather while there is none
     (sensing/force/contact_detection.py)."""
 
     touch_sd: float = number(
         5.0, "sd of the noise that a force, or its level, must exceed to be a touch", TRIED
     )
-    touch_least: float = number(0.02, "N that it must exceed too", TRIED)
+    touch_min: float = number(0.02, "N that it must exceed too", TRIED)
     blend: float = number(0.5, "of the newest image in the level", TRIED, high=1.0)
     jump_sd: float = number(
         4.0, "sd; a larger change is no noise: the level follows at once", TRIED
     )
-    pull_most: float = number(
+    pull_max: float = number(
         0.15,
         "N; nothing pulls on the membrane, so more than this says that the zero is lost",
         TRIED,
     )
-    drift_most: float = number(
+    drift_max: float = number(
         30.0, "mean square of the drift found over its variance: the same by the shape", TRIED
     )
     release: float = number(0.6, "of the threshold, below which a touch ends", TRIED)
@@ -358,7 +358,7 @@ class ZeroSettings:
     smooth: float = number(
         0.5, "s, over which markers' distance from the zero is averaged for that", TRIED
     )
-    local_most: float = number(
+    local_max: float = number(
         0.3,
         "mean square over the markers' variance of what neither gas nor camera does to that mean: "
         "more is a slow touch",
@@ -368,4 +368,6 @@ class ZeroSettings:
     drift_rate: float = number(
         2e-4, "1/s, fastest change of the gas that is weather and no touch", "0.06 K/s"
     )
-    offset_share: float = number(0.1, "of that change that a marker's own offset follows by", TRIED)
+    offset_fraction: float = number(
+        0.1, "of that change that a marker's own offset follows by", TRIED
+    )

@@ -60,7 +60,7 @@ class EdgeSettings:
     outlier_residuals: float = number(
         4.0, "times the marker's rms residual: where a pixel's weight falls off", TRIED
     )
-    outlier_share: float = number(
+    outlier_fraction: float = number(
         0.1,
         "of the contrast: no pixel nearer than that is an outlier",
         "a lens or a camera's sharpening that the model does not know; " + SEEN,
@@ -74,7 +74,7 @@ class EdgeSettings:
     max_size_ratio: float = number(
         4.0, "times a marker's size: what is larger is no marker that stands beside it", TRIED
     )
-    min_distance_share: float = number(
+    min_distance_fraction: float = number(
         0.7, "of the other's radius; what is nearer is the marker itself, or what it lies on", TRIED
     )
 
@@ -98,7 +98,7 @@ class ProfileSettings:
     outlier_offsets: float = number(
         6.0, "times the mean offset: where a profile's weight falls off", TRIED
     )
-    outlier_least: float = number(0.08, "px; no profile nearer than that is an outlier", TRIED)
+    outlier_min: float = number(0.08, "px; no profile nearer than that is an outlier", TRIED)
     max_blur_variance: float = number(
         3.0, "times the image's middle blur variance, at which a profile's is bounded", TRIED
     )
@@ -107,7 +107,7 @@ class ProfileSettings:
         "factor on the covariance: rounding, interpolation and the blur's own noise",
         _MONTE_CARLO,
     )
-    motion_sd_share: float = number(
+    motion_sd_fraction: float = number(
         0.5, "share of the correction for motion that is in doubt: motion is no Gaussian", TRIED
     )
     sharpest: float = number(
@@ -131,13 +131,13 @@ class MarkerSettings:
     min_blurs: float = number(
         2.8, "times the blur, below which radius, blur and level cannot be told apart", TRIED
     )
-    start_blur_share: float = number(
+    start_blur_fraction: float = number(
         0.3, "of a marker's size: the blur to start from where it was taken for size", TRIED
     )
     sure_blurs: float = number(5.0, "times the blur; a larger marker knows its own", TRIED)
     blur_spread: float = number(1.15, "factor of one marker's blur over the image's", TRIED)
     min_motion: float = number(0.06, "px of motion that are no noise", TRIED)
-    covered_share: float = number(
+    covered_fraction: float = number(
         0.08,
         "of the contrast: what a fit leaves over where part of the edge is not the marker's",
         TRIED,
@@ -157,8 +157,10 @@ class MarkerSettings:
     max_border_misfit: float = number(
         1.2, "px that a border may be from its own ellipse, and ...", TRIED
     )
-    border_misfit_share: float = number(0.2, "... of its semi-minor axis beside that", TRIED)
-    border_misfit_share_cut: float = number(0.4, "the same where the image's border cuts it", TRIED)
+    border_misfit_fraction: float = number(0.2, "... of its semi-minor axis beside that", TRIED)
+    border_misfit_fraction_cut: float = number(
+        0.4, "the same where the image's border cuts it", TRIED
+    )
     min_contrast: float = number(5.0, "times the residual: the least contrast", TRIED)
     min_contrast_any: float = number(2.0, "times it, below which there is no marker at all", TRIED)
     max_shape_sd: float = number(
@@ -168,7 +170,7 @@ class MarkerSettings:
     max_residual: float = number(0.15, "of the contrast: a larger residual is no ellipse's", TRIED)
     covered_residuals: float = number(
         5.0,
-        "times the image's middle residual, which `covered_share` must exceed, too",
+        "times the image's middle residual, which `covered_fraction` must exceed, too",
         "compressed photographs leave more of every marker",
     )
     max_lost_weight: float = number(0.25, "share of the robust weight lost to glare or dirt", TRIED)
@@ -185,7 +187,7 @@ class MarkerSettings:
         0.3, "of the semi-minor axis (beside 1 px): how far it may move from its place", TRIED
     )
     min_fit_axes: float = number(0.1, "least ratio of a fit's axes", TRIED)
-    shrunk_share: float = number(
+    shrunk_fraction: float = number(
         0.5, "of the smallest radius asked for, below which there is no marker at all", TRIED
     )
 
@@ -217,7 +219,7 @@ class TrackingSettings:
 
 
 @dataclass(frozen=True)
-class ThoroughSettings:
+class ExhaustiveDetectionSettings:
     """The second look of `mjtactile detect-circles` at photographs
     (sensing/image/exhaustive_detection.py)."""
 
@@ -228,8 +230,8 @@ class ThoroughSettings:
         TRIED,
     )
     scale_step: int = number(3, "from one image to the next smaller", TRIED, low=2)
-    least_side: int = number(60, "px of the smallest one's shorter side", TRIED)
-    dark_share: float = number(
+    min_side: int = number(60, "px of the smallest one's shorter side", TRIED)
+    dark_fraction: float = number(
         0.5,
         "of how dark the darkest place nearby is: what belongs to the blob",
         "the middle of a blurred edge",
@@ -246,16 +248,16 @@ class ThoroughSettings:
     retry_blur: float = number(
         0.7, "px: a fit that failed is tried again with at least that much blur", TRIED
     )
-    blur_sd_share: float = number(
+    blur_sd_fraction: float = number(
         0.1, "of the blur: by how much it differs from place to place in a photograph", TRIED
     )
     grey_levels: tuple[float, float] = number((0.1, 0.9), "levels of an edge that are grey", TRIED)
-    grey_share: float = number(
+    grey_fraction: float = number(
         0.05,
         "of an edge's pixels; with fewer grey ones it is black and white only",
         "what pixels' areas alone make of a sharp edge is 0.3",
     )
-    drawn_blur: float = number(
+    sampled_blur: float = number(
         0.5,
         "px of blur for such a picture",
         "0.5 to 1 leave the same error; the least has the best error bars",
@@ -283,7 +285,7 @@ class GammaSettings:
         "px, the pixel's own square included; below, its corners are lopsided enough",
         "simulated circles: right from 0.65 on, 3.3 for a true 2.2 at 0.42",
     )
-    model_sd_share: float = number(
+    model_sd_fraction: float = number(
         0.08, "of it: sd of what is not modelled", "simulated circles of 5 to 20 px"
     )
     range: tuple[float, float] = number(

@@ -22,13 +22,13 @@ class LocateSettings:
     ground_distance: float = number(
         3.0, "px from a dark circle's edge, where the ground is looked at", TRIED
     )
-    inside_share: float = number(0.4, "of a bright circle's size, where it is looked at", TRIED)
+    inside_fraction: float = number(0.4, "of a bright circle's size, where it is looked at", TRIED)
     clipped_level: float = number(
         0.98,
         "of the camera's range, above which a pixel is clipped",
         "one of three averaged channels may not be",
     )
-    clipped_share: float = number(
+    clipped_fraction: float = number(
         0.5, "of the pixels looked at, above which the picture is overexposed", "most"
     )
     size_sd: float = number(
@@ -37,7 +37,7 @@ class LocateSettings:
 
 
 @dataclass(frozen=True)
-class ConsensusSettings:
+class NeighborSmoothingSettings:
     """When circles share their elongation (sensing/pose/neighbor_smoothing.py)."""
 
     min_circles: int = number(40, "circles", "a second-order field asks for many")
@@ -61,7 +61,7 @@ class SmoothnessSettings:
         "least and most of them",
         "few say nothing about smoothness; the cost grows with the cube",
     )
-    common_share: float = number(
+    common_fraction: float = number(
         0.33,
         "part of a depth's own sd that all share, so that it stays",
         "a camera's processing, an error of blur; " + SEEN,
@@ -73,11 +73,11 @@ class SmoothnessSettings:
         4.0, "times the scatter about the spline: where weights fall off", TRIED
     )
     min_weight: float = number(0.1, "weight below which a circle keeps its own depth", TRIED)
-    min_agreeing_share: float = number(0.8, "of the circles that must agree", TRIED)
+    min_agreeing_fraction: float = number(0.8, "of the circles that must agree", TRIED)
 
 
 @dataclass(frozen=True)
-class PreferenceSettings:
+class PoseDisambiguationSettings:
     """Which of a circle's two poses is likelier (sensing/pose/pose_disambiguation.py)."""
 
     plane_circles: int = number(

@@ -45,15 +45,15 @@ class ReferenceSettings:
     radius_range: float = number(
         0.1, "share by which a marker's size may be off the sensor file's", TRIED
     )
-    residual_most: float = number(
+    residual_max: float = number(
         2.0, "px rms; beyond it, lens, layout or identity is wrong, not the pose", TRIED
     )
-    stiffness_off_most: float = number(
+    stiffness_off_max: float = number(
         3.0,
         "factor on the sensor file's stiffness",
         "cast rubber varies by a factor of 1.5 from batch to batch",
     )
-    bulge_misfit_most: float = number(
+    bulge_misfit_max: float = number(
         5.0,
         "mean square misfit of the bulge's shape over its variance",
         _BULGE + ": the worst that nothing touched had 3.7, and 1.0 where the lens was measured; "
@@ -62,10 +62,10 @@ class ReferenceSettings:
     bulge_floor: float = number(
         15e-6, "m, of heights: the splines against the finer mesh of a real membrane", _BULGE
     )
-    lens_share: float = number(
+    lens_fraction: float = number(
         0.03, "sd of each smooth mode of wrong heights, as a share of them", _BULGE
     )
-    lens_share_measured: float = number(0.003, "the same where the lens was measured", _BULGE)
+    lens_fraction_measured: float = number(0.003, "the same where the lens was measured", _BULGE)
     lens_rest: float = number(0.003, "sd of what is not smooth, a share too ...", _BULGE)
     lens_rest_per_px: float = number(
         0.3, "... and how it grows with the residual of the flat membrane, 1/px", _BULGE
@@ -78,13 +78,13 @@ class SurfaceSettings:
 
     roughness: float = number(3e3, "1/m^2, rms gradient of the Laplacian to expect", TRIED)
     laplacian: float = number(300.0, "1/m, rms Laplacian to expect", TRIED)
-    markers_least: int = number(4, "fewer markers give a surface whose status is not ok", TRIED)
+    markers_min: int = number(4, "fewer markers give a surface whose status is not ok", TRIED)
     slope_model_sd: float = number(
         4e-3,
         "sd of a slope's misfit next to the edge of a contact, where a cubic spline cannot follow",
         TRIED,
     )
-    slope_sd_most: float = number(
+    slope_sd_max: float = number(
         0.02, "a slope known worse says less than the heights do, and is left out", TRIED
     )
     outlier_sd: float = number(
@@ -92,5 +92,5 @@ class SurfaceSettings:
         "sd by which a marker off what the others predict is left out, if it is also ...",
         TRIED,
     )
-    outlier_least: float = number(1.2e-3, "... that far off, m", TRIED)
+    outlier_min: float = number(1.2e-3, "... that far off, m", TRIED)
     outliers_leave: float = number(0.8, "share of the markers that is always kept", TRIED)

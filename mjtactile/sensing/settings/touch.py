@@ -14,7 +14,7 @@ class PatchSettings:
     """Where something touches (sensing/touch/patches.py)."""
 
     smoothing: float = number(0.6, "sd of the smoothing, in nodes", TRIED)
-    separate_share: float = number(
+    separate_fraction: float = number(
         0.8,
         "of the geometric mean of gas pressure and peak; patches are apart where pressure falls "
         "below it",
@@ -28,10 +28,10 @@ class PatchSettings:
     area_blend: float = number(
         0.7, "power of the means by which the smaller of the two areas counts", _PRESSED
     )
-    core_share: float = number(
+    core_fraction: float = number(
         0.03, "of the peak: pressure below it does not count for the centroid", TRIED
     )
-    least_share: float = number(
+    min_fraction: float = number(
         0.1, "of the whole force: a patch that carries less is no patch", TRIED
     )
 
@@ -43,14 +43,14 @@ _CALIBRATED = "bench shape's bodies of seeds 2000 to 2059, on which it is calibr
 
 
 @dataclass(frozen=True)
-class BodySettings:
+class ContactShapeSettings:
     """What the body is that touches (sensing/body)."""
 
     spacing: float = number(1.3e-3, "m, between the film's nodes", _PRESSED_SHAPES)
     film_sd: float = number(
         16e-6, "m, of a marker's height that the film does not know of", "bench film"
     )
-    noise_least: float = number(
+    noise_min: float = number(
         2.0,
         "of the heights' variance: what the film leaves is alike in neighbouring markers",
         _PRESSED_SHAPES,
@@ -99,7 +99,7 @@ class BodySettings:
     area_stretched: float = number(
         0.65, "by how much that grows with the share by which the tension has", _PRESSED_SHAPES
     )
-    stretched_most: float = number(0.1, "of that share: more does not count", _PRESSED_SHAPES)
+    stretched_max: float = number(0.1, "of that share: more does not count", _PRESSED_SHAPES)
     friction: float = number(
         1.024,
         "force of a sheet that sticks over that of the film, which slides, in the middle",
@@ -114,10 +114,10 @@ class BodySettings:
     force_sd: float = number(
         2e-3, "N, of the normal force, that film and friction leave", _PRESSED_SHAPES
     )
-    force_share: float = number(
+    force_fraction: float = number(
         0.012, "the same, of the force, times the misfit where that is above one", _PRESSED_SHAPES
     )
-    frame_share: float = number(
+    frame_fraction: float = number(
         6.0,
         "times the force that presses the sheet lower than its frame, close beside it, the same",
         _PRESSED_SHAPES,
@@ -136,29 +136,31 @@ class BodySettings:
         "it draws the sheet up on one side, and pressure with it",
         _CALIBRATED + "slope of the torque's error with the shear in drags",
     )
-    shear_above_share: float = number(0.6, "of that, as sd", _CALIBRATED + "what it leaves")
+    shear_above_fraction: float = number(0.6, "of that, as sd", _CALIBRATED + "what it leaves")
     tip_curvature: float = number(
         190.0, "1/m; what is more curved both ways may be a corner", _PRESSED_SHAPES
     )
     tip_light: float = number(
         0.2, "N; below it corners seem blunter, with the root of the force", _PRESSED_SHAPES
     )
-    tip_share: float = number(0.07, "of its force, that film and friction leave", _PRESSED_SHAPES)
+    tip_fraction: float = number(
+        0.07, "of its force, that film and friction leave", _PRESSED_SHAPES
+    )
     motion_time: float = number(0.25, "s, over which its motion is told", "seven images at 30 Hz")
     motion_sd: float = number(
         1e-5, "m, of a body's place over the rubber, beside its fit's", _PRESSED_SHAPES
     )
-    misfit_most: float = number(
+    misfit_max: float = number(
         12.0, "mean square of the heights over their sd, above which no body explains", PRESSED
     )
-    force_least: float = number(0.03, "N; less says nothing of a shape", _PRESSED_SHAPES)
-    look_force: float = number(
+    force_min: float = number(0.03, "N; less says nothing of a shape", _PRESSED_SHAPES)
+    check_force: float = number(
         1.4,
         "times the force of the last look, up or down, from which on there is more to be told",
         _PRESSED_SHAPES,
         low=1.0,
     )
-    look_images: int = number(15, "after which all families are looked at in any case", PRESSED)
+    check_images: int = number(15, "after which all families are looked at in any case", PRESSED)
     misfit_asks: float = number(
         1.5, "mean square of what is left, above which all families are looked for again", PRESSED
     )
@@ -196,7 +198,7 @@ class SlipSettings:
     even: float = number(
         0.35, "spread over mean of shear over pressure in a contact that slides", _SLID
     )
-    even_turning: float = number(
+    uniform_rotation: float = number(
         0.42, "the same along circles, of a contact that turns on the spot and slides", _SLID
     )
     rolls: float = number(
@@ -209,7 +211,7 @@ class SlipSettings:
     baseline: float = number(
         0.28, "s before it, from which it is counted", "eight images at 30 Hz; " + _SLID
     )
-    least_before: int = number(2, "images that a baseline needs", TRIED)
+    min_before: int = number(2, "images that a baseline needs", TRIED)
     follows: float = number(
         0.35, "of the rubber's own way: how far partial slip takes the patch", _SLID
     )
@@ -223,8 +225,8 @@ class SlipSettings:
     noise_size: float = number(4e-3, "m, the radius of gyration for which that holds", _SLID)
     noise_size_power: float = number(0.66, "how it goes with that radius", _SLID)
     noise_force_power: float = number(-0.6, "how it goes with the normal force", _SLID)
-    least_way: float = number(6e-5, "m over the material: less is no slip", _SLID)
-    least_load: float = number(
+    min_displacement: float = number(6e-5, "m over the material: less is no slip", _SLID)
+    min_load: float = number(
         0.2,
         "shear over normal force: what slips below it rolls, or is as smooth as nothing dry",
         _SLID,
@@ -237,11 +239,11 @@ class SlipSettings:
     )
     body_sure: float = number(6.0, "sd of these speeds, that they must be above", _SLID)
     incipient: float = number(0.7, "share of the friction limit from which on slip begins", TRIED)
-    least_force: float = number(
+    min_force: float = number(
         0.05, "N; below, neither the patch nor its shear are known well enough", TRIED
     )
     gap: float = number(0.2, "s without an image, after which the past does not count", TRIED)
-    core_share: float = number(
+    core_fraction: float = number(
         0.03,
         "of the peak: pressure below it does not count for the place of the touch",
         TRIED,
@@ -259,7 +261,7 @@ _PROBED = (
 class SqueezeSettings:
     """The object's own size between the fingers (sensing/touch/squeeze.py)."""
 
-    patch_share: float = number(
+    patch_fraction: float = number(
         0.8, "of the contact's equivalent radius: away from where the sheet lifts off", _PROBED
     )
     patch_radius: tuple[float, float] = number(
@@ -268,8 +270,8 @@ class SqueezeSettings:
         "a marker's pitch at least, and no more than a parabola describes; " + _PROBED,
     )
     width_sd: float = number(20e-6, "m, of a width from image to image", "9 x 9 markers of 1 mm")
-    tilt_share: float = number(0.4, "of what the faces' tilt adds to the width: its sd", _PROBED)
-    nodes_least: int = number(
+    tilt_fraction: float = number(0.4, "of what the faces' tilt adds to the width: its sd", _PROBED)
+    nodes_min: int = number(
         8, "nodes of the surface's grid inside the contact", "six are fitted", low=6
     )
 
@@ -278,17 +280,17 @@ class SqueezeSettings:
 class MaterialSettings:
     """What an object is made of (sensing/touch/material.py)."""
 
-    force_least: float = number(0.35, "N that must have been felt before anything is said", _PROBED)
+    force_min: float = number(0.35, "N that must have been felt before anything is said", _PROBED)
     shrunk_enough: float = number(
         2e-3,
         "m by which a width must have changed to speak for itself",
-        "a paste never pushes back with `force_least`; " + _PROBED,
+        "a paste never pushes back with `force_min`; " + _PROBED,
     )
     force_traced: float = number(0.05, "N down to which the width is followed", _PROBED)
-    force_seen: float = number(
+    force_estimate: float = number(
         0.1, "N from which on the contact is wide enough to measure the width", _PROBED
     )
-    peak_share: float = number(
+    peak_fraction: float = number(
         0.7, "of the strongest press: one as strong is the first press", _PROBED
     )
     gap: float = number(4.0, "images without contact that part two touches", _PROBED)
@@ -298,39 +300,39 @@ class MaterialSettings:
     opened: float = number(
         3e-4, "m that the jaws have opened again where the release begins", _PROBED
     )
-    gentle_share: float = number(
+    gentle_fraction: float = number(
         0.6,
         "of the press's force, up to which its curve is fitted",
         "what flows has not flowed much by then; " + _PROBED,
     )
-    samples_least: int = number(5, "images of the press, and of the hold", _PROBED)
-    unseen_most: float = number(
+    samples_min: int = number(5, "images of the press, and of the hold", _PROBED)
+    unseen_max: float = number(
         1.5e-3, "m by which an object may have given way before its width was first seen", "80 N/m"
     )
     stiffening_prior: float = number(0.3, "1/N to the residuals: stiffening is mild", _PROBED)
     solid_compliance: float = number(
         0.12e-3, "m/N; what gives way less is called solid", "8 kN/m; an eraser has 5"
     )
-    set_share: float = number(
+    set_fraction: float = number(
         0.35, "of the deformation that stays; more of it is amorphous", _PROBED
     )
-    set_share_sd: float = number(0.08, "spread of real materials about these two", _PROBED)
+    set_fraction_sd: float = number(0.08, "spread of real materials about these two", _PROBED)
     sure: float = number(0.6, "probability below which no class is named", _PROBED)
     width_bias: float = number(
         40e-6,
         "m by which the width of a rigid object seems to change with force",
         "bending at sharp edges; " + _PROBED,
     )
-    area_share_sd: float = number(
+    area_fraction_sd: float = number(
         0.3,
         "of the contact's area: its sd",
         "bench bars: half of all presses are more than 20 to 35 % off",
     )
-    released_share: float = number(
+    released_fraction: float = number(
         0.5, "of the greatest force: below it the release is compared with the press", _PROBED
     )
     released_force: float = number(0.15, "N, the same where that is more", _PROBED)
-    relaxed_least: float = number(
+    relaxed_min: float = number(
         0.04, "share of the force that must go before a relaxation time is given", _PROBED
     )
     relaxed_sd: float = number(3.0, "sd of the force that it must exceed, too", _PROBED)

@@ -59,7 +59,7 @@ def reconstruct_delaunay(
         volume,
         np.nan,
         np.nan,
-        enough(len(p_SM), DEFAULTS.surface.markers_least),
+        enough(len(p_SM), DEFAULTS.surface.markers_min),
     )
 
 

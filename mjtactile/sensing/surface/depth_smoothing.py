@@ -32,8 +32,8 @@ from mjtactile.sensing.settings import DEFAULTS, SmoothnessSettings
 
 # What half and twice of them do was not to be seen in any picture of `bench settings`.
 _PER_FREEDOM = 8.0  # circles for each degree of freedom of the spline, at most
-_MOST_SCATTER = 5.0  # over the predicted sd: what a real camera may explain of a smooth surface
-_LEAST_SD_SHARE = 0.7  # of the predicted sd, of errors: a noise-free bend and noise can look alike
+_MAX_SCATTER = 5.0  # over the predicted sd: what a real camera may explain of a smooth surface
+_MIN_SD_FRACTION = 0.7  # of the predicted sd, of errors: a noise-free bend and noise can look alike
 
 _ROUNDS = 3
 # of signal to noise tried, relative to the stiffest mode
@@ -93,9 +93,9 @@ def agree_on_depth(
     sd = np.sqrt(alone.cov_p[ok, 2, 2]) / z**2
     smooth = _fit(alone.p_CM[ok, :2] / z[:, None], 1 / z, sd, s)
     agree = (smooth.weight > s.min_weight) & (smooth.value > 0)
-    if smooth.scatter > _MOST_SCATTER or agree.mean() < s.min_agreeing_share:
+    if smooth.scatter > _MAX_SCATTER or agree.mean() < s.min_agreeing_fraction:
         return None
-    spread = np.hypot(smooth.sd, s.common_share * max(smooth.scatter, 1.0) * sd)
+    spread = np.hypot(smooth.sd, s.common_fraction * max(smooth.scatter, 1.0) * sd)
     return SharedDepth(ok[agree], 1 / smooth.value[agree], (spread / smooth.value**2)[agree])
 
 
@@ -148,7 +148,7 @@ def _spline(K: Array, T: Array, w: Array, sd: Array, s: SmoothnessSettings) -> t
     gain = 1 + np.outer(_RATIOS / max(k[-1], 1e-300), k)  # (ratios, n - 3)
     freedom = n - (1 / gain).sum(axis=1)
     left = (z2 / gain).mean(axis=1)
-    variance = np.maximum(left, _LEAST_SD_SHARE**2)
+    variance = np.maximum(left, _MIN_SD_FRACTION**2)
     minus_log = np.log(gain).sum(axis=1) + (n - 3) * (np.log(variance) + left / variance)
     minus_log[freedom < n / _PER_FREEDOM] = np.inf
     best = int(np.argmin(minus_log))

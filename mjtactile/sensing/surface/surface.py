@@ -140,7 +140,7 @@ class SurfaceFitter:
             self.grid_x[0][[0, -1]] = self.grid_y[0][[0, -1]] = 0.0
         self._quad = (_derivatives(self.basis_x), _derivatives(self.basis_y))
         everywhere = self.basis_y.weights[:, None] * self.basis_x.weights
-        weights = everywhere * self._share_inside(frame)
+        weights = everywhere * self._fraction_inside(frame)
         inside = None if frame.outline is None else weights
         self.tables = self._tables(weights, inside)
         self.prior = self._prior(frame, inside)
@@ -161,10 +161,10 @@ class SurfaceFitter:
                 width,
                 design.camera.distance,
                 settings.slope_model_sd,
-                settings.slope_sd_most,
+                settings.slope_sd_max,
                 slope_off,
                 settings.outlier_sd,
-                settings.outlier_least,
+                settings.outlier_min,
                 settings.outliers_leave,
             ]
         )
@@ -234,14 +234,14 @@ class SurfaceFitter:
             found,
         )
         misfit, markers = found.tolist()
-        return Spline(self, c, factor, misfit, enough(int(markers), self.settings.markers_least))
+        return Spline(self, c, factor, misfit, enough(int(markers), self.settings.markers_min))
 
     def rows(self, x: ArrayLike, y: ArrayLike, dx: int = 0, dy: int = 0) -> Array:
         """Design matrix (N, ny * nx): z or its derivative of order (dx, dy) at `x`, `y` (N,) m per
         coefficient."""
         return _products(self.basis_y.at(y, dy), self.basis_x.at(x, dx))
 
-    def _share_inside(self, frame: Frame) -> Array:
+    def _fraction_inside(self, frame: Frame) -> Array:
         """Share (qy, qx) of what each Gauss point stands for that is in the opening."""
         x, y = self.basis_x, self.basis_y
         if frame.outline is None:

@@ -23,7 +23,7 @@ from mjtactile.sensing.settings import DEFAULTS, MaterialSettings
 from mjtactile.sensing.touch.squeeze import Squeeze
 
 _NO_COV = np.zeros((3, 3))
-_MOST_OF_THE_WAY = 0.9  # of a press; what is left may be the jaws' slow end, or the object's flow
+_CLOSING_FRACTION = 0.9  # of a press; what is left may be the jaws' slow end, or the object's flow
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,17 +69,17 @@ def judge(squeeze: Squeeze, s: MaterialSettings = DEFAULTS.material) -> Material
     )
     most = float(np.max(squeeze.force[seen], initial=0.0))
     shrunk = float(np.ptp(squeeze.width[seen])) if seen.any() else 0.0
-    if most < s.force_least and shrunk < s.shrunk_enough:
+    if most < s.force_min and shrunk < s.shrunk_enough:
         return _unknown(
-            StatusCode.TOO_LITTLE_SEEN,
-            f"not enough contact yet: felt {most:.2f} N, needs {s.force_least:g} N",
+            StatusCode.INCOMPLETE_DATA,
+            f"not enough contact yet: felt {most:.2f} N, needs {s.force_min:g} N",
         )
     phases = _phases(squeeze, np.flatnonzero(seen), s)
-    if len(phases.load) < s.samples_least or len(phases.hold) < s.samples_least:
+    if len(phases.load) < s.samples_min or len(phases.hold) < s.samples_min:
         return _unknown(
-            StatusCode.TOO_LITTLE_SEEN,
+            StatusCode.INCOMPLETE_DATA,
             f"not enough contact yet: {len(phases.load)} images of the press and "
-            f"{len(phases.hold)} of the hold, needs {s.samples_least} of each",
+            f"{len(phases.hold)} of the hold, needs {s.samples_min} of each",
         )
     return _verdict(squeeze, phases, _fit_press(squeeze, phases.load, s), s)
 
@@ -97,7 +97,7 @@ def _phases(squeeze: Squeeze, seen: NDArray[np.int64], s: MaterialSettings) -> _
     runs = np.split(seen, np.flatnonzero(np.diff(squeeze.time[seen]) > gap) + 1)
     peaks = [squeeze.force[run].max() for run in runs]
     first = next(
-        i for i, peak in enumerate(peaks) if peak >= min(s.force_least, s.peak_share * max(peaks))
+        i for i, peak in enumerate(peaks) if peak >= min(s.force_min, s.peak_fraction * max(peaks))
     )
     run = runs[first]
     opening = squeeze.opening[run]
@@ -115,8 +115,8 @@ def _press_speed(opening: Array, speed: Array) -> float:
     """The jaws' usual speed while they press, m/s: the median until most of the way is done. The
     first image or two may still have the speed of the approach, ten times as much."""
     way = opening[0] - opening
-    on_the_way = way < _MOST_OF_THE_WAY * way.max()
-    return float(np.median(speed[on_the_way])) if on_the_way.any() else 0.0
+    in_transit = way < _CLOSING_FRACTION * way.max()
+    return float(np.median(speed[in_transit])) if in_transit.any() else 0.0
 
 
 def _fit_press(squeeze: Squeeze, load: NDArray[np.int64], s: MaterialSettings) -> _Curve:
@@ -126,10 +126,10 @@ def _fit_press(squeeze: Squeeze, load: NDArray[np.int64], s: MaterialSettings) -
     Up to half the force: what flows has not flowed much by then.
     """
     gentle = load[
-        (squeeze.force[load] > s.force_seen)
-        & (squeeze.force[load] <= s.gentle_share * squeeze.force[load].max())
+        (squeeze.force[load] > s.force_estimate)
+        & (squeeze.force[load] <= s.gentle_fraction * squeeze.force[load].max())
     ]
-    load = gentle if len(gentle) >= s.samples_least else load[: s.samples_least]
+    load = gentle if len(gentle) >= s.samples_min else load[: s.samples_min]
     force = squeeze.force[load]
     width = squeeze.width[load]
     sd = squeeze.width_sd[load]
@@ -140,12 +140,12 @@ def _fit_press(squeeze: Squeeze, load: NDArray[np.int64], s: MaterialSettings) -
         # a prior: mild stiffening
         return np.concatenate([(curve.width(force) - width) / sd, [s.stiffening_prior * p[2]]])
 
-    first = float(width[:3].max())  # seen at `force_seen` or a little more
-    start = np.array([first + min(slope * force[0], 0.5 * s.unseen_most), 1.0, 0.1])
+    first = float(width[:3].max())  # seen at `force_estimate` or a little more
+    start = np.array([first + min(slope * force[0], 0.5 * s.unseen_max), 1.0, 0.1])
     fit = least_squares(
         residual,
         start,
-        bounds=([first - s.unseen_most, 0, 0], [first + s.unseen_most, 50, 100]),
+        bounds=([first - s.unseen_max, 0, 0], [first + s.unseen_max, 50, 100]),
         x_scale=[1e-4, 1, 1],
         loss="soft_l1",
     )
@@ -156,12 +156,12 @@ def _fit_press(squeeze: Squeeze, load: NDArray[np.int64], s: MaterialSettings) -
 
 
 def _verdict(squeeze: Squeeze, phases: _Phases, curve: _Curve, s: MaterialSettings) -> Material:
-    last = phases.hold[-max(s.samples_least, len(phases.hold) // 4) :]  # where it has come to rest
+    last = phases.hold[-max(s.samples_min, len(phases.hold) // 4) :]  # where it has come to rest
     force = float(np.mean(squeeze.force[last]))
     deformation = curve.free_width - float(np.mean(squeeze.width[last]))
     sd = math.hypot(curve.sd(), s.width_bias)
     stayed, stayed_sd = _permanent_set(squeeze, phases, curve, s)
-    probability = _probabilities(deformation, sd, max(force, s.force_least), stayed, stayed_sd, s)
+    probability = _probabilities(deformation, sd, max(force, s.force_min), stayed, stayed_sd, s)
     kind = max(probability, key=lambda name: probability[name])
     # a body that flows has no stiffness of its own, and of one that stays the modulus cannot be
     # seen
@@ -172,17 +172,17 @@ def _verdict(squeeze: Squeeze, phases: _Phases, curve: _Curve, s: MaterialSettin
         stiffness = (at_rest, min(at_rest, stiffness[1]), max(at_rest, stiffness[2]))
     area = float(np.median(squeeze.area[last]))
     if kind == "soft":
-        modulus = _modulus(stiffness, curve.free_width, area, s.area_share_sd)
+        modulus = _modulus(stiffness, curve.free_width, area, s.area_fraction_sd)
     else:
         modulus = unknown
     status = OK
     if probability[kind] < s.sure:
         first, other = sorted(probability, key=lambda name: -probability[name])[:2]
         kind = "unknown"
-        status = Status(StatusCode.UNDECIDED, f"undecided between {first} and {other}")
+        status = Status(StatusCode.AMBIGUOUS, f"undecided between {first} and {other}")
     elif not len(phases.second):
         status = Status(
-            StatusCode.TOO_LITTLE_SEEN, "no second touch: what stayed is judged from the release"
+            StatusCode.INCOMPLETE_DATA, "no second touch: what stayed is judged from the release"
         )
     return Material(
         kind,
@@ -213,8 +213,8 @@ def _probabilities(
     with its error."""
     solid = float(ndtr((s.solid_compliance * force - deformation) / sd))
     scale = max(deformation, sd)
-    share_sd = math.hypot(s.set_share_sd, math.hypot(stayed_sd, s.set_share * sd) / scale)
-    amorphous = float(ndtr((stayed / scale - s.set_share) / share_sd))
+    fraction_sd = math.hypot(s.set_fraction_sd, math.hypot(stayed_sd, s.set_fraction * sd) / scale)
+    amorphous = float(ndtr((stayed / scale - s.set_fraction) / fraction_sd))
     return {
         "solid": solid,
         "soft": (1 - solid) * (1 - amorphous),
@@ -226,11 +226,13 @@ def _permanent_set(
     squeeze: Squeeze, phases: _Phases, curve: _Curve, s: MaterialSettings
 ) -> tuple[float, float]:
     """How much narrower the object is at the same small force afterwards, m, and its sd."""
-    after = phases.second[squeeze.force[phases.second] > s.force_seen]
+    after = phases.second[squeeze.force[phases.second] > s.force_estimate]
     if len(after) < 3:  # a paste yields before it pushes back so hard
         after = phases.second
     if len(after) < 3:  # the end of the release, where the force is small again
-        small = max(s.released_share * float(np.max(squeeze.force[phases.load])), s.released_force)
+        small = max(
+            s.released_fraction * float(np.max(squeeze.force[phases.load])), s.released_force
+        )
         after = phases.release[squeeze.force[phases.release] < small]
     if not len(after):
         return 0.0, math.inf
@@ -292,7 +294,7 @@ def _relaxation(
     d = squeeze.width[rows[0]] - squeeze.width[rows]
     start = float(np.mean(squeeze.force[phases.load[-3:]]))
     noise = float(np.median(squeeze.force_sd[rows]))
-    if start - force < max(s.relaxed_least * start, s.relaxed_sd * noise):
+    if start - force < max(s.relaxed_min * start, s.relaxed_sd * noise):
         return 0.0, math.nan
 
     def integral(y: Array) -> Array:

@@ -39,7 +39,7 @@ def find_patches(
     if peak <= 0:
         return ()
     above = fine > min(
-        s.separate_share * math.sqrt(max(shape.pressure_gauge, 0.1 * peak) * peak), 0.9 * peak
+        s.separate_fraction * math.sqrt(max(shape.gauge_pressure, 0.1 * peak) * peak), 0.9 * peak
     )
     count, places = cv2.connectedComponents(above.astype(np.uint8), connectivity=4)
     owner = _nearest_place(places) if count > 2 else None
@@ -64,7 +64,7 @@ def find_patches(
             shape.traction,
             estimator.node_area,
             sunk,
-            shape.pressure_gauge,
+            shape.gauge_pressure,
             (step_x**2 + step_y**2) / 24,
             as_numbers(s),
             inside,

@@ -39,10 +39,10 @@ from mjtactile.sensing.settings import DEFAULTS, SlipSettings
 # of the peak: less is the contact's edge, where little pressure divides little shear
 _PRESSED = 0.1
 _NODES = 6  # that press alike, or as good as that
-_TURNING_NODES = 4  # the same, of what turns: its shear is even along circles, which is rarer
-_TURNING_SHARE = 1.5  # of the force, as much torque over the radius of gyration
+_ROTATION_NODES = 4  # the same, of what turns: its shear is even along circles, which is rarer
+_ROTATION_FRACTION = 1.5  # of the force, as much torque over the radius of gyration
 _IMAGES = 3  # of which two must show it: one image's shear may look even by its noise
-_TURNING_LIMIT = 0.85  # squared, over that of a force: of a torque over the radius of gyration
+_ROTATION_LIMIT = 0.85  # squared, over that of a force: of a torque over the radius of gyration
 _POINT = 1e-4  # m: a patch is not smaller; one of a single node has no extent of its own
 
 
@@ -88,26 +88,26 @@ def judge(
     if not patches:
         return Slip("none", np.zeros(2), 0.0, 1.0), None
     normal, shear = split(patches[0].force, mean_normal(estimator, shape))
-    if normal < s.least_force:
-        return unknown(StatusCode.TOO_WEAK, f"a force of {normal:.3f} N is too small"), before
+    if normal < s.min_force:
+        return unknown(StatusCode.FORCE_TOO_LOW, f"a force of {normal:.3f} N is too small"), before
     around, used_around = turning(estimator, shape)
-    around = around if used_around > s.least_load else np.inf
-    uneven, is_known = unevenness(estimator, shape, shear)
+    around = around if used_around > s.min_load else np.inf
+    uneven, is_finite_value = shear_nonuniformity(estimator, shape, shear)
     now = _follow(time, estimator, shape, (shear / normal, around), before, s)
     load = float(np.linalg.norm(shear)) / normal
     velocity, way = _motion(now.samples, s)
     asked = s.evidence if uneven < s.sticks else s.evidence_uneven
-    is_even = is_known and uneven < s.even
-    rolls = is_known and uneven > s.rolls  # its middle sticks, wherever the whole goes
-    goes = not rolls and way > s.least_way and evidence(now, normal, s) > asked
-    slips = load > s.least_load and (is_even or goes)
+    is_even = is_finite_value and uneven < s.even
+    rolls = is_finite_value and uneven > s.rolls  # its middle sticks, wherever the whole goes
+    goes = not rolls and way > s.min_displacement and evidence(now, normal, s) > asked
+    slips = load > s.min_load and (is_even or goes)
     if not slips and _turns(now.samples, s):
         slips = True
         load = used_around
     if slips and now.distance == 0:
         slid = max(now.distance, way)
     else:
-        slid = now.distance + slips * _newest_way(now.samples)
+        slid = now.distance + slips * _latest_direction(now.samples)
     friction = load if slips else max(now.friction, load)
     used = load / friction
     state: SlipState = "slipping" if slips else "incipient" if used > s.incipient else "sticking"
@@ -115,7 +115,9 @@ def judge(
     return Slip(state, velocity, slid, stick), replace(now, distance=slid, friction=friction)
 
 
-def unevenness(estimator: InverseMembrane, shape: Shape, shear: Array) -> tuple[float, bool]:
+def shear_nonuniformity(
+    estimator: InverseMembrane, shape: Shape, shear: Array
+) -> tuple[float, bool]:
     """How uneven the shear is over the contact.
 
     Args:
@@ -166,20 +168,20 @@ def turning(estimator: InverseMembrane, shape: Shape) -> tuple[float, float]:
     radius = max(float(np.sqrt(weight @ (arm**2).sum(axis=1))), _POINT)
     torque = float(weight @ (arm[:, 0] * ratio[:, 1] - arm[:, 1] * ratio[:, 0])) / radius
     around = np.stack([-arm[:, 1], arm[:, 0]], axis=1) / radius
-    way = force + torque / _TURNING_LIMIT * around
+    way = force + torque / _ROTATION_LIMIT * around
     speed = np.linalg.norm(way, axis=1)
     along = (ratio * way).sum(axis=1) / np.maximum(speed, 1e-9)
     share = weight * speed / max(float(weight @ speed), 1e-12)
     mean = float(share @ along)
-    goes_straight = abs(torque) < _TURNING_SHARE * float(np.linalg.norm(force))
-    if goes_straight or float(weight @ weight) * _TURNING_NODES > 1:
+    goes_straight = abs(torque) < _ROTATION_FRACTION * float(np.linalg.norm(force))
+    if goes_straight or float(weight @ weight) * _ROTATION_NODES > 1:
         return np.inf, mean
     return float(np.sqrt(share @ (along - mean) ** 2)) / max(abs(mean), 1e-9), mean
 
 
 def _turns(samples: Sequence[SlipSample], s: SlipSettings) -> bool:
     """Whether it slides as it turns: shown by the newest image, and by one of the two before."""
-    seen = [sample.turning < s.even_turning for sample in samples[-_IMAGES:]]
+    seen = [sample.turning < s.uniform_rotation for sample in samples[-_IMAGES:]]
     return seen[-1] and sum(seen) > 1
 
 
@@ -198,7 +200,7 @@ def evidence(history: SlipHistory, normal: float, s: SlipSettings = DEFAULTS.sli
     sd = s.noise * (size / s.noise_size) ** s.noise_size_power * normal**s.noise_force_power
     lean = s.lean * (length / s.noise_size) ** s.lean_power
     most = 0.0
-    for b in range(s.least_before, len(samples)):  # the first image of the ramp
+    for b in range(s.min_before, len(samples)):  # the first image of the ramp
         if time[-1] - time[b] > s.recent:
             continue
         a = int(np.searchsorted(time, time[b] - s.baseline))
@@ -207,7 +209,7 @@ def evidence(history: SlipHistory, normal: float, s: SlipSettings = DEFAULTS.sli
         was_dragged = dragged[b:] - dragged[a:b].mean()
         leant = ratio[b:] - ratio[a:b].mean()
         left = went - s.follows * np.abs(was_dragged) - lean * np.abs(leant)
-        if left[-1] > s.least_way:
+        if left[-1] > s.min_displacement:
             ramp = time[b:] - time[b - 1]
             ramp_sd = sd * float(np.sqrt(ramp @ ramp + ramp.sum() ** 2 / (b - a)))
             most = max(most, float(ramp @ left) / ramp_sd)
@@ -224,7 +226,7 @@ def _follow(
 ) -> SlipHistory:
     """History with the newest image's sample, whose `ratio` and `turning` are `shear`; begun anew
     at the touch, and after a gap."""
-    weight = _pressed(estimator, shape, s.core_share)
+    weight = _pressed(estimator, shape, s.core_fraction)
     position = estimator.node_positions(shape.c)
     p = weight @ estimator.nodes
     if before is None or not 0 < time - before.samples[-1].time < s.gap:
@@ -247,7 +249,7 @@ def _motion(samples: Sequence[SlipSample], s: SlipSettings) -> tuple[Array, floa
     return (way / elapsed if elapsed > 0 else np.zeros(2)), float(way @ along)
 
 
-def _newest_way(samples: Sequence[SlipSample]) -> float:
+def _latest_direction(samples: Sequence[SlipSample]) -> float:
     """How far the centre of pressure went in the newest image, m."""
     if len(samples) > 1:
         return float(np.linalg.norm(samples[-1].p - samples[-2].p))
@@ -278,9 +280,9 @@ def mean_normal(estimator: InverseMembrane, shape: Shape) -> Array:
     return np.array([0.0, 0.0, 1.0])
 
 
-def _pressed(estimator: InverseMembrane, shape: Shape, core_share: float) -> Array:
-    """Share (J,) of the pressing force at each node; less than `core_share` of the peak is no
+def _pressed(estimator: InverseMembrane, shape: Shape, core_fraction: float) -> Array:
+    """Share (J,) of the pressing force at each node; less than `core_fraction` of the peak is no
     touch."""
     weight = np.maximum(-shape.traction[2], 0.0) * estimator.node_area
-    weight = np.maximum(weight - core_share * weight.max(), 0.0)
+    weight = np.maximum(weight - core_fraction * weight.max(), 0.0)
     return weight / weight.sum()

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mjtactile.core.types import BodyMotion, Slip
+from mjtactile.core.types import RelativeMotion, Slip
 from mjtactile.sensing.settings import DEFAULTS, SlipSettings
 from mjtactile.sensing.touch.slip import SlipHistory
 
@@ -20,7 +20,7 @@ from mjtactile.sensing.touch.slip import SlipHistory
 def with_motion(
     slip: Slip,
     history: SlipHistory | None,
-    motion: BodyMotion | None,
+    motion: RelativeMotion | None,
     s: SlipSettings = DEFAULTS.slip,
 ) -> tuple[Slip, SlipHistory | None]:
     """Say whether a body slips, by its motion too.
@@ -47,7 +47,7 @@ def with_motion(
     return moved, replace(history, distance=distance)
 
 
-def slides(motion: BodyMotion, history: SlipHistory, s: SlipSettings = DEFAULTS.slip) -> bool:
+def slides(motion: RelativeMotion, history: SlipHistory, s: SlipSettings = DEFAULTS.slip) -> bool:
     """Whether a body goes along the shear over the rubber, beyond what partial slip explains.
 
     Args:
@@ -62,7 +62,7 @@ def slides(motion: BodyMotion, history: SlipHistory, s: SlipSettings = DEFAULTS.
     ratio = samples[-1].ratio
     load = float(np.linalg.norm(ratio))
     elapsed = samples[-1].time - samples[0].time
-    if load < s.least_load or elapsed <= 0:
+    if load < s.min_load or elapsed <= 0:
         return False
     along = ratio[:2] / load
     speed = float(along @ motion.velocity)
@@ -72,7 +72,7 @@ def slides(motion: BodyMotion, history: SlipHistory, s: SlipSettings = DEFAULTS.
     return left > max(s.body_speed, s.body_sure * sd)
 
 
-def spins(motion: BodyMotion, s: SlipSettings = DEFAULTS.slip) -> bool:
+def spins(motion: RelativeMotion, s: SlipSettings = DEFAULTS.slip) -> bool:
     """Whether a body turns about its normal over the rubber.
 
     Args:

@@ -101,7 +101,7 @@ def object_width(
     slope = slope * mirror
     carried = np.sum(slope * (at.mean(axis=0) - at), axis=1)
     return opening - float((z + carried).sum()), math.hypot(
-        s.width_sd, s.tilt_share * float(np.abs(carried).sum())
+        s.width_sd, s.tilt_fraction * float(np.abs(carried).sum())
     )
 
 
@@ -124,12 +124,13 @@ def contact_face(
     ):
         return None
     radius = min(
-        max(s.patch_share * math.sqrt(contact.area / math.pi), s.patch_radius[0]), s.patch_radius[1]
+        max(s.patch_fraction * math.sqrt(contact.area / math.pi), s.patch_radius[0]),
+        s.patch_radius[1],
     )
     x, y = (a - c for a, c in zip(np.meshgrid(surface.x, surface.y), contact.centroid, strict=True))
     weight = np.clip(1 - (x**2 + y**2) / radius**2, 0.0, None)
     inside = weight > 0
-    if inside.sum() < s.nodes_least:
+    if inside.sum() < s.nodes_min:
         return None
     x = x[inside] / radius
     y = y[inside] / radius

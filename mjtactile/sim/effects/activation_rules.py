@@ -55,7 +55,10 @@ Gate = Callable[[Scene], tuple[bool, str]]
 def gas(s: Scene) -> tuple[bool, str]:
     volume = s.design.chamber_volume_flat
     stiffness = (
-        s.design.chamber.heat_ratio * s.design.chamber.ambient * s.design.frame.area**2 / volume
+        s.design.chamber.polytropic_exponent
+        * s.design.chamber.ambient
+        * s.design.frame.area**2
+        / volume
     )
     return True, (
         f"the chamber is sealed in a grasp: {1e-3 * stiffness:.1f} N/mm against piston motion"
@@ -121,7 +124,7 @@ def hyperelastic(s: Scene) -> tuple[bool, str]:
 
 def heat(s: Scene) -> tuple[bool, str]:
     chamber = s.design.chamber
-    on = math.isfinite(chamber.heat_exchange) and chamber.heat_ratio > 1
+    on = math.isfinite(chamber.heat_exchange) and chamber.polytropic_exponent > 1
     if on:
         return True, f"{chamber.heat_exchange:g} s is within a grasp's time"
     return False, "the sensor's gas keeps one exponent"

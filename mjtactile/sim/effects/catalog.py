@@ -218,7 +218,7 @@ EFFECTS: tuple[EffectEntry, ...] = (
 )
 
 
-def film_serves(design: SensorDesign, grasped: ObjectModel, overrides: str) -> bool:
+def quasistatic_is_valid(design: SensorDesign, grasped: ObjectModel, overrides: str) -> bool:
     """Whether `--accuracy` may take a film: nobody has said what the sheet is to be, and it would
     lie on something rigid and round, as what its error was measured on."""
     if Effect.SHEET in parse(overrides) or design.relaxation is not None:

@@ -81,7 +81,7 @@ class Fidelity:
                 field="force_error_N",
             )
         rows, stamp = load_table(table)
-        rows = [*rows, *(load_films() if films else ())]
+        rows = [*rows, *(load_membranes() if films else ())]
         good = [row for row in rows if row.force_error <= force_error]
         if good:
             best = min(good, key=lambda row: row.cost)
@@ -175,7 +175,7 @@ def levels_path() -> Path:
 
 
 @cache
-def load_films() -> Sequence[Fidelity]:
+def load_membranes() -> Sequence[Fidelity]:
     """The films that were measured; touch is felt by the whole chain there. None, where there is no
     such file."""
     path = levels_path()

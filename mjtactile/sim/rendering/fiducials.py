@@ -15,7 +15,7 @@ _INWARD = np.array([0.0, 0.0, -1.0])
 
 
 @dataclass(frozen=True)
-class FixedCircles:
+class FiducialRenderer:
     """The fiducials of a sensor: discs `p_SF`, `n_S` (F, 3) of `radius` m, and what is white around
     them: `ground` m of each disc, or what lies between the outlines `white` (outer, inner), (n, 3)
     m each; `blur_px` of their picture where the camera's is less."""
@@ -28,7 +28,7 @@ class FixedCircles:
     blur_px: float
 
     @classmethod
-    def of(cls, design: SensorDesign) -> FixedCircles | None:
+    def of(cls, design: SensorDesign) -> FiducialRenderer | None:
         """Those of `design`; None where it has none."""
         fiducials = design.fiducials
         if fiducials is None:

@@ -4,8 +4,8 @@ OpenGL.
 Every circle goes through its pose, the pane and the lens exactly; its boundary in the image is then
 a smooth closed curve, whose area under the point spread function (the camera's Gaussian blur and
 the pixel's square) is integrated along that curve, without any sampling of the area: see
-`draw_discs`. What is not in the picture: marker thickness, specular reflections, light that bounces
-off the walls. The light is the LEDs', see light.py and shadows.py.
+`render_discs`. What is not in the picture: marker thickness, specular reflections, light that
+bounces off the walls. The light is the LEDs', see light.py and shadows.py.
 
 This module shares no code with `sensing`, so that a mistake cannot cancel.
 """
@@ -24,12 +24,12 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.optics import Camera
 from mjtactile.core.types import Array, Image
 from mjtactile.kernels import kernel
-from mjtactile.sim.rendering.fiducials import FixedCircles
+from mjtactile.sim.rendering.fiducials import FiducialRenderer
 from mjtactile.sim.rendering.led_illumination import Light
 from mjtactile.sim.rendering.shadows import ShadowedLight
 
 # grey level of the frame's inner wall against the membrane's: matte, clearly neither of the two
-_WALL_SHARE = 0.45
+_WALL_FRACTION = 0.45
 BLUR_MIN_PX = 0.2
 """A smaller blur is drawn as this one: no lens has less, and the quadrature needs a smooth edge."""
 # quadrature step along an edge, in sd of the blur: exp(-2 pi^2 / 1.25^2) = 3e-6 of aliasing
@@ -83,7 +83,7 @@ class Renderer:
         pool = self._rng.standard_normal(_POOL_FRAMES * pixels, dtype=np.float32)
         self._noise: Floats = (pool - pool.mean()) / pool.std()
         self._bare: dict[float, Floats] = {}
-        self._fixed = FixedCircles.of(design)
+        self._fixed = FiducialRenderer.of(design)
 
     def reseed(self, seed: int) -> None:
         """Cut the noise of the images to come from other places of the pool."""
@@ -138,7 +138,7 @@ class Renderer:
         p_SM = np.asarray(p_SM, dtype=float).reshape(-1, 3)
         n_S = np.asarray(n_S, dtype=float).reshape(-1, 3)
         gray = np.zeros((self.camera.height, self.camera.width), np.float32)
-        draw_discs(
+        render_discs(
             self.camera, (p_SM - self._p_SC) @ self._R_SC, n_S @ self._R_SC, self.radius, blur, gray
         )
         kernel("shade")(
@@ -160,13 +160,15 @@ class Renderer:
             black = None
             if self._fixed is not None:
                 white, black = self._with_fixed(self._fixed, white, blur)
-            bare = membrane * (_WALL_SHARE + (1 - _WALL_SHARE) * white) - marker
+            bare = membrane * (_WALL_FRACTION + (1 - _WALL_FRACTION) * white) - marker
             if black is not None:
                 bare *= 1 - black
             self._bare[blur] = bare.astype(np.float32)
         return self._bare[blur]
 
-    def _with_fixed(self, fixed: FixedCircles, white: Floats, blur: float) -> tuple[Floats, Floats]:
+    def _with_fixed(
+        self, fixed: FiducialRenderer, white: Floats, blur: float
+    ) -> tuple[Floats, Floats]:
         """What is `white` (H, W), with the ground of fiducials, and what they blacken."""
         blur = max(blur, fixed.blur_px)
         if fixed.white is None:
@@ -176,19 +178,19 @@ class Renderer:
             ground = outer - inner
         return np.maximum(white, ground), self._discs(fixed, fixed.radius, blur)
 
-    def _discs(self, fixed: FixedCircles, radius: float, blur: float) -> Floats:
+    def _discs(self, fixed: FiducialRenderer, radius: float, blur: float) -> Floats:
         p_CF = (fixed.p_SF - self._p_SC) @ self._R_SC
         coverage = np.zeros((self.camera.height, self.camera.width), np.float32)
-        draw_discs(self.camera, p_CF, fixed.n_S @ self._R_SC, radius, blur, coverage)
+        render_discs(self.camera, p_CF, fixed.n_S @ self._R_SC, radius, blur, coverage)
         return np.clip(coverage, 0.0, 1.0)
 
     def _polygon(self, corners_SP: Array, blur: float) -> Floats:
         coverage = np.zeros((self.camera.height, self.camera.width), np.float32)
-        draw_opening(self.camera, (corners_SP - self._p_SC) @ self._R_SC, blur, coverage)
+        render_opening(self.camera, (corners_SP - self._p_SC) @ self._R_SC, blur, coverage)
         return coverage
 
 
-def draw_discs(
+def render_discs(
     camera: Camera, p_CM: Array, n_C: Array, radius: ArrayLike, blur_px: float, coverage: Floats
 ) -> None:
     """Add the blurred area coverage (0-1) of N discs to the image `coverage` (H, W).
@@ -208,7 +210,7 @@ def draw_discs(
     """
     radius = np.broadcast_to(np.asarray(radius, dtype=float), (len(p_CM),))
     per_px = 1 / (_STEP_PER_BLUR * max(blur_px, BLUR_MIN_PX))
-    kernel("draw_discs")(
+    kernel("render_discs")(
         len(p_CM),
         p_CM,
         n_C,
@@ -221,11 +223,11 @@ def draw_discs(
     )
 
 
-def draw_opening(camera: Camera, corners_CP: Array, blur_px: float, coverage: Floats) -> None:
+def render_opening(camera: Camera, corners_CP: Array, blur_px: float, coverage: Floats) -> None:
     """Add the blurred area coverage of the polygon `corners_CP` (M, 3) m in C, bent by pane and
     lens, to `coverage`.
 
-    As `draw_discs`, by Gauss-Legendre quadrature along each straight side.
+    As `render_discs`, by Gauss-Legendre quadrature along each straight side.
     """
     node, weight = np.polynomial.legendre.leggauss(_NODES)
     # px: closer than a rim's, since nodes are not even

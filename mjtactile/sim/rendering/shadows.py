@@ -42,7 +42,7 @@ _CARRY_STEPS = 4
 # m between steps at which both fixed points are found: the rest is below half of it, 0.2 px
 _NEAR = 2e-5
 _BEYOND = 1.1  # how far past the sheet's lowest point a ray is followed, for the penumbra
-_MOST_STEPS = 200  # samples along a ray: 0.1 m of way at the usual node
+_MAX_STEPS = 200  # samples along a ray: 0.1 m of way at the usual node
 
 
 class ShadowedLight(Light):
@@ -55,7 +55,7 @@ class ShadowedLight(Light):
 
     def __init__(self, design: SensorDesign, camera: Camera):
         super().__init__(design, camera)
-        self._sheet = SmoothSheet(design)
+        self._sheet = SmoothMembrane(design)
         self._p_SL = np.column_stack([self._leds, np.full(len(self._leds), -self._distance)])
         loss = float(self._loss)
         self._direct = self._falloff / loss if loss > self._falloff else float(self._falloff > 0)
@@ -115,7 +115,7 @@ class ShadowedLight(Light):
         """Per block of pixels: slopes (nv, nu, 2) of the ray beyond the pane, and the depth (nv,
         nu) in C from which it seems to come there: a pane shifts a ray and leaves its direction."""
         slopes = block_slopes(self._camera, block)
-        return slopes, optics.pane_shift(self._camera, (slopes**2).sum(axis=-1))
+        return slopes, optics.glass_displacement(self._camera, (slopes**2).sum(axis=-1))
 
     def _places(self, z: Array, block: int) -> Array:
         """Columns and rows (nv, nu, 2) of the height field `z` at which blocks of pixels look."""
@@ -140,7 +140,7 @@ class ShadowedLight(Light):
         return slopes * (self._distance + height - shift)[..., None]
 
 
-class SmoothSheet:
+class SmoothMembrane:
     """The smooth sheet through the markers, fixed to the frame; `xy` (ny, nx, 2) m are its nodes, a
     regular grid of S."""
 
@@ -231,7 +231,7 @@ def clearance(xy: Array, z: Array, p_SL: Array, radius: float = LED_RADIUS) -> A
     across = np.hypot(to_x, to_y)
     end = np.minimum(_BEYOND * np.maximum(z - z.min(), 1e-9) / down, 1.0)
     sample = min(xy[1, 1] - xy[0, 0]) / 2
-    steps = int(np.clip(np.ceil((end * across).max() / sample), 1, _MOST_STEPS))
+    steps = int(np.clip(np.ceil((end * across).max() / sample), 1, _MAX_STEPS))
     first = xy[0, 0]
     scale = 1 / (xy[1, 1] - xy[0, 0])
     least = np.full(down.shape, np.inf)

@@ -19,9 +19,9 @@ from numpy.typing import ArrayLike
 from mjtactile.core import optics
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.optics import Camera
-from mjtactile.core.types import Array, Ellipses, Sighting
+from mjtactile.core.types import Array, Ellipses, SyntheticEllipses
 from mjtactile.kernels import kernel
-from mjtactile.sim.rendering.fiducials import FixedCircles
+from mjtactile.sim.rendering.fiducials import FiducialRenderer
 from mjtactile.sim.rendering.led_illumination import Light
 
 _POINTS = 12  # on a boundary: what lens and pane add has few harmonics; 1e-12 px
@@ -35,7 +35,7 @@ what is added to them for the square of blur over radius: they also fit light an
 some of the information (`bench cheap`; 0.7 to 2 px of blur, at rest to 39 degrees steep)."""
 
 
-class Sighter:
+class EllipseSampler:
     """Sees what the camera of `design` would; arguments as of `Renderer`."""
 
     def __init__(
@@ -53,7 +53,7 @@ class Sighter:
             np.asarray(design.markers.radius if radius is None else radius, float),
             (design.markers.count,),
         )
-        self._fixed = FixedCircles.of(design)
+        self._fixed = FiducialRenderer.of(design)
         if self._fixed is not None:
             fixed = np.full(len(self._fixed.p_SF), self._fixed.radius)
             self._radius = np.concatenate([self._radius, fixed])
@@ -64,7 +64,9 @@ class Sighter:
         """Draw the errors to come from another generator."""
         self._rng = np.random.default_rng(seed)
 
-    def sight(self, p_SM: Array, n_S: Array, time: float = 0.0, *, errors: bool = True) -> Sighting:
+    def sight(
+        self, p_SM: Array, n_S: Array, time: float = 0.0, *, errors: bool = True
+    ) -> SyntheticEllipses:
         """The ellipses of the markers with centres `p_SM` (N, 3) m and normals `n_S` (N, 3) in S
         that are wholly in the image, and of the fiducials; without `errors` they are exact, and say
         the covariance of those that have some."""
@@ -90,7 +92,9 @@ class Sighter:
         angle = np.empty(n)
         cov = np.empty((n, 5, 5))
         kernel("ellipse_axes")(n, shape, spread, axes, angle, cov)
-        return Sighting.of(Ellipses(found[:, :2], axes, angle, cov, np.full(n, "ok")), time)
+        return SyntheticEllipses.of(
+            Ellipses(found[:, :2], axes, angle, cov, np.full(n, "ok")), time
+        )
 
     def _true(self, p_SM: Array, n_S: Array) -> tuple[Array, Array]:
         """Centres (N, 2) px and shapes (N, 3) of the ellipses with the projected circles' moments;

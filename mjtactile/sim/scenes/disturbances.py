@@ -15,12 +15,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mjtactile.core.task import DrawnHappening
+from mjtactile.core.task import SampledDisturbance
 from mjtactile.core.types import Array
 from mjtactile.sim.scenes.objects import PREFIX, moving_bodies
 
 if TYPE_CHECKING:
-    from mjtactile.sim.scenes.gripper_world import HandWorld
+    from mjtactile.sim.scenes.gripper_world import GripperWorld
 
 _UP = 0.9
 """Of the height that the robot is told to lift to: then the hand is up, and time begins."""
@@ -29,14 +29,16 @@ _TAKEN_TIME = 0.02  # s in which somebody who took the object stops it: within 8
 _HOLDS = 2  # fingers; what touches one alone is not held
 _FASTER = 2.0  # than its lift's speed no hand rises
 _FILLS_EVERY = 0.01  # s
-_STRONGEST_TURN = math.radians(60)
+_ROTATION_MAX = math.radians(60)
 
 
-class Happenings:
+class DisturbanceSchedule:
     """The events of one grasp. `step` after each stretch of the world's steps prepares the next
     one, which ends when it is `due` again: while something happens that is after each step."""
 
-    def __init__(self, world: HandWorld, events: Sequence[DrawnHappening], lift_height: float):
+    def __init__(
+        self, world: GripperWorld, events: Sequence[SampledDisturbance], lift_height: float
+    ):
         model = world.model
         self._world = world
         self._events = events
@@ -44,7 +46,7 @@ class Happenings:
         self._bodies = moving_bodies(model, PREFIX)
         self._share = model.body_mass[self._bodies] / model.body_mass[self._bodies].sum()
         self._lift_speed = world.rig.lift.speed
-        self._begin_height = float(world.data.xpos[world.start.hand, 2])
+        self._start_height = float(world.data.xpos[world.start.hand, 2])
         self._gravity = model.opt.gravity.copy()
         self._mass = model.body_mass[self._bodies].copy()
         self._inertia = model.body_inertia[self._bodies].copy()
@@ -101,7 +103,7 @@ class Happenings:
 
     def _risen(self) -> float:
         """m by which the hand is higher than where it began."""
-        return float(self._world.data.xpos[self._world.start.hand, 2]) - self._begin_height
+        return float(self._world.data.xpos[self._world.start.hand, 2]) - self._start_height
 
     def _fill(self, mass: float, done: float) -> None:
         """The object's mass is on its way to `mass` kg, evenly in time, wherever it is in it."""
@@ -114,7 +116,7 @@ class Happenings:
         model.body_subtreemass[self._bodies] += added
         model.body_subtreemass[0] += added.sum()
 
-    def _pull(self, event: DrawnHappening, done: float) -> Array:
+    def _pull(self, event: SampledDisturbance, done: float) -> Array:
         """N; who pulls at an object that is let go of has it, and holds it where it is, whatever
         the hand touches then: nobody pulls on at what he has, nor presses it against a finger."""
         data = self._world.data
@@ -132,7 +134,7 @@ class Happenings:
         return sum(sensor.is_touched for sensor in sensors) >= min(_HOLDS, len(sensors))
 
 
-def _shaken(gravity: Array, event: DrawnHappening, time: float, done: float) -> Array:
+def _shaken(gravity: Array, event: SampledDisturbance, time: float, done: float) -> Array:
     """Gravity in a hand that moves along the event's direction and turns about it, which begins
     and ends softly."""
     swell = math.sin(math.pi * done) ** 0.5
@@ -140,7 +142,7 @@ def _shaken(gravity: Array, event: DrawnHappening, time: float, done: float) -> 
     moved = gravity + swell * event.values["acceleration"] * math.sin(phase) * np.array(
         event.direction
     )
-    tilt = min(event.values.get("tilt", 0.0), _STRONGEST_TURN) * swell
+    tilt = min(event.values.get("tilt", 0.0), _ROTATION_MAX) * swell
     axis = np.cross([0.0, 0.0, 1.0], event.direction)
     length = float(np.linalg.norm(axis))
     if tilt == 0 or length < 1e-6:

@@ -12,7 +12,7 @@ from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.simulated import SimRigFile
-from mjtactile.sim.scenes.gripper_world import DEFAULT_TIMESTEP, HandWorld
+from mjtactile.sim.scenes.gripper_world import DEFAULT_TIMESTEP, GripperWorld
 from mjtactile.sim.scenes.initial_contact_check import require_clear
 from mjtactile.sim.scenes.initial_state import Start
 from mjtactile.sim.scenes.objects import PREFIX, ObjectModel, add_object, load_object
@@ -25,7 +25,7 @@ _STRAINED = 0.2
 % and more."""
 
 
-class GraspWorld(HandWorld):
+class GraspWorld(GripperWorld):
     """The fingers of `rig` (the shipped "sim": two, left and right) about an object that stands
     under the hand.
 

@@ -1,4 +1,4 @@
-"""`HandWorld`: a simulated rig over its table, before anything is put there to grasp. The rig:
+"""`GripperWorld`: a simulated rig over its table, before anything is put there to grasp. The rig:
 docs/reference/rig_files.md."""
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.rig.simulated import SimRigFile
-from mjtactile.sim.attach import attach_membrane, recommend_options
-from mjtactile.sim.batched_quasistatic_step import FilmStepper, is_there
+from mjtactile.sim.attach import attach_membrane, configure_options
+from mjtactile.sim.batched_quasistatic_step import QuasistaticStepper, is_there
 from mjtactile.sim.scenes.actuators import PositionActuator
 from mjtactile.sim.scenes.initial_state import Start, load_robot, place_jaws, plan_start
 from mjtactile.sim.scenes.inverse_kinematics import solve
@@ -21,12 +21,12 @@ from mjtactile.sim.scenes.jaws import Jaws
 from mjtactile.sim.scenes.lifts import make_lift
 from mjtactile.sim.scenes.world import World
 from mjtactile.sim.sensor.effect_switches import PHYSICS, set_servo
-from mjtactile.sim.sensor.quasistatic_sensor import FilmSensor
+from mjtactile.sim.sensor.quasistatic_sensor import QuasistaticSensor
 
 DEFAULT_TIMESTEP = 4e-3
 
 
-class HandWorld(World):
+class GripperWorld(World):
     """A hand with a sensor on each finger, in the order of the rig file, and what lifts it.
 
     The jaws are current-limited: they move towards their target opening at no more than the rig's
@@ -56,7 +56,7 @@ class HandWorld(World):
         self.effects = effects
         opening = self._checked(rig.gripper.start if opening is None else opening)
         spec, coordinates, mocap = load_robot(rig)
-        recommend_options(spec, timestep)
+        configure_options(spec, timestep)
         attachments = [
             attach_membrane(
                 spec, design, site=finger.site, prefix=f"{finger.name}/", mesh=mesh, effects=effects
@@ -93,7 +93,7 @@ class HandWorld(World):
         self._lift_speed = rig.lift.speed
         self._hold_still()
         mujoco.mj_forward(self.model, self.data)
-        self._ahead = self._film_stepper()
+        self._ahead = self._qs_stepper()
 
     # -- commands: what a real gripper takes
     # ---------------------------------------------------------------------
@@ -171,7 +171,7 @@ class HandWorld(World):
         """Height of the hand above where it started, m."""
         return self._lift.height()
 
-    def place_hand(self, opening: float, lift: float) -> None:
+    def place_gripper(self, opening: float, lift: float) -> None:
         """Put jaws and lift at these coordinates, m, at rest, with their goals there: for
         experiments, not for control."""
         scratch = self._kinematics
@@ -201,16 +201,16 @@ class HandWorld(World):
         self._jaws.drive(self._opening_goal)
         self._lift.drive(self._lift_goal)
 
-    def _film_stepper(self) -> FilmStepper | None:
+    def _qs_stepper(self) -> QuasistaticStepper | None:
         """What does many steps in one go, where all sensors are films and jaws and lift linear."""
-        films = [sensor for sensor in self.sensors if isinstance(sensor, FilmSensor)]
+        films = [sensor for sensor in self.sensors if isinstance(sensor, QuasistaticSensor)]
         drive = self._jaws.drive_with(self._lift)
-        known = type(self)._before_step is HandWorld._before_step
+        known = type(self)._before_step is GripperWorld._before_step
         if not (films and len(films) == len(self.sensors) and drive and known and is_there()):
             return None
-        return FilmStepper(self.model, self.data, films, drive, *self._stepper.speeds)
+        return QuasistaticStepper(self.model, self.data, films, drive, *self._stepper.speeds)
 
-    def _hand_over(self, ahead: FilmStepper) -> None:
+    def _handover(self, ahead: QuasistaticStepper) -> None:
         jaw_step = self.rig.gripper.speed * self.timestep
         reach = self._jaws.reach(self.rig.gripper.speed) + 4 * jaw_step
         ahead.most[:] = jaw_step, reach, self._lift_speed * self.timestep
@@ -221,7 +221,7 @@ class HandWorld(World):
             self._lift_target,
         )
 
-    def _take_back(self, ahead: FilmStepper) -> None:
+    def _take_back(self, ahead: QuasistaticStepper) -> None:
         self._opening_goal = float(ahead.goals[0])
         self._lift_goal = float(ahead.goals[2])
         self._lift.drive(self._lift_goal)

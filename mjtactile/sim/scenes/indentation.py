@@ -12,7 +12,7 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
-from mjtactile.sim.attach import attach_membrane, recommend_options
+from mjtactile.sim.attach import attach_membrane, configure_options
 from mjtactile.sim.scenes.meshes import SUFFIXES, add_solid, convex_parts, load_solid
 from mjtactile.sim.scenes.mjcf import read_mjcf
 from mjtactile.sim.scenes.world import World
@@ -32,7 +32,7 @@ _STIFFNESS = 2e5
 _MASS = 0.2
 
 
-class Presses(Protocol):
+class Indentations(Protocol):
     """What a `PressWorld` drives into its sensor."""
 
     def add_to(self, spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None: ...
@@ -115,7 +115,7 @@ class PressWorld(World):
     def __init__(
         self,
         sensor: SensorDesign | str | Path,
-        indenter: Presses,
+        indenter: Indentations,
         *,
         at: tuple[float, float] = (0.0, 0.0),
         tilt: float = 0.0,
@@ -127,7 +127,7 @@ class PressWorld(World):
         shake: tuple[float, float] = (0.0, 0.0),
     ):
         spec = mujoco.MjSpec()
-        recommend_options(spec, timestep)
+        configure_options(spec, timestep)
         # a stiff drive shows the solver's noise: 10 mN at the 1e-7 of a grasp, 1 mN here
         spec.option.tolerance = 1e-9
         carrier = _add_carrier(spec, mount)
@@ -157,12 +157,12 @@ class PressWorld(World):
         self._shake = shake
         self._carrier = self.model.actuator("carrier").id
 
-    def inflate(self, pressure_gauge: float, *, seal: bool) -> bool:
-        """Bring the chamber to `pressure_gauge` Pa, close the valve if `seal`, find first touch;
+    def inflate(self, gauge_pressure: float, *, seal: bool) -> bool:
+        """Bring the chamber to `gauge_pressure` Pa, close the valve if `seal`, find first touch;
         True when it settled."""
         sensor = self.sensors[0]
         self.lift_off()
-        sensor.open_valve(pressure_gauge)
+        sensor.open_valve(gauge_pressure)
         settled = self.settle()
         if seal:
             sensor.close_valve()

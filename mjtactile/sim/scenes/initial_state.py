@@ -18,7 +18,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.rig.simulated import SimRigFile
 from mjtactile.sim.scenes.actuators import PositionActuator
-from mjtactile.sim.scenes.inverse_kinematics import Condition, actuator_at, hand_at, solve
+from mjtactile.sim.scenes.inverse_kinematics import Condition, actuator_at, gripper_pose_at, solve
 from mjtactile.sim.scenes.mjcf import read_mjcf
 
 _GOOD = 1e-4  # m and rad: a posture that is nearer is reached
@@ -163,7 +163,7 @@ def plan_start(
         "gripper.opening_start_mm",
         f"the jaws do not open to {1e3 * opening:g} mm (is the sign of the law right?)",
     )
-    hand = _hand_body(model, bodies, rig)
+    hand = _gripper_body(model, bodies, rig)
     rotations = data.xmat[bodies].reshape(-1, 3, 3)
     centre = data.xpos[bodies].mean(axis=0)
     if grip is not None:
@@ -237,7 +237,7 @@ def _settle(
         )
 
 
-def _hand_body(model: mujoco.MjModel, bodies: Sequence[int], rig: SimRigFile) -> int:
+def _gripper_body(model: mujoco.MjModel, bodies: Sequence[int], rig: SimRigFile) -> int:
     """The nearest body that carries all fingers."""
     chains = []
     for body in bodies:
@@ -281,7 +281,9 @@ def _plan_path(
     moving.mocap_pos[:] = data.mocap_pos
     for height in heights:
         target = centre + [0.0, 0.0, raised + height]
-        rest = solve(model, moving, [*jaws, hand_at(model, hand, point_H, target, R_WH, dofs)])
+        rest = solve(
+            model, moving, [*jaws, gripper_pose_at(model, hand, point_H, target, R_WH, dofs)]
+        )
         if rest > _GOOD:
             where = "the table" if height == 0 else f"{1e3 * height:.0f} mm above its start"
             field = "lift.kind" if height == 0 else "lift.travel_mm"

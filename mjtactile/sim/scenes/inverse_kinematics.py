@@ -55,7 +55,7 @@ def actuator_at(actuator: PositionActuator, length: float) -> Condition:
     return condition
 
 
-def hand_at(
+def gripper_pose_at(
     model: mujoco.MjModel, body: int, point_H: Array, p_W: Array, R_WH: Array, dofs: Array
 ) -> Condition:
     """The point `point_H` (3,) m of `body` is at `p_W` (3,) m and the body is turned as `R_WH` (3,

@@ -80,7 +80,7 @@ class ActuatorLift:
         self._actuator.place(self._start + height / self._ratio, data)
 
 
-class HandHeight:
+class GripperHeight:
     """Height of the hand's body by forward kinematics of the present joints, as an arm knows its
     own."""
 
@@ -101,7 +101,7 @@ class HandHeight:
         return float(self._kinematics.xpos[self._hand, 2])
 
 
-class MocapLift(HandHeight):
+class MocapLift(GripperHeight):
     """A mocap body to which the hand, or its arm, is welded."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, rig: SimRigFile, start: Start):
@@ -116,7 +116,7 @@ class MocapLift(HandHeight):
         data.mocap_pos[self._mocap, 2] = self._from + height
 
 
-class ArmLift(HandHeight):
+class ArmLift(GripperHeight):
     """An arm on the path that `plan_start` found."""
 
     def __init__(

@@ -83,7 +83,7 @@ class Specimen:
 def to_mjcf(specimen: Specimen, name: str, comment: str = "") -> str:
     """The object's file. Its truth stands in <custom>, for scoring alone."""
     s = specimen
-    numerics = {"break_force_N": s.break_force, "turn_deg": 2.0}
+    numerics = {"break_force_N": s.break_force, "rotation_deg": 2.0}
     if s.kind != "rigid":
         numerics |= {
             "true_stiffness_N_m": s.stiffness,

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.errors import InputError
-from mjtactile.sim.sensor.feature_size import CONVEX, filled_share
+from mjtactile.sim.sensor.feature_size import CONVEX, filled_fraction
 
 SUFFIXES = (".stl", ".obj")
 # CoACD's own, relative to the shape's size: a tube in 15 parts in 5 s; at 0.02 52 parts in minutes
@@ -70,7 +70,7 @@ def convex_parts(solid: Solid) -> list[Solid]:
 
     Parts are kept in the user's cache: cutting takes seconds.
     """
-    if filled_share(*solid) >= CONVEX:
+    if filled_fraction(*solid) >= CONVEX:
         return [solid]
     try:
         import coacd

@@ -1,5 +1,5 @@
-"""`MountedWorld`: a sensor that looks up, and an object in a holder that a stage turns, shifts and
-lowers onto it, again and again."""
+"""`ObjectOnStageWorld`: a sensor that looks up, and an object in a holder that a stage turns,
+shifts and lowers onto it, again and again."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mjtactile.sim.scenes.indentation import AWAY, PressWorld
 from mjtactile.sim.scenes.objects import PREFIX, ObjectModel, read_spec
 
 
-class Mounted:
+class ObjectOnStage:
     """The object of a file in a holder, `p_HO` (3,) m and `R_HO` (3, 3) of its body there."""
 
     def __init__(self, model: ObjectModel, p_HO: Array, R_HO: Array):
@@ -43,10 +43,10 @@ class Mounted:
         spec.attach(held, frame=frame, prefix=PREFIX)
 
 
-class MountedWorld(PressWorld):
+class ObjectOnStageWorld(PressWorld):
     """The holder's frame is H. `world` goes to `PressWorld` (mesh, timestep, effects)."""
 
-    def __init__(self, sensor: SensorDesign, mounted: Mounted, **world):
+    def __init__(self, sensor: SensorDesign, mounted: ObjectOnStage, **world):
         super().__init__(sensor, mounted, **world)
         self._body = self.model.body("indenter").id
         self._holder = self.model.body("holder").id

@@ -4,10 +4,9 @@ Format (docs: "Your own object"): one top-level body named `object` with a free 
 volumetric flex in place of the joint; a `<custom>` numeric `break_force_N` (normal force per finger
 above which it counts as crushed; of a flex also `break_stress_kPa` or `break_energy_kJ_m3`) and a
 text `material`. The table's top is z = 0, the fingers close along x, and grasp at the height of the
-body's origin unless a numeric `grasp_height_m` says otherwise; a numeric `turn_deg` keeps it from
-being turned about z by more than that (a block between flat fingers). Whatever else stands in the
-file's world (a cup, a stand) comes along.
-"""
+body's origin unless a numeric `grasp_height_m` says otherwise; a numeric `rotation_deg` keeps it
+from being turned about z by more than that (a block between flat fingers). Whatever else stands in
+the file's world (a cup, a stand) comes along."""
 
 from __future__ import annotations
 
@@ -104,7 +103,7 @@ def load_object(name_or_path: str | Path) -> ObjectModel:
     break_force = _numeric(spec, path, "break_force_N", default=math.inf if stands_strain else None)
     body = spec.body("object")
     height = _numeric(spec, path, "grasp_height_m", default=float(body.pos[2]))
-    turn = min(math.radians(_numeric(spec, path, "turn_deg", default=180.0)), math.pi)
+    turn = min(math.radians(_numeric(spec, path, "rotation_deg", default=180.0)), math.pi)
     mass, width = _check_compiled(spec, path)
     return ObjectModel(
         path.stem,

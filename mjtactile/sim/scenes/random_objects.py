@@ -73,10 +73,10 @@ def seed_of(name: str) -> int | None:
 def object_text(name: str) -> str | None:
     """The MJCF of "random:7"; None of any other name."""
     seed = seed_of(name)
-    return None if seed is None else to_mjcf(random_thing(seed), "random")
+    return None if seed is None else to_mjcf(random_object(seed), "random")
 
 
-def random_thing(seed: int) -> RandomObject:
+def random_object(seed: int) -> RandomObject:
     """The thing of `seed`."""
     rng = np.random.default_rng([seed, zlib.crc32(b"random object")])
     shape = str(rng.choice(list(_SHAPES)))
@@ -162,7 +162,7 @@ def to_mjcf(thing: RandomObject, name: str) -> str:
         )
     else:
         under = ""
-    turn = '    <numeric name="turn_deg" data="3"/>\n' if t.shape == "box" else ""
+    turn = '    <numeric name="rotation_deg" data="3"/>\n' if t.shape == "box" else ""
     asset, geoms = _BUILD[t.shape](t)
     body = "\n".join(f"      {line}" for line in geoms)
     return f"""<!-- A random {t.shape}: {2e3 * t.a:.3g} mm between the fingers,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
 from mjtactile.sim.scenes.world import World
-from mjtactile.sim.sensor.quasistatic_sensor import FilmSensor
+from mjtactile.sim.sensor.quasistatic_sensor import QuasistaticSensor
 
 _SHOWN = 3  # MuJoCo's viewers hide the geoms of this group and above
 # edges around and along a round body
@@ -88,7 +88,7 @@ class SceneView:
                     sensor.mesh.triangles,
                 )
                 for sensor in world.sensors
-                if isinstance(sensor, FilmSensor)
+                if isinstance(sensor, QuasistaticSensor)
             ),
         )
 

@@ -152,7 +152,7 @@ def to_mjcf(body: SoftBody, name: str, comment: str = "") -> str:
         "break_stress_kPa": 1e-3 * body.break_stress,
         "break_energy_kJ_m3": 1e-3 * body.break_energy,
         "true_modulus_kPa": 1e-3 * body.young,
-    } | ({"turn_deg": 2.0} if body.shape == "block" else {})
+    } | ({"rotation_deg": 2.0} if body.shape == "block" else {})
     numerics = "\n".join(
         f'    <numeric name="{key}" data="{value:.6g}"/>' for key, value in limits.items() if value
     )

@@ -89,7 +89,7 @@ class SoftSolid:
         return middle, U @ turn @ Vt
 
     @property
-    def rest_middle(self) -> Array:
+    def rest_center(self) -> Array:
         """Middle of the volume (3,) m at the initial pose, frame W."""
         return self._weights @ self._rest
 

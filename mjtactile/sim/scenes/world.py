@@ -11,7 +11,7 @@ import numpy as np
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.sim.attach import Attachment
-from mjtactile.sim.batched_quasistatic_step import MOST, FilmStepper
+from mjtactile.sim.batched_quasistatic_step import MOST, QuasistaticStepper
 from mjtactile.sim.checked_stepper import Stepper
 from mjtactile.sim.mujoco_log import route_warnings
 from mjtactile.sim.sensor.sensor_types import AnySensor
@@ -50,7 +50,7 @@ class World:
         self._after_step: list[Callable[[], None]] = []
         self._after_stretch: list[Callable[[], None]] = []
         self._dues: list[Callable[[], float]] = []
-        self._ahead: FilmStepper | None = None
+        self._ahead: QuasistaticStepper | None = None
         self.stretch: Array | None = None
         """(n, sensors, 6) wrench on each sensor in each of the last n steps, where they were done
         in one go."""
@@ -112,8 +112,8 @@ class World:
             self._stepper.step()
             done = 1
         else:
-            most = min(count, MOST, self._stepper.until_look, self._until_due())
-            self._hand_over(ahead)
+            most = min(count, MOST, self._stepper.until_check, self._until_due())
+            self._handover(ahead)
             done, unsolved, self.stretch = ahead.run(most, "speed" not in self.flags)
             self._take_back(ahead)
             self._stepper.after_step(done, unsolved)
@@ -128,10 +128,10 @@ class World:
             return MOST
         return max(1, math.ceil((due - self.time) / self.timestep - 1e-9))
 
-    def _hand_over(self, ahead: FilmStepper) -> None:
+    def _handover(self, ahead: QuasistaticStepper) -> None:
         """Hook for worlds that move their controls by themselves: `ahead` will."""
 
-    def _take_back(self, ahead: FilmStepper) -> None:
+    def _take_back(self, ahead: QuasistaticStepper) -> None:
         """Hook: `ahead` has."""
 
     def after_each_step(self, call: Callable[[], None]) -> None:

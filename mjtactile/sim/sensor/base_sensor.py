@@ -1,4 +1,4 @@
-"""`SheetSensor`: what each sensor at run time has, whether its sheet is a mesh in MuJoCo's model or
+"""`BaseSensor`: what each sensor at run time has, whether its sheet is a mesh in MuJoCo's model or
 a film beside it: markers on a sheet, and a chamber with gas and a valve behind it."""
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from mjtactile.sim.sensor.mesh import MarkerInterpolator, MembraneMesh
 from mjtactile.sim.sensor.triangle_stretch import stretches_of
 
 
-class SheetSensor(ABC):
+class BaseSensor(ABC):
     """Run time of one sensor in a compiled model, but for its sheet.
 
     Positions are in the sensor's frame S, in m; pressures in Pa above ambient; volumes in m^3. The
@@ -109,9 +109,9 @@ class SheetSensor(ABC):
     # -- the chamber
 
     @property
-    def pressure_gauge(self) -> float:
+    def gauge_pressure(self) -> float:
         """Gauge pressure in the chamber, Pa, at the last `update`."""
-        return self._gas_now().pressure_gauge
+        return self._gas_now().gauge_pressure
 
     @property
     def temperature(self) -> float:

@@ -94,7 +94,7 @@ class GasTendon:
             self.forces,
         )
 
-    def apply(self, pressure_gauge: float, stiffness: float, gradient: Array) -> None:
+    def apply(self, gauge_pressure: float, stiffness: float, gradient: Array) -> None:
         """Push with the pressure, `gradient` (k, 3) = dV/dq, and let the tendon's spring carry its
         change in the step.
 
@@ -103,7 +103,7 @@ class GasTendon:
         that at rest, as rounding will have it now and then, and the gas of that step is explicit.
         It is therefore set off by far more than rounding, and its force given back.
         """
-        self._apply(gradient, pressure_gauge, stiffness)
+        self._apply(gradient, gauge_pressure, stiffness)
 
     def suspend(self) -> None:
         """Take the tendon's joints and the pressure out of the model; the vertices are held

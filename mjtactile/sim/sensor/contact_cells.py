@@ -78,7 +78,9 @@ def axes_of(normal: Array) -> Array:
     return np.stack([first, np.cross(normal, first), normal])
 
 
-def hints_of(cells: Cells, entry: ray_intersection.Entry, core: Array) -> tuple[Array, Array]:
+def initial_offsets(
+    cells: Cells, entry: ray_intersection.Entry, core: Array
+) -> tuple[Array, Array]:
     """Shifts (k, 2), in cells, to where something thin, with the points `core` (m, 3) m inside,
     reaches farthest into each cell; gaps (k,) there, `_MISSED` where it does not."""
     outward = cells.axes[2]
@@ -142,7 +144,7 @@ def deepest(
     return rows[kept], at, gaps
 
 
-def stand_back(
+def standoff(
     cells: Cells,
     entry: ray_intersection.Entry,
     at: Array,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mjtactile.core import geometry
 from mjtactile.core.types import Array
-from mjtactile.sim.sensor.quasistatic_sensor import FilmSensor
+from mjtactile.sim.sensor.quasistatic_sensor import QuasistaticSensor
 from mjtactile.sim.sensor.sensor_types import AnySensor
 
 
@@ -46,7 +46,7 @@ def forces(
 
 def membrane_wrench(data: mujoco.MjData, sensor: AnySensor) -> Array:
     """Force, N, and torque about the origin of S, N m, (6,) on the membrane, frame S."""
-    if isinstance(sensor, FilmSensor):
+    if isinstance(sensor, QuasistaticSensor):
         return sensor.wrench
     R_WS = data.xmat[sensor.body_id].reshape(3, 3)
     rows, sides = on_membrane(data, sensor)

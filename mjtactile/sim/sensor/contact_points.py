@@ -33,9 +33,9 @@ from mjtactile.sim.sensor.contact_cells import (
     Cells,
     axes_of,
     deepest,
-    hints_of,
+    initial_offsets,
     lie,
-    stand_back,
+    standoff,
 )
 from mjtactile.sim.sensor.mesh import MembraneMesh, normals_of
 from mjtactile.sim.sensor.sharp_geoms import KINDS, sharp_geoms
@@ -135,7 +135,7 @@ class ContactPoints:
         # of the sheet when nothing was near: a tent's slopes say nothing of the sheet
         self._upright = self._normals(mesh.p_SV)
 
-    def update(self, p_SV: Array, tensions: Callable[[], Array], pressure_gauge: float) -> None:
+    def update(self, p_SV: Array, tensions: Callable[[], Array], gauge_pressure: float) -> None:
         """Follow what is near the vertices at `p_SV` (n, 3) m; `tensions` tells the sheet's (n,)
         N/m where they are needed."""
         time = float(self._data.time)
@@ -144,7 +144,7 @@ class ContactPoints:
             return
         self._time = time
         self._every = EVERY
-        goals = self._goals(p_SV, tensions, pressure_gauge)
+        goals = self._goals(p_SV, tensions, gauge_pressure)
         goal = goals.to
         blunt = goals.blunt
         near = bool(np.isfinite(goals.gaps).any())
@@ -201,7 +201,7 @@ class ContactPoints:
         touching[numbers[(numbers >= 0) & (numbers < len(self._sizes))]] = True
         return touching
 
-    def _goals(self, p_SV: Array, tensions: Callable[[], Array], pressure_gauge: float) -> _Goals:
+    def _goals(self, p_SV: Array, tensions: Callable[[], Array], gauge_pressure: float) -> _Goals:
         """Where the spheres are to go, of vertices at `p_SV` (n, 3) m."""
         goals = _no_goals(len(self._places))
         loads = None
@@ -234,7 +234,7 @@ class ContactPoints:
                 goals.to[touching] -= (self._blunt - self._radius) * axes[2]
             if len(rows) and int(self._model.geom_type[geom]) in KINDS:
                 if loads is None:
-                    loads = self._loads(tensions, pressure_gauge)
+                    loads = self._loads(tensions, gauge_pressure)
                     self._ease(loads)
                 bearing = self._eased if is_thin else loads
                 pressed = bearing[touching] > 0
@@ -283,7 +283,7 @@ class ContactPoints:
     def _hints(self, geom: int, entry: ray_intersection.Entry, cells: Cells) -> tuple[Array, Array]:
         """Shifts and gaps to where a thin geom reaches farthest in; `update` looks at every step
         before it is met."""
-        hints = hints_of(cells, entry, self._cores[geom])
+        hints = initial_offsets(cells, entry, self._cores[geom])
         if hints[1].min(initial=np.inf) < REACHED:
             # it is met from the first step
             self._every = EVERY if self._is_touched() else 0.0
@@ -308,14 +308,14 @@ class ContactPoints:
         flat = self._flat[touching]
         loads = loads[touching]
         if geom not in self._cores:
-            return stand_back(cells, entry, at, loads, flat)
+            return standoff(cells, entry, at, loads, flat)
         size = self._sizes[0]
         end = self._end(geom, cells.axes[2]) / size
         if end:
             return np.maximum(depth_under_end(loads, end, flat / size), -_FORWARD)
         turns = lie(cells, self._cores[geom], at)
         width = self._width(geom) / size
-        return stand_back(cells, entry, at, loads, flat, turns=turns, width=width)
+        return standoff(cells, entry, at, loads, flat, turns=turns, width=width)
 
     def _take(self, blunt: NDArray[np.bool_], gaps: Array) -> None:
         """Have the spheres of these vertices be `blunt`, and those others small again. What is in
@@ -376,7 +376,7 @@ class ContactPoints:
         """Outward unit normals (k, 3) of the sheet at the vertices."""
         return normals_of(p_SV, self._triangles)[self._interior]
 
-    def _loads(self, tensions: Callable[[], Array], pressure_gauge: float) -> Array:
+    def _loads(self, tensions: Callable[[], Array], gauge_pressure: float) -> Array:
         """Contact forces on the vertices beyond what the gas carries, over 2 pi times tension and
         cell, (k,)."""
         contact = self._data.contact
@@ -390,7 +390,7 @@ class ContactPoints:
             else 0.0
         )
         tension = np.maximum(tensions()[self._interior], self._slackest)
-        return (forces - pressure_gauge * self._areas) / (2 * np.pi * tension * self._sizes)
+        return (forces - gauge_pressure * self._areas) / (2 * np.pi * tension * self._sizes)
 
 
 def _widen(model: mujoco.MjModel, bodies: NDArray[np.int64], size: float) -> None:

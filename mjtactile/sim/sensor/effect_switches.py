@@ -146,7 +146,7 @@ def set_law(design: SensorDesign, on: frozenset[str]) -> SensorDesign:
     return replace(design, membrane=replace(design.membrane, law=Law.STVK))
 
 
-def set_picture(design: SensorDesign, on: frozenset[str]) -> SensorDesign:
+def set_camera_effects(design: SensorDesign, on: frozenset[str]) -> SensorDesign:
     """The design as the renderer draws it: without the noise, blur or shading that is off. Sensing
     keeps its own."""
     camera = design.camera
@@ -172,11 +172,11 @@ class FixedLoad:
         self.displacements: Array = np.asarray(data.qpos)[qpos : qpos + count]
         self.forces: Array = np.asarray(data.qfrc_applied)[self.dofs]
 
-    def apply(self, pressure_gauge: float, stiffness: float, gradient: Array) -> None:
+    def apply(self, gauge_pressure: float, stiffness: float, gradient: Array) -> None:
         """Write the load, if it changed."""
-        if self._last != (pressure_gauge, id(gradient)):
-            self._last = (pressure_gauge, id(gradient))
-            self.forces[:] = pressure_gauge * gradient.ravel()
+        if self._last != (gauge_pressure, id(gradient)):
+            self._last = (gauge_pressure, id(gradient))
+            self.forces[:] = gauge_pressure * gradient.ravel()
 
     def suspend(self) -> None:
         """Take the load away; the vertices are held otherwise."""

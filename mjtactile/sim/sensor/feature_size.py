@@ -93,7 +93,7 @@ def smallest_feature(model: mujoco.MjModel, carrier: int = 0) -> tuple[float, st
     return min(found, default=(np.inf, ""))
 
 
-def filled_share(vertices: Array, faces: NDArray[np.int64]) -> float:
+def filled_fraction(vertices: Array, faces: NDArray[np.int64]) -> float:
     """Volume of a closed surface of triangles over that of its convex hull: what MuJoCo takes it
     for. 1 where it has none."""
     from scipy.spatial import ConvexHull, QhullError
@@ -114,7 +114,7 @@ def hull_flag(model: mujoco.MjModel, geom: int) -> str | None:
     mesh = model.mesh(number)
     vertices = int(mesh.vertadr[0])
     faces = int(mesh.faceadr[0])
-    share = filled_share(
+    share = filled_fraction(
         np.asarray(model.mesh_vert[vertices : vertices + model.mesh_vertnum[number]], float),
         model.mesh_face[faces : faces + model.mesh_facenum[number]].astype(np.int64),
     )

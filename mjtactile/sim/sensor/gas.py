@@ -43,7 +43,7 @@ class ChamberGas:
         self._has_ideal_valve = math.isinf(chamber.valve_conductance)
         self._ways: tuple[tuple[float, float], ...] = ()
         """Conductance and far pressure, Pa absolute, of every way that gas can take now."""
-        self._find_ways()
+        self._find_connections()
 
     @property
     def is_open(self) -> bool:
@@ -55,7 +55,7 @@ class ChamberGas:
         return self._supply_gauge
 
     @property
-    def pressure_gauge(self) -> float:
+    def gauge_pressure(self) -> float:
         """Pressure in the chamber at the last `advance`, Pa above ambient."""
         return self._pressure - self.ambient
 
@@ -87,7 +87,7 @@ class ChamberGas:
         """Whether the gas stays in and has one exponent: p V^gamma is all that there is to know."""
         if self._is_open or self._leak or self._warming:
             return False
-        return math.isinf(self._chamber.heat_exchange) or self._chamber.heat_ratio == 1
+        return math.isinf(self._chamber.heat_exchange) or self._chamber.polytropic_exponent == 1
 
     def open(self, supply_gauge: float) -> None:
         """Connect the chamber to a supply. Raises InputError when the pressure is not a possible
@@ -100,22 +100,22 @@ class ChamberGas:
             )
         self._supply_gauge = float(supply_gauge)
         self._is_open = True
-        self._find_ways()
+        self._find_connections()
 
     def close(self) -> None:
         """Trap the gas that is in the chamber now."""
         self._is_open = False
-        self._find_ways()
+        self._find_connections()
         self._fill()
 
-    def seal(self, volume: float, pressure_gauge: float) -> None:
-        """Close the valve on a chamber of `volume` m^3 that holds `pressure_gauge` Pa and is as
+    def seal(self, volume: float, gauge_pressure: float) -> None:
+        """Close the valve on a chamber of `volume` m^3 that holds `gauge_pressure` Pa and is as
         warm as its walls."""
         self._is_open = False
-        self._find_ways()
+        self._find_connections()
         self._volume = volume
         self._temperature = self._wall
-        self._pressure = pressure_gauge + self.ambient
+        self._pressure = gauge_pressure + self.ambient
         self._amount = self._pressure * volume / self._temperature
 
     def puncture(self, conductance: float) -> None:
@@ -129,7 +129,7 @@ class ChamberGas:
             )
         self._fill()
         self._leak = conductance
-        self._find_ways()
+        self._find_connections()
 
     def warm(self, rate: float) -> None:
         """From now on, gas and walls get warmer by `rate` K/s."""
@@ -172,19 +172,21 @@ class ChamberGas:
         """
         if self._is_ideally_open or self._volume <= 0:
             return 0.0
-        gamma = self._chamber.heat_ratio
+        gamma = self._chamber.polytropic_exponent
         pressure = self._pressure
         rate = 0.0
         for conductance, far in self._ways:  # at every step: a sum takes twice as long
             rate += gamma * conductance * max(pressure, far) / self._volume
-        kept_heat = _ramp_share(step / self._chamber.heat_exchange)
-        return pressure / self._volume * (1 + (gamma - 1) * kept_heat) * _ramp_share(rate * step)
+        stored_heat = _ramp_fraction(step / self._chamber.heat_exchange)
+        return (
+            pressure / self._volume * (1 + (gamma - 1) * stored_heat) * _ramp_fraction(rate * step)
+        )
 
     @property
     def _is_ideally_open(self) -> bool:
         return self._is_open and self._has_ideal_valve
 
-    def _find_ways(self) -> None:
+    def _find_connections(self) -> None:
         leak = [(self._leak, self.ambient)] if self._leak else []
         valve = (self._chamber.valve_conductance, self._supply_gauge + self.ambient)
         self._ways = (*leak, valve) if self._is_open and not self._has_ideal_valve else (*leak,)
@@ -198,10 +200,10 @@ class ChamberGas:
         """dT/dt = -(gamma - 1) T (dV/dt)/V + (T_wall - T)/tau, exact for a constant relative rate
         (Eq. G4)."""
         exchange = elapsed / self._chamber.heat_exchange
-        decay = (self._chamber.heat_ratio - 1) * math.log(volume / self._volume) + exchange
+        decay = (self._chamber.polytropic_exponent - 1) * math.log(volume / self._volume) + exchange
         self._temperature = self._temperature * math.exp(
             -decay
-        ) + self._wall * exchange * _ramp_share(decay)
+        ) + self._wall * exchange * _ramp_fraction(decay)
         self._volume = volume
 
     def _flow_all(self, elapsed: float) -> None:
@@ -211,7 +213,7 @@ class ChamberGas:
     def _flow(self, conductance: float, far: float, elapsed: float) -> None:
         """Move gas through an opening: amount and enthalpy, exact for a constant volume and small
         temperature changes (Eq. G5-G6)."""
-        gamma = self._chamber.heat_ratio
+        gamma = self._chamber.polytropic_exponent
         pressure = self._amount * self._temperature / self._volume
         source = self._wall if far > pressure else self._temperature
         rate = gamma * conductance * max(pressure, far) / self._volume
@@ -223,6 +225,6 @@ class ChamberGas:
         self._temperature = temperature
 
 
-def _ramp_share(x: float) -> float:
+def _ramp_fraction(x: float) -> float:
     """(1 - exp(-x)) / x: what is left of a ramp's effect after a decay of x time constants."""
     return -math.expm1(-x) / x if abs(x) > 1e-12 else 1.0

@@ -8,7 +8,7 @@ import numpy as np
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor import feature_size
 
-_MOST_POINTS = 300  # of a mesh
+_MAX_POINTS = 300  # of a mesh
 
 
 def core(model: mujoco.MjModel, geom: int, apart: float = np.inf) -> Array:
@@ -61,7 +61,7 @@ def _mesh(model: mujoco.MjModel, geom: int) -> Array:
     shares = np.linspace(0.125, 0.875, 7)[:, None, None]
     between = (1 - shares) * corners[edges[:, 0]] + shares * corners[edges[:, 1]]
     points = np.concatenate([corners, between.reshape(-1, 3)])
-    points = points[:: max(1, len(points) // _MOST_POINTS)]
+    points = points[:: max(1, len(points) // _MAX_POINTS)]
     away = np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1e-9)
     thin = feature_size.feature_radius(model, geom)
     return points * np.maximum(1 - thin / away, 0.0)

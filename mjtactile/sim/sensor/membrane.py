@@ -36,7 +36,7 @@ SOFTEST = 100.0  # N/m; below this stiffness the damping stays, for the gas's sa
 # Inertia against motion relative to the frame, kg/m^2, without weight: about three times the
 # rubber's own mass.
 SURFACE_ARMATURE = 0.8
-GAS_SHARE = 3.0  # pressure under a typical contact beyond the tension's, over the gas's
+GAS_FRACTION = 3.0  # pressure under a typical contact beyond the tension's, over the gas's
 # Contact of triangles: the share of the constraint that is rigid at first touch, and where it is
 # whole, and the depth between the two (MuJoCo `solimp`). Without the ramp a vertex that barely
 # touches is switched on and off from step to step; at 13 x 11 vertices that doubled the solver's
@@ -89,7 +89,7 @@ def _add_vertices(body: mujoco.MjsBody, sheet: Membrane, mesh: MembraneMesh) -> 
     vertex's body; those of the rim are the sensor's own."""
     names = [BODY] * len(mesh.p_SV)
     mass = mesh.areas * sheet.thickness * sheet.density / sheet.pre_stretch**2
-    damping = mesh.areas * SURFACE_DAMPING * sheet_stiffness(sheet)
+    damping = mesh.areas * SURFACE_DAMPING * membrane_stiffness(sheet)
     armature = mesh.areas * SURFACE_ARMATURE
     for v in mesh.interior:
         names[v] = f"v{v}"
@@ -158,15 +158,15 @@ def _add_contact_sphere(vertex: mujoco.MjsBody, name: str, radius: float, fricti
     )
 
 
-def sheet_stiffness(sheet: Membrane) -> float:
+def membrane_stiffness(sheet: Membrane) -> float:
     """N/m against stretching or, where pre-tension rules, against bulging; sets damping and contact
     stiffness."""
     return max(sheet.young * sheet.thickness, 10 * sheet.pretension, SOFTEST)
 
 
-def contact_pressure(sheet: Membrane, pressure_gauge: float) -> float:
+def contact_pressure(sheet: Membrane, gauge_pressure: float) -> float:
     """A typical pressure under a contact, Pa: tension over a radius of about 10 mm, and the gas."""
-    return sheet_stiffness(sheet) / 0.04 + GAS_SHARE * abs(pressure_gauge)
+    return membrane_stiffness(sheet) / 0.04 + GAS_FRACTION * abs(gauge_pressure)
 
 
 class ContactStiffness:
@@ -209,12 +209,12 @@ class ContactStiffness:
             model.geom_solref[vertex_geom_ids] = model.flex_solref[flex_id] = (time, 1.0)
         # kg/m^2
         inertia = SURFACE_ARMATURE + sheet.thickness * sheet.density / sheet.pre_stretch**2
-        slowed = 1 + step * SURFACE_DAMPING * sheet_stiffness(sheet) / inertia
+        slowed = 1 + step * SURFACE_DAMPING * membrane_stiffness(sheet) / inertia
         self._soft = share / (1 - share) * slowed * depth * spring / mesh.areas[mesh.interior]
 
-    def set_pressure(self, pressure_gauge: float) -> None:
+    def set_pressure(self, gauge_pressure: float) -> None:
         np.divide(
-            self._soft, self._sheet_pressure + GAS_SHARE * abs(pressure_gauge), out=self._weights
+            self._soft, self._sheet_pressure + GAS_FRACTION * abs(gauge_pressure), out=self._weights
         )
 
 

@@ -14,7 +14,7 @@ from mjtactile.core.bspline import interpolating
 from mjtactile.core.errors import InputError
 from mjtactile.core.outline import Outline
 from mjtactile.core.types import Array
-from mjtactile.quasistatic import Film
+from mjtactile.quasistatic import QuasistaticMembrane
 from mjtactile.quasistatic.interpolation import carried
 
 GRADING = 0.0
@@ -171,7 +171,7 @@ class MarkerInterpolator:
         return p_SM, normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
-def onto_mesh(film: Film, mesh: MembraneMesh) -> Array | None:
+def onto_mesh(film: QuasistaticMembrane, mesh: MembraneMesh) -> Array | None:
     """Displacements of a mesh's vertices by those of a film's nodes, (n, nodes); None: both are the
     same, as a rectangle's are."""
     if film.design.frame.outline is None:

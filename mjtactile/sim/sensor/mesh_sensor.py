@@ -13,7 +13,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.neo_hookean import Law, principal_stresses
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor import validity_checks
-from mjtactile.sim.sensor.base_sensor import SheetSensor, require
+from mjtactile.sim.sensor.base_sensor import BaseSensor, require
 from mjtactile.sim.sensor.contact_points import ContactPoints
 from mjtactile.sim.sensor.curvature_standoff import StandOff
 from mjtactile.sim.sensor.effect_switches import PHYSICS, make_geometry, make_load
@@ -22,16 +22,16 @@ from mjtactile.sim.sensor.mesh import MembraneMesh
 from mjtactile.sim.sensor.neo_hookean_flex import Rubber, all_rows
 from mjtactile.sim.sensor.sharp_geoms import missed
 from mjtactile.sim.sensor.sleep import Sleeper
-from mjtactile.sim.sensor.spin_damping_correction import Turning
+from mjtactile.sim.sensor.spin_damping_correction import SpinCorrection
 from mjtactile.sim.sensor.stiction import Stiction
 from mjtactile.sim.sensor.stress_relaxation import RelaxingMesh
-from mjtactile.sim.sensor.thin_object_margin import Approach, refuse_thin
+from mjtactile.sim.sensor.thin_object_margin import ThinObjectMargin, refuse_thin
 
 GLASS_MARGIN = 0.02
 """Share of the chamber's depth in front of the glass that the membrane may not enter."""
 
 
-class TactileSensor(SheetSensor):
+class TactileSensor(BaseSensor):
     """Run time of one sensor whose sheet is a mesh in the model."""
 
     def __init__(
@@ -85,7 +85,7 @@ class TactileSensor(SheetSensor):
         # a live view
         self._margins = model.geom_margin[vertices[0] : vertices[-1] + 1]
         self._stand_off = StandOff(model, data, vertices, mesh)
-        self._approach: Approach | None = None
+        self._approach: ThinObjectMargin | None = None
         self._points: ContactPoints | None = None
         self._stiction: Stiction | None = None
         if on_vertices:
@@ -93,7 +93,7 @@ class TactileSensor(SheetSensor):
             self._points = ContactPoints(model, data, vertices, self.body_id, mesh, stiffness)
             self._stiction = Stiction(model, data, vertices, self.body_id)
         else:
-            self._approach = Approach(model, data, self.body_id, self.flex_id, mesh)
+            self._approach = ThinObjectMargin(model, data, self.body_id, self.flex_id, mesh)
 
     def _make_sheet(
         self, model: mujoco.MjModel, data: mujoco.MjData, effects: frozenset[str]
@@ -105,7 +105,7 @@ class TactileSensor(SheetSensor):
         if design.membrane.law is Law.NEO_HOOKEAN:
             self._rubber = Rubber(model, self.flex_id, mesh, design.membrane)
         self._relaxing = _relaxing(design, mesh)
-        self._turning = Turning(model, data, self.body_id, self.flex_id, mesh)
+        self._turning = SpinCorrection(model, data, self.body_id, self.flex_id, mesh)
         self._tendon = make_load(model, data, mesh, self.prefix, effects)
         if self._relaxing and self._rubber:
             rows = all_rows(model, self.flex_id)
@@ -174,7 +174,7 @@ class TactileSensor(SheetSensor):
         elapsed = time - self._time
         self._gas.advance(self._volume, elapsed)
         self._time = time
-        pressure = self._gas.pressure_gauge
+        pressure = self._gas.gauge_pressure
         if self._relaxing:
             self._tendon.resume()  # its forces are written anew, for others are added to them
         self._tendon.apply(pressure, self._gas.stiffness(self._timestep), gradient)
@@ -265,16 +265,16 @@ class TactileSensor(SheetSensor):
 
     @property
     def gas_time(self) -> float:
-        """When `pressure_gauge` was so, s."""
+        """When `gauge_pressure` was so, s."""
         return self.time if self.is_asleep else self._time
 
-    def inflate(self, displacements: Array, pressure_gauge: float) -> None:
+    def inflate(self, displacements: Array, gauge_pressure: float) -> None:
         """Put the vertices at `displacements` (3 k,) m in S, at rest, and seal the chamber at
-        `pressure_gauge` Pa: the state that another run time of this sensor has settled in."""
+        `gauge_pressure` Pa: the state that another run time of this sensor has settled in."""
         self.wake()
         self._tendon.displacements[:] = displacements
         self._data.qvel[self._tendon.dofs] = 0.0
-        self._gas.seal(self._geometry.volume_and_gradient(self.p_SV)[0], pressure_gauge)
+        self._gas.seal(self._geometry.volume_and_gradient(self.p_SV)[0], gauge_pressure)
         self._time = self.time
         if self._relaxing:
             self._relaxing.settle(self.p_SV)
@@ -282,7 +282,7 @@ class TactileSensor(SheetSensor):
 
     def flags(self) -> validity_checks.Flags:
         """What makes the present numbers less good than they look; empty when nothing does."""
-        return validity_checks.sheet_flags(self.design, self.pressure_gauge, *self.stretches())
+        return validity_checks.membrane_flags(self.design, self.gauge_pressure, *self.stretches())
 
     def failure(self) -> str | None:
         """Say why this sensor's state is outside what the model describes, or None."""
@@ -300,7 +300,7 @@ class TactileSensor(SheetSensor):
             return empty
         reach = 2 * max(self.design.frame.length, self.design.frame.width)
         if most > reach:
-            pressure = self.pressure_gauge
+            pressure = self.gauge_pressure
             bursts = self.design.membrane.law is Law.NEO_HOOKEAN and np.isnan(
                 analytical_solutions.bulge_height(self.design, pressure)
             )

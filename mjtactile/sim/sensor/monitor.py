@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mjtactile.core import geometry
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor import contact_loads, feature_size, validity_checks
-from mjtactile.sim.sensor.quasistatic_sensor import FilmSensor
+from mjtactile.sim.sensor.quasistatic_sensor import QuasistaticSensor
 from mjtactile.sim.sensor.sensor_types import AnySensor
 from mjtactile.sim.sensor.tunneling_check import CorePoints
 from mjtactile.sim.sensor.validity_checks import Flags
@@ -23,8 +23,8 @@ _SUNK = 0.5  # share of the indentation at which a force means nothing
 _FAST = 0.5  # of its own size in a step
 _FRAMED = 0.2  # N on the frame for five looks
 _NEAR = 0.05  # m from the membrane's middle
-_LEAST_INDENTATION = 3e-4  # m; below it, shares of the indentation say nothing
-_RARELY_OF_FILMS = 20  # looks, of 0.1 s
+_MIN_INDENTATION = 3e-4  # m; below it, shares of the indentation say nothing
+_QS_RARE_PERIOD = 20  # looks, of 0.1 s
 # looks: stretch and wrinkles come and go no faster than pressure does; speed is watched in every
 # step, too
 _RARELY = 5
@@ -49,7 +49,9 @@ class SceneMonitor:
             for own, sensor in zip(self._felt, sensors, strict=True)
         ]
         self._any_thin = any(map(len, self._thin))
-        self.only_films = bool(sensors) and all(isinstance(one, FilmSensor) for one in sensors)
+        self.only_quasistatic = bool(sensors) and all(
+            isinstance(one, QuasistaticSensor) for one in sensors
+        )
         self._cores = [
             CorePoints(model, self._geoms[own], sensor.mesh, sensor.contact)
             for own, sensor in zip(self._felt, sensors, strict=True)
@@ -72,7 +74,7 @@ class SceneMonitor:
         self._rest = [sensor.heights for sensor in sensors]
         self._deep = np.zeros((len(sensors), 5))  # shares at the last looks
         self._framed = [deque([0.0] * 5, 5) for _ in sensors]  # N at the last looks
-        self._most_framed = 0.0  # N that lasted
+        self._max_frame_area = 0.0  # N that lasted
         self._looks = -1
         self._places = self._geoms_in(sensors)
         self._hulls: dict[int, str | None] = {}  # of those of `_geoms` that have touched
@@ -80,7 +82,7 @@ class SceneMonitor:
     @property
     def needs_every_step(self) -> bool:
         """Whether something is so thin that every step must be looked at."""
-        return self._any_thin and not self.only_films
+        return self._any_thin and not self.only_quasistatic
 
     @property
     def speeds(self) -> tuple[NDArray[np.int64], Array]:
@@ -93,7 +95,7 @@ class SceneMonitor:
         flags: Flags = {}
         for sensor in self._sensors:
             flags |= validity_checks.design_flags(sensor.design, sensor.mesh.nx, sensor.mesh.ny)
-            if isinstance(sensor, FilmSensor) or sensor.contact != "vertices":
+            if isinstance(sensor, QuasistaticSensor) or sensor.contact != "vertices":
                 continue
             radius, name = sensor.missed
             if np.isfinite(radius):
@@ -111,7 +113,7 @@ class SceneMonitor:
         if all(sensor.is_asleep for sensor in self._sensors):
             return flags, stop
         self._looks += 1
-        if self.only_films and self._looks % _RARELY_OF_FILMS:  # which see what goes through
+        if self.only_quasistatic and self._looks % _QS_RARE_PERIOD:  # which see what goes through
             for number in range(len(self._sensors)):
                 flags |= self._frame(number)
             return flags, stop
@@ -192,7 +194,7 @@ class SceneMonitor:
         depth = max(float(self._sensors[number].penetrations(rows).max()), 0.0)
         self._deep[number] = [
             *self._deep[number, 1:],
-            depth / max(indentation + depth, _LEAST_INDENTATION),
+            depth / max(indentation + depth, _MIN_INDENTATION),
         ]
         return float(self._deep[number].min())
 
@@ -202,9 +204,9 @@ class SceneMonitor:
         load = contact_loads.frame_load(self._data, self._sensors[number])
         self._framed[number].append(load)
         lasting = min(self._framed[number])
-        if lasting < _FRAMED or lasting <= self._most_framed:
+        if lasting < _FRAMED or lasting <= self._max_frame_area:
             return {}
-        self._most_framed = lasting
+        self._max_frame_area = lasting
         return {
             "frame": f"the frame of sensor {self._sensors[number].prefix!r} carries {lasting:.1f} "
             "N, which touch does not tell: the camera sees the membrane alone"

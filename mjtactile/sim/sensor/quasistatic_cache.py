@@ -8,10 +8,10 @@ from functools import lru_cache
 import mujoco
 
 from mjtactile.core.design import SensorDesign
-from mjtactile.quasistatic import Film
-from mjtactile.quasistatic.incremental import LiveFilm, Sticking, empty_rows
+from mjtactile.quasistatic import QuasistaticMembrane
+from mjtactile.quasistatic.incremental import IncrementalMembrane, Sticking, empty_rows
 
-FILM_GRID = (21, 16)
+QS_GRID = (21, 16)
 FEELER = "feeler"
 _TOLERANCE = 2  # place of it in a film's settings
 _CLOSE = 1e-9  # m
@@ -32,13 +32,13 @@ def add_feeler(body: mujoco.MjsBody, design: SensorDesign) -> None:
 
 
 @lru_cache(maxsize=64)
-def film_of(design: SensorDesign, grid: tuple[int, int]) -> Film:
+def film_of(design: SensorDesign, grid: tuple[int, int]) -> QuasistaticMembrane:
     """The film of a sensor, made once a process and shared: nothing in it changes."""
-    return Film(design, grid)
+    return QuasistaticMembrane(design, grid)
 
 
 @lru_cache(maxsize=64)
-def sticking_of(film: Film) -> Sticking:
+def sticking_of(film: QuasistaticMembrane) -> Sticking:
     """The film's sheet in the plane, inverted once a process."""
     sticking = Sticking(film)
     sticking.compliance.flags.writeable = False
@@ -46,11 +46,11 @@ def sticking_of(film: Film) -> Sticking:
 
 
 @lru_cache(maxsize=64)
-def bulge_stiffness(film: Film) -> float:
+def bulge_stiffness(film: QuasistaticMembrane) -> float:
     """dp/dV, Pa/m^3, of the bulge about its rest."""
-    step = 0.05 * film.pressure_gauge
-    live = LiveFilm(film, empty_rows(0), None)
+    step = 0.05 * film.gauge_pressure
+    live = IncrementalMembrane(film, empty_rows(0), None)
     live.x[:] = film.rest.x
     live.settings[_TOLERANCE] = _CLOSE
-    live.rest_on(film.pressure_gauge + step, False, 1.0)
+    live.rest_on(film.gauge_pressure + step, False, 1.0)
     return step / (live.volume - film.rest.volume)

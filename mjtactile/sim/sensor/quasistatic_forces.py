@@ -21,7 +21,7 @@ HOLD = 43
 """Numbers that say how a free body is held: its joint, stiffness (6, 6) and velocity (6,)."""
 
 
-class Pushes:
+class QuasistaticForces:
     """What all films of one `data` add; made by `pushes_of`."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData):
@@ -86,12 +86,12 @@ class Pushes:
         )
 
 
-_known: weakref.WeakValueDictionary[int, Pushes] = weakref.WeakValueDictionary()
+_known: weakref.WeakValueDictionary[int, QuasistaticForces] = weakref.WeakValueDictionary()
 
 
-def pushes_of(model: mujoco.MjModel, data: mujoco.MjData) -> Pushes:
-    """The one `Pushes` of `data`, which lives as long as somebody keeps it."""
+def pushes_of(model: mujoco.MjModel, data: mujoco.MjData) -> QuasistaticForces:
+    """The one `QuasistaticForces` of `data`, which lives as long as somebody keeps it."""
     found = _known.get(id(data))
     if found is None or found._data is not data:
-        found = _known[id(data)] = Pushes(model, data)
+        found = _known[id(data)] = QuasistaticForces(model, data)
     return found

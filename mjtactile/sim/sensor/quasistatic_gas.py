@@ -1,4 +1,4 @@
-"""`FilmGas`: a chamber's gas, as the film over it feels it.
+"""`QuasistaticGas`: a chamber's gas, as the film over it feels it.
 
 Gas that stays in is p V^exponent to the film, whatever its volume does within a step. What flows,
 leaks or warms is told to the film once of each moment: so that the film is the same however often
@@ -10,23 +10,23 @@ from __future__ import annotations
 import math
 
 from mjtactile.core.types import Array
-from mjtactile.quasistatic import FilmStatus
-from mjtactile.quasistatic.incremental import HEAT_RATIO, LiveFilm
+from mjtactile.quasistatic import MembraneStatus
+from mjtactile.quasistatic.incremental import HEAT_RATIO, IncrementalMembrane
 from mjtactile.sim.sensor.gas import ChamberGas
-from mjtactile.sim.sensor.quasistatic_state import FilmMemory
+from mjtactile.sim.sensor.quasistatic_state import QuasistaticState
 
 _FLAT = 1.0  # Pa, below which the sheet lies flat
 _SEALED = 1  # place of it in a film's settings
 
 
-class FilmGas:
+class QuasistaticGas:
     """Gas and film of one sensor. SI units."""
 
     def __init__(
         self,
         gas: ChamberGas,
-        live: LiveFilm,
-        memory: FilmMemory,
+        live: IncrementalMembrane,
+        memory: QuasistaticState,
         stiffness: Array,
         timestep: float,
         time: float,
@@ -42,9 +42,9 @@ class FilmGas:
         # what the gas was last advanced to
         self._volume = self._flat_volume
         self._time = time
-        self._told_at = math.nan
+        self._reported_at = math.nan
         """s, when the film was last told what its gas does."""
-        self._found_at: tuple[float, float] | None = None
+        self._detected_at: tuple[float, float] | None = None
         """s and m^3, of what `at` last found."""
         self._found = gas
         gas.advance(self._volume, 0.0)
@@ -54,31 +54,31 @@ class FilmGas:
         """m^3, at the film's last look."""
         return self._flat_volume + self._live.volume
 
-    def pressure_gauge(self, time: float) -> float:
+    def gauge_pressure(self, time: float) -> float:
         """Pa, at the film's last look."""
         if self._gas.is_sealed and self._is_sealed:
-            return self._live.pressure_gauge  # the film rests on p V^gamma
-        return self.at(time).pressure_gauge
+            return self._live.gauge_pressure  # the film rests on p V^gamma
+        return self.at(time).gauge_pressure
 
     def at(self, time: float) -> ChamberGas:
         """The gas at the film's present volume; to look at, for what looks changes nothing."""
         moment = time, self.volume
-        if self._found_at != moment:
-            self._found_at = moment
+        if self._detected_at != moment:
+            self._detected_at = moment
             self._found = self._gas.at(self.volume, time - self._time)
         return self._found
 
     def wake(self) -> None:
         """See the gas anew: its valve or its leak is another."""
-        self._told_at = math.nan
-        self._found_at = None
+        self._reported_at = math.nan
+        self._detected_at = None
 
     def breathe(self, time: float) -> None:
         """Take the gas to the film's present volume."""
         self._volume = self.volume
         self._gas.advance(self._volume, time - self._time)
         self._time = time
-        self._found_at = None
+        self._detected_at = None
 
     def tell(self, time: float) -> None:
         """Tell the film what its gas does from now on."""
@@ -86,10 +86,10 @@ class FilmGas:
             if not self._is_sealed:
                 self.breathe(time)
                 self._seal()
-        elif self._told_at != time:
+        elif self._reported_at != time:
             self.breathe(time)
             self._let_flow()
-            self._told_at = time
+            self._reported_at = time
 
     def hold(self, time: float) -> bool:
         """Take the gas as sealed for some steps: what leaks or warms does so slowly.
@@ -108,10 +108,10 @@ class FilmGas:
         """See to it that the film is told of a valve that has closed."""
         self._live.settings[_SEALED] = 0.0
 
-    def trap(self, pressure_gauge: float, time: float) -> None:
-        """Be sealed at `pressure_gauge` Pa in the film's present volume."""
+    def trap(self, gauge_pressure: float, time: float) -> None:
+        """Be sealed at `gauge_pressure` Pa in the film's present volume."""
         self._volume = self.volume
-        self._gas.seal(self._volume, pressure_gauge)
+        self._gas.seal(self._volume, gauge_pressure)
         self._time = time
         self.wake()
 
@@ -124,7 +124,7 @@ class FilmGas:
         """From now on the gas stays in."""
         gas = self._gas
         stiffness = gas.stiffness(self._timestep)
-        absolute = gas.pressure_gauge + gas.ambient
+        absolute = gas.gauge_pressure + gas.ambient
         exponent = stiffness * self._volume / absolute
         self._stiffness[0] = stiffness
         self._live.numbers[HEAT_RATIO] = exponent
@@ -137,13 +137,13 @@ class FilmGas:
         if gas.stiffness(self._timestep) > 0:
             self._seal()
             return
-        pressure = gas.supply_gauge if gas.is_open else gas.pressure_gauge
+        pressure = gas.supply_gauge if gas.is_open else gas.gauge_pressure
         self._stiffness[0] = 0.0
         if not self._is_sealed and live.settings[0] == pressure:
             return
         if abs(pressure) < _FLAT and not self._memory.is_touched:
             live.lie_flat()
             self._memory.rest_at(pressure)
-        elif live.go_to_pressure(pressure) != FilmStatus.CONVERGED:
+        elif live.go_to_pressure(pressure) != MembraneStatus.CONVERGED:
             self._memory.lose()
         live.settings[:2] = pressure, 0.0

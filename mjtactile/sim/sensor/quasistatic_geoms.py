@@ -22,7 +22,7 @@ _KINDS = {
 }
 
 
-class FeltGeoms:
+class ContactGeoms:
     """The geoms that a film may feel, as rows of bodies in its sensor's frame.
 
     Attributes:

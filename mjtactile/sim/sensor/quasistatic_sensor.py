@@ -1,5 +1,5 @@
-"""`FilmSensor`: one attached sensor whose sheet is a film and no part of MuJoCo's model. It serves
-as `TactileSensor` does: call `update` before every `mj_step`; read markers and pressure.
+"""`QuasistaticSensor`: one attached sensor whose sheet is a film and no part of MuJoCo's model. It
+serves as `TactileSensor` does: call `update` before every `mj_step`; read markers and pressure.
 
 The film lies on the bodies where they are (`mjtactile.quasistatic`), sticks to them and slides by
 Coulomb's law, and pushes them and its own frame with what it bears. It has no mass and no damping:
@@ -18,18 +18,18 @@ from numpy.typing import NDArray
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
 from mjtactile.kernels import bound, words
-from mjtactile.quasistatic import FilmStatus
-from mjtactile.quasistatic.incremental import LiveFilm
+from mjtactile.quasistatic import MembraneStatus
+from mjtactile.quasistatic.incremental import IncrementalMembrane
 from mjtactile.sim.sensor import validity_checks
-from mjtactile.sim.sensor.base_sensor import SheetSensor
+from mjtactile.sim.sensor.base_sensor import BaseSensor
 from mjtactile.sim.sensor.effect_switches import Effect
 from mjtactile.sim.sensor.gas import ChamberGas
 from mjtactile.sim.sensor.mesh import MembraneMesh, onto_mesh
 from mjtactile.sim.sensor.quasistatic_cache import FEELER, bulge_stiffness, film_of, sticking_of
 from mjtactile.sim.sensor.quasistatic_forces import HOLD, pushes_of
-from mjtactile.sim.sensor.quasistatic_gas import FilmGas
-from mjtactile.sim.sensor.quasistatic_geoms import FeltGeoms
-from mjtactile.sim.sensor.quasistatic_state import FilmMemory
+from mjtactile.sim.sensor.quasistatic_gas import QuasistaticGas
+from mjtactile.sim.sensor.quasistatic_geoms import ContactGeoms
+from mjtactile.sim.sensor.quasistatic_state import QuasistaticState
 
 _PATIENCE = 25  # steps without a solution in a row
 _LATE = 2  # such steps that are not worth a word
@@ -39,7 +39,7 @@ _GAS = 2
 _TIME = 6
 
 
-class FilmSensor(SheetSensor):
+class QuasistaticSensor(BaseSensor):
     """Run time of one sensor without a mesh; it has the properties of `TactileSensor`."""
 
     contact = "film"
@@ -64,10 +64,12 @@ class FilmSensor(SheetSensor):
         top = float(film.rest.x[2].max())
         half = math.hypot(design.frame.length, design.frame.width) / 2
         reach = math.hypot(half, top) + 1e-3
-        self._geoms = FeltGeoms(model, self.body_id, reach)
-        self._live = LiveFilm(film, self._geoms.rows, self._geoms.pool, design.membrane.thickness)
+        self._geoms = ContactGeoms(model, self.body_id, reach)
+        self._live = IncrementalMembrane(
+            film, self._geoms.rows, self._geoms.pool, design.membrane.thickness
+        )
         self._sticking = sticking_of(film)
-        self._given = np.array(  # as `Given` of kernels/qs_friction.h has it
+        self._given = np.array(  # as `PredictionReport` of kernels/qs_friction.h has it
             [
                 design.membrane.friction if Effect.FRICTION in effects else 0.0,
                 bulge_stiffness(film),
@@ -79,7 +81,7 @@ class FilmSensor(SheetSensor):
                 reach,
             ]
         )
-        self._memory = FilmMemory()
+        self._memory = QuasistaticState()
         self._touched = np.zeros((2, *film.grid), np.uint8)
         self._before = np.zeros((6, *film.grid))
         self._pushes = pushes_of(model, data)
@@ -89,7 +91,7 @@ class FilmSensor(SheetSensor):
         self._pushing = np.zeros(1, np.int64)  # whether it did at the last look
         self._bind()
         stiffness = self._given[_GAS : _GAS + 1]
-        self._film_gas = FilmGas(
+        self._qs_gas = QuasistaticGas(
             self._gas, self._live, self._memory, stiffness, self._timestep, self.time
         )
         self._look()
@@ -149,12 +151,12 @@ class FilmSensor(SheetSensor):
 
     def _come_to_now(self) -> None:
         self._look()
-        self._film_gas.breathe(self.time)
+        self._qs_gas.breathe(self.time)
         self.wake()
 
     def wake(self) -> None:
         """See the gas anew: its valve or its leak is another."""
-        self._film_gas.wake()
+        self._qs_gas.wake()
 
     def _look(self) -> None:
         """Bring film, gas and what sticks up to the present poses; of one moment the first look
@@ -162,23 +164,23 @@ class FilmSensor(SheetSensor):
         data = self._data
         mujoco.mj_kinematics(self._model, data)
         self._given[_TIME] = data.time
-        self._film_gas.tell(self.time)
+        self._qs_gas.tell(self.time)
         self._follow()
 
     # -- the chamber
 
     def _gas_now(self) -> ChamberGas:
-        return self._film_gas.at(self.time)
+        return self._qs_gas.at(self.time)
 
     @property
-    def pressure_gauge(self) -> float:
+    def gauge_pressure(self) -> float:
         """Gauge pressure in the chamber, Pa, at the last look."""
-        return self._film_gas.pressure_gauge(self.time)
+        return self._qs_gas.gauge_pressure(self.time)
 
     @property
     def volume(self) -> float:
         """Gas volume, m^3, at the last look."""
-        return self._film_gas.volume
+        return self._qs_gas.volume
 
     @property
     def gas_time(self) -> float:
@@ -187,16 +189,16 @@ class FilmSensor(SheetSensor):
     def close_valve(self) -> None:
         """Trap the gas that is in the chamber now."""
         super().close_valve()
-        self._film_gas.close()
+        self._qs_gas.close()
 
-    def inflate(self, displacements: Array, pressure_gauge: float) -> None:
-        """Be at rest with these displacements (3 k,) m, sealed at `pressure_gauge` Pa."""
+    def inflate(self, displacements: Array, gauge_pressure: float) -> None:
+        """Be at rest with these displacements (3 k,) m, sealed at `gauge_pressure` Pa."""
         live = self._live
         live.lie_flat()
         live.x.reshape(3, -1)[:, self.mesh.interior] = displacements.reshape(-1, 3).T
-        live.rest_on(pressure_gauge, False, 1.0)
+        live.rest_on(gauge_pressure, False, 1.0)
         self._memory.forget()
-        self._film_gas.trap(pressure_gauge, self.time)
+        self._qs_gas.trap(gauge_pressure, self.time)
         self._look()
 
     # -- for a kernel that goes on by itself (`film_stepper`)
@@ -207,17 +209,17 @@ class FilmSensor(SheetSensor):
         Returns:
             Whether that can be: not while the valve is open.
         """
-        return self._film_gas.hold(self.time)
+        return self._qs_gas.hold(self.time)
 
-    def follow_words(self) -> Array:
+    def follow_message(self) -> Array:
         """(34,) What `film_follow` is called with, and where it says whether it pushed."""
         return np.append(words(self._follow), self._pushing.ctypes.data)
 
-    def push_words(self) -> Array:
+    def push_message(self) -> Array:
         """(19,) What `film_push` is called with, and where its two results go."""
         return np.concatenate([words(self._find_push), self._pushes.addresses(self._number)])
 
-    def add_words(self) -> Array:
+    def add_messages(self) -> Array:
         """(12,) What `film_add` is called with."""
         return self._pushes.words()
 
@@ -351,21 +353,21 @@ class FilmSensor(SheetSensor):
             flags["film"] = f"the film found no rest for {lost} steps: {self._reason()}"
         if self._memory.near:
             narrow = self._live.doubt() if self.is_touched else 0.0
-            flags |= validity_checks.film_flags(self._live.below_rim(), narrow)
+            flags |= validity_checks.quasistatic_flags(self._live.below_rim(), narrow)
         if self._memory.near > 1:
             flags["bodies"] = (
                 "several bodies are near one film, which takes all that touches it for one of "
                 "them; leave the sheet on"
             )
-        return flags | validity_checks.sheet_flags(
-            self.design, self.pressure_gauge, *self.stretches()
+        return flags | validity_checks.membrane_flags(
+            self.design, self.gauge_pressure, *self.stretches()
         )
 
     def failure(self) -> str | None:
         """Say why this sensor's state is outside what the film describes, or None."""
         lost = self._memory.lost
         if lost:
-            pushed = self._memory.status == FilmStatus.ON_THE_GLASS
+            pushed = self._memory.status == MembraneStatus.GLASS_CONTACT
             if pushed or lost >= _PATIENCE:
                 return f"sensor {self.prefix!r}: {self._reason()}; leave the sheet on"
         return self._empty()
@@ -375,13 +377,11 @@ class FilmSensor(SheetSensor):
 
 
 _REASONS = {
-    FilmStatus.NOT_CONVERGED: "the film does not come to rest on what touches it",
-    FilmStatus.AT_THE_RIM: "something presses below the frame's rim",
-    FilmStatus.ON_THE_GLASS: "the membrane is pushed against the glass",
-    FilmStatus.INSIDE_OUT: "what touches is steeper than a film can follow",
-    FilmStatus.BROKEN_DOWN: "what touches is more than a film can follow",
-    FilmStatus.GOES_THROUGH: (
-        "what touches is so thin that it goes through between the film's nodes"
-    ),
-    FilmStatus.OVERSTRETCHED: "the sheet is stretched beyond what its rubber's law is known for",
+    MembraneStatus.NOT_CONVERGED: "the membrane finds no equilibrium on the objects that touch it",
+    MembraneStatus.RIM_CONTACT: "an object presses below the rim of the frame",
+    MembraneStatus.GLASS_CONTACT: "an object presses the membrane against the glass",
+    MembraneStatus.INVERTED: "an object is too steep for the quasi-static membrane",
+    MembraneStatus.NUMERICAL_FAILURE: "the solution is not finite for the objects that touch",
+    MembraneStatus.TUNNELLING: "an object is so thin that it passes between the nodes",
+    MembraneStatus.OVERSTRETCHED: "the stretch exceeds the range of the material model",
 }

@@ -1,11 +1,11 @@
-"""`FilmMemory`: what a film's kernel remembers from look to look, by name."""
+"""`QuasistaticState`: what a film's kernel remembers from look to look, by name."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.quasistatic import FilmStatus
+from mjtactile.quasistatic import MembraneStatus
 
 # places, as kernels/qs_friction.h has them
 _COUNT = 69
@@ -22,7 +22,7 @@ _SOLVED_GAS = slice(57, 59)
 _SLID = 66
 
 
-class FilmMemory:
+class QuasistaticState:
     """One film's. SI units, frame S.
 
     Attributes:
@@ -78,9 +78,9 @@ class FilmMemory:
         return float(self.numbers[_SLID])
 
     @property
-    def status(self) -> FilmStatus:
+    def status(self) -> MembraneStatus:
         """How the last solution ended."""
-        return FilmStatus(int(self.numbers[_STATUS]))
+        return MembraneStatus(int(self.numbers[_STATUS]))
 
     @property
     def lost(self) -> int:
@@ -91,6 +91,6 @@ class FilmMemory:
         """Count one more step without a solution."""
         self.numbers[_LOST] += 1
 
-    def rest_at(self, pressure_gauge: float) -> None:
+    def rest_at(self, gauge_pressure: float) -> None:
         """Take the film as solved for, at a pressure, Pa, that is held."""
-        self.numbers[_SOLVED_GAS] = pressure_gauge, 0.0
+        self.numbers[_SOLVED_GAS] = gauge_pressure, 0.0

@@ -14,7 +14,7 @@ import numpy as np
 
 from mjtactile.core.types import Array
 
-MOST_FACES = 400
+MAX_FACES = 400
 """Of a mesh's hull; one with more is smooth where a membrane's vertices are apart, or too dear."""
 MISSED = np.inf
 _TINY = 1e-12
@@ -30,7 +30,7 @@ the lines to where they enter the geom, `MISSED` where they do not."""
 
 def entry_of(model: mujoco.MjModel, geom: int, most: int | None = None) -> Entry | None:
     """How lines enter a geom, or None for a kind that is not known (a plane, a height field) or a
-    hull of more than `most` faces (None: `MOST_FACES`)."""
+    hull of more than `most` faces (None: `MAX_FACES`)."""
     kind = int(model.geom_type[geom])
     size = np.asarray(model.geom_size[geom], float).copy()
     if kind == _BOX:
@@ -42,7 +42,7 @@ def entry_of(model: mujoco.MjModel, geom: int, most: int | None = None) -> Entry
     if kind == _CAPSULE:
         return _capsule(size[0], size[1])
     if kind == _MESH and model.geom_dataid[geom] >= 0:
-        return _hull(model, int(model.geom_dataid[geom]), MOST_FACES if most is None else most)
+        return _hull(model, int(model.geom_dataid[geom]), MAX_FACES if most is None else most)
     return None
 
 

@@ -21,7 +21,7 @@ KINDS = tuple(
     )
 )
 """Geoms that have edges."""
-_MOST_FACES = 4000  # of the hull of something thin
+_MAX_FACES = 4000  # of the hull of something thin
 _APART = 0.15  # cells between points inside of what is thin
 
 
@@ -47,7 +47,7 @@ def missed(model: mujoco.MjModel, carrier: int, mesh: MembraneMesh) -> tuple[flo
     for geom in map(int, feature_size.touching_geoms(model, carrier)):
         if (
             _is_thin(model, geom, mesh)
-            and ray_intersection.entry_of(model, geom, _MOST_FACES) is None
+            and ray_intersection.entry_of(model, geom, _MAX_FACES) is None
         ):
             found.append(
                 (feature_size.feature_radius(model, geom), feature_size.name_of(model, geom))
@@ -63,7 +63,7 @@ def sharp_geoms(model: mujoco.MjModel, carrier: int, mesh: MembraneMesh, cell: f
         if not _is_sharp(model, geom, mesh):
             continue
         is_thin = _is_thin(model, geom, mesh)
-        entry = ray_intersection.entry_of(model, geom, _MOST_FACES if is_thin else None)
+        entry = ray_intersection.entry_of(model, geom, _MAX_FACES if is_thin else None)
         if entry is None:
             continue
         found.shapes[geom] = entry

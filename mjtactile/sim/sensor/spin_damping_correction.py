@@ -20,7 +20,7 @@ from mjtactile.sim.sensor.neo_hookean_flex import EdgeMatrices, stiffness_rows
 _SLOW = 1e-4  # rad/s; below, nothing is given back
 
 
-class Turning:
+class SpinCorrection:
     """Gives back the braking torque of one sensor, as an external torque on its body
     (`xfrc_applied`)."""
 

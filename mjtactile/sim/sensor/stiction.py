@@ -24,8 +24,8 @@ from mjtactile.sim.sensor.contact_list import listed
 
 # Shares of a step's error that are mended in the next step. Half as much is half as fast; twice as
 # much rings.
-_GIVE_SHARE = 0.3
-_SHIFT_SHARE = 0.2
+_GIVE_FRACTION = 0.3
+_SHIFT_FRACTION = 0.2
 _KEPT = 0.5  # of a shift that is still to be mended when the contact slides on
 # How far, as a share of the force along the normal, friction may aim beyond its cone, times the
 # coefficient: at 1 the solver lifts a sliding vertex out of contact (its cone is convex: sliding
@@ -86,7 +86,7 @@ class Stiction:
             data.xmat[body_id],
             self._first,
             self._count,
-            np.array([self._step, _SHIFT_SHARE, _KEPT, _EXCESS, _ON_CONE]),
+            np.array([self._step, _SHIFT_FRACTION, _KEPT, _EXCESS, _ON_CONE]),
             self._goal,
             self._memory,
             self._slides,
@@ -132,7 +132,7 @@ class Stiction:
         )
         if not found:
             return False
-        self._give += _GIVE_SHARE * (self._goal - self._give)
+        self._give += _GIVE_FRACTION * (self._goal - self._give)
         self._surface[:] = self._belt
         return True
 

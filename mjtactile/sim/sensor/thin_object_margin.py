@@ -26,7 +26,7 @@ _PRIMITIVES = (int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_CAPSULE
 _CORE = 1e-6  # m, half the thickness of the triangles themselves
 
 
-class Approach:
+class ThinObjectMargin:
     """The contact margin of one sensor's triangles. Call `update` before every step."""
 
     def __init__(

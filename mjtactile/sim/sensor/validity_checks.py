@@ -83,14 +83,14 @@ def design_flags(design: SensorDesign, nx: int, ny: int) -> Flags:
     return flags
 
 
-def sheet_flags(
-    design: SensorDesign, pressure_gauge: float, stretches: Array, areas: Array
+def membrane_flags(
+    design: SensorDesign, gauge_pressure: float, stretches: Array, areas: Array
 ) -> Flags:
     """What makes the present state of the sheet less good than it looks: stretch, compression.
 
     Args:
         design: The sensor.
-        pressure_gauge: Of its chamber, Pa.
+        gauge_pressure: Of its chamber, Pa.
         stretches: Principal stretches (m, 2), small and large, of the triangles against the free
             sheet.
         areas: Their areas (m,) m^2.
@@ -100,14 +100,14 @@ def sheet_flags(
     ninth = (9 * len(stretches)) // 10  # a few triangles at an edge do not make the bulge
     largest = float(np.partition(stretches[:, 1], ninth)[ninth])
     error = (
-        analytical_solutions.stvk_height_error(design, pressure_gauge)
+        analytical_solutions.stvk_height_error(design, gauge_pressure)
         if sheet.law is Law.STVK
         else 0.0
     )
     if error > STVK_ERROR:
         flags["stretch"] = (
             f"the sheet is St. Venant-Kirchhoff's: rubber bulges higher by {error:.0%} at "
-            f"{1e-3 * pressure_gauge:.2g} kPa; switch 'hyperelasticity' on"
+            f"{1e-3 * gauge_pressure:.2g} kPa; switch 'hyperelasticity' on"
         )
     elif largest > STRETCHED:
         flags["stretch"] = (
@@ -125,7 +125,7 @@ def sheet_flags(
     return flags
 
 
-def film_flags(below_rim: float, doubt: float) -> Flags:
+def quasistatic_flags(below_rim: float, doubt: float) -> Flags:
     """Flags of a film: what is `below_rim` m where the frame bears it, and the share of the force
     by which what is narrow for its grid may be off."""
     flags: Flags = {}

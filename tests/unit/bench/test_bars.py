@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.uncertainty.evaluate_scene import watch
 from benchmarks.uncertainty.run import run, scene_rows
-from benchmarks.uncertainty.scenes import FINE, FINE_FROM, KINDS, SENSORS, draw_scene
+from benchmarks.uncertainty.scenes import FINE, FINE_FROM, KINDS, SENSORS, render_scene
 from benchmarks.uncertainty.tables import summary, table
 from mjtactile.sim.scenes.indentation import Indenter
 
@@ -96,11 +96,11 @@ def test_areas_are_compared_where_both_are_known():
 
 
 def test_scenes_take_turns_and_are_what_they_say():
-    drawn = [draw_scene(seed) for seed in range(40)]
+    drawn = [render_scene(seed) for seed in range(40)]
     assert {scene.kind for scene in drawn} == set(KINDS) and {
         scene.sensor for scene in drawn
     } == set(SENSORS)
-    fine = [draw_scene(FINE_FROM + seed) for seed in range(20)]
+    fine = [render_scene(FINE_FROM + seed) for seed in range(20)]
     assert {scene.sensor for scene in fine} == set(FINE)
     for one in [*drawn, *fine]:
         frame = one.design.frame
@@ -110,12 +110,12 @@ def test_scenes_take_turns_and_are_what_they_say():
     assert max(near) < 12e-3  # a face's half width and a margin
     coarse = next(s for s in drawn if s.sensor == "dense at half resolution").design.camera
     assert (coarse.width, coarse.fx) == (320, 300.0)
-    assert draw_scene(7) == draw_scene(7)
+    assert render_scene(7) == render_scene(7)
 
 
 def test_a_short_scene_is_felt_within_its_bars():
     one = replace(
-        draw_scene(3),
+        render_scene(3),
         mesh=(13, 11),
         indenter=Indenter("sphere", 8e-3),
         at=(1e-3, 2e-3),

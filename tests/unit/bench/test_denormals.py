@@ -7,7 +7,7 @@ import numpy as np
 
 from benchmarks.speed import denormals
 from mjtactile.core.design import load_sensor
-from mjtactile.sensing.pipeline import Chain
+from mjtactile.sensing.pipeline import SensingPipeline
 from mjtactile.sim.rendering.renderer import Renderer, _brush
 
 
@@ -32,4 +32,9 @@ def test_what_counts():
 def test_the_shipped_sensors_have_none():
     for name in ("dense", "paper16"):
         design = load_sensor(name)
-        assert denormals.count(Chain(design), Renderer(design), _brush(design.camera.blur_px)) == 0
+        assert (
+            denormals.count(
+                SensingPipeline(design), Renderer(design), _brush(design.camera.blur_px)
+            )
+            == 0
+        )

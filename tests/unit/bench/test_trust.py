@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks.camera_faults.error_statistics import numbers
 from benchmarks.camera_faults.fault_kinds import ALWAYS, REFERENCES, RUN, TABLES, kinds
-from benchmarks.camera_faults.replay import Felt
+from benchmarks.camera_faults.replay import ReplayResult
 from benchmarks.camera_faults.run import _sums, table
 from mjtactile.core.status import OK, Status, StatusCode
 from mjtactile.core.types import Touch
@@ -17,10 +17,10 @@ def touch(force, sd, status=OK):
 
 
 def test_far_is_beyond_five_sd_and_a_twentieth_of_a_newton():
-    lost = Status(StatusCode.NO_SHAPE)
+    lost = Status(StatusCode.FIT_FAILED)
     touches = (touch(1.0, 0.01), touch(1.06, 0.01), touch(1.04, 0.001), touch(1.3, 0.1))
     grasp = SimpleNamespace(images=[0] * 5, true=[1.0] * 5)
-    found = numbers(grasp, Felt((*touches, touch(9.0, 0.01, lost))))
+    found = numbers(grasp, ReplayResult((*touches, touch(9.0, 0.01, lost))))
     assert (found["images"], found["ok"], found["far"]) == (5, 4, 1)
     assert found["worst_N"] == pytest.approx(0.3)
     assert found["status"] == {"no shape": 1, "ok": 4}
@@ -36,9 +36,9 @@ def test_strengths_are_near_their_names_and_the_same_again():
     assert {kind.when for kind in found} == {ALWAYS, RUN, REFERENCES}
     asked = {name: wanted for name, wanted, _ in TABLES}
     for kind in found:
-        zoom = kind.table.get("zoom_percent")
+        zoom = kind.table.get("scale_percent")
         if zoom is not None:
-            assert 0.8 <= zoom / asked[kind.name]["zoom_percent"] <= 1.2
+            assert 0.8 <= zoom / asked[kind.name]["scale_percent"] <= 1.2
         gamma = kind.table.get("gamma", 1.0)
         if gamma != 1.0:
             assert 0.8 <= (gamma - 1) / (asked[kind.name]["gamma"] - 1) <= 1.2

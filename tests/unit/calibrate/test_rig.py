@@ -142,12 +142,12 @@ class Mechanism:
     """Jaws on two pinions with play between servo and jaw, and a springy block between them, moved
     by a thread."""
 
-    def __init__(self, servos, *, play=0.0, block=0.0, stiffness=4e3, torque_share=1.0):
+    def __init__(self, servos, *, play=0.0, block=0.0, stiffness=4e3, torque_fraction=1.0):
         self.servos = servos
         self.play = play
         self.block = block
         self.stiffness = stiffness
-        self.share = torque_share
+        self.share = torque_fraction
         self.motor = self.jaw = RADIUS * ANGLE  # m, of each jaw
         self.force = 0.0
         self._stop = scaled_clock.Event()
@@ -225,7 +225,7 @@ def test_backlash_and_zero_of_jaws_on_a_bus(hurry):
 def test_current_to_force_of_jaws_on_a_bus(hurry):
     with (
         servo_bench() as bench,
-        Mechanism(bench.servos, block=0.06, torque_share=0.75) as jaws,
+        Mechanism(bench.servos, block=0.06, torque_fraction=0.75) as jaws,
         contextlib.closing(bench.gripper()) as gripper,
     ):
         fit = calibrate_force(

@@ -14,7 +14,7 @@ from mjtactile.core.types import (
     Observation,
     Slip,
     SlipState,
-    Told,
+    TaskGoal,
     Touch,
     Traction,
 )
@@ -38,14 +38,16 @@ def run(command, feel, count, told=None):
     for k in range(count):
         state = GripperState(command.opening, 0.0, 0.4, command.lift_height)
         felt = feel(k, command)
-        command = step(Observation(k * PERIOD, PERIOD, felt, state, (), command, told or Told()))
+        command = step(
+            Observation(k * PERIOD, PERIOD, felt, state, (), command, told or TaskGoal())
+        )
     return command
 
 
 def holding(load=0.2, told=None):
     """A command that has lifted `load` N on each finger, gripped as it asked for, and holds."""
     start = Command(0.04, 5.0, 0.0, "lift")
-    told = told or Told(hold_time=60.0)
+    told = told or TaskGoal(hold_time=60.0)
     both = lambda k, c: (finger(load, normal=c.memory.get("target", 0.3)),) * 2  # noqa: E731
     command = run(start, both, 150, told)
     assert command.phase == "hold"
@@ -124,18 +126,18 @@ def test_a_slip_that_all_fingers_say_teaches_friction():
         return (finger(0.2, normal=grip, state="slipping"),) * 2
 
     assert believed(run(command, one, 3, told)) > 0.5  # it may roll
-    told_once = run(command, both, 1, told)
-    assert believed(told_once) == pytest.approx(0.8 * believed(command), rel=0.01)
+    reported_once = run(command, both, 1, told)
+    assert believed(reported_once) == pytest.approx(0.8 * believed(command), rel=0.01)
     # it closes at once, by what a quarter more takes of two membranes
-    more = told_once.memory["target"] - command.memory["target"]
+    more = reported_once.memory["target"] - command.memory["target"]
     stiffness = kept["spring"]["hardness"] * (110 + 260 * grip)
-    assert told_once.opening == pytest.approx(command.opening - more / stiffness, abs=1.2e-4)
-    again = run(told_once, both, 5, told)
-    assert believed(again) == believed(told_once)  # the same slip, not another
+    assert reported_once.opening == pytest.approx(command.opening - more / stiffness, abs=1.2e-4)
+    again = run(reported_once, both, 5, told)
+    assert believed(again) == believed(reported_once)  # the same slip, not another
 
 
 def test_it_lets_go_where_somebody_pulls_and_not_at_a_bump():
-    told = Told(hold_time=60.0, hand_over=True)
+    told = TaskGoal(hold_time=60.0, handover=True)
     command, _ = holding(0.2, told)
 
     def pulled(count):
@@ -149,7 +151,7 @@ def test_it_lets_go_where_somebody_pulls_and_not_at_a_bump():
 
 @pytest.mark.parametrize("load", [0.03, 0.2, 1.0])
 def test_it_sets_down_where_the_table_takes_the_load(load):
-    command, _ = holding(load, Told(hold_time=60.0))
+    command, _ = holding(load, TaskGoal(hold_time=60.0))
     command = replace(command, phase="lower")
 
     def table(k, now):

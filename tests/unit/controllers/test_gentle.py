@@ -16,7 +16,7 @@ from mjtactile.core.types import (
     Traction,
     ValveState,
 )
-from mjtactile.rig.command_limits import Limits
+from mjtactile.rig.command_limits import CommandLimits
 from mjtactile.runtime.controller import load_controller
 
 PERIOD = 1 / 30
@@ -91,7 +91,7 @@ def test_jaws_that_are_blocked_by_what_no_finger_feels_do_not_push_for_ever():
 def test_jaws_at_their_own_stop_have_closed_on_nothing(controller, least):
     """The three-fingered hand closes to 22 mm: until now the approach waited there for a minute."""
     its_step = load_controller(controller).step
-    limits = Limits(opening=(least, 0.1), speed=0.1, force=5.0, lift=(0.0, 0.1))
+    limits = CommandLimits(opening=(least, 0.1), speed=0.1, force=5.0, lift=(0.0, 0.1))
     command = Command(0.03, 0.0)
     for i in range(300):
         state = GripperState(command.opening, 0.0, 0.0, 0.0)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mjtactile.core import resources
-from mjtactile.core.policy import policy_command, policy_vector
+from mjtactile.core.policy import command_from_action, policy_observation
 from mjtactile.runtime.controller import load_controller
 from tests.unit.core.test_policy import seen
 
@@ -26,8 +26,8 @@ def test_a_network_of_two_layers(tmp_path, monkeypatch):
     w0, b0, w1, b1 = (rng.standard_normal(shape) for shape in ((5, 30), 5, (3, 5), 3))
     np.savez(tmp_path / "p.npz", w0=w0, b0=b0, w1=w1, b1=b1)
     observation = seen((0.3, 0.4))
-    action = w1 @ np.tanh(w0 @ policy_vector(observation) + b0) + b1
-    assert controller(monkeypatch, tmp_path / "p.npz").step(observation) == policy_command(
+    action = w1 @ np.tanh(w0 @ policy_observation(observation) + b0) + b1
+    assert controller(monkeypatch, tmp_path / "p.npz").step(observation) == command_from_action(
         observation, action
     )
 
@@ -54,5 +54,5 @@ def test_the_same_as_onnx(tmp_path, monkeypatch):
     observation = seen((0.3, 0.4))
     command = controller(monkeypatch, tmp_path / "p.onnx").step(observation)
     assert command.opening == pytest.approx(
-        policy_command(observation, policy_vector(observation) @ w).opening, abs=1e-9
+        command_from_action(observation, policy_observation(observation) @ w).opening, abs=1e-9
     )

@@ -20,7 +20,7 @@ from mjtactile.runtime.controller import load_controller
 
 PERIOD = 1 / 30
 controller = load_controller("slip_aware")
-FIRST, MOST = (controller.function.__globals__[name] for name in ("FIRST_FORCE", "FORCE_MOST"))
+FIRST, MOST = (controller.function.__globals__[name] for name in ("FIRST_FORCE", "FORCE_MAX"))
 
 
 def touch(force, state: SlipState = "sticking"):

@@ -12,7 +12,7 @@ from mjtactile.core.calibration_parts import (
     KINDS,
     ForceScale,
     FrameCalibration,
-    Lens,
+    LensCalibration,
     RestMarkers,
     ValveZero,
     stamp,
@@ -34,7 +34,7 @@ def made(kind):
         True,
     )
     return {
-        "lens": lambda: Lens(
+        "lens": lambda: LensCalibration(
             640, 480, 618.0, 617.0, 325.5, 235.5, (-0.09, 0.01, 0.0, 0.0, 0.0), stamp=mark
         ),
         "frame": lambda: FrameCalibration(
@@ -102,7 +102,7 @@ def test_the_zero_of_the_valve_and_the_scale_of_the_force():
     )
     # Independent errors: variance of k w is k^2 var(w) + var(k) w^2
     assert out.wrench_cov[2, 2] == pytest.approx(0.25 * 1e-4 + (0.01 * 2.0) ** 2)
-    assert out.pressure_gauge == 970.0
+    assert out.gauge_pressure == 970.0
 
 
 def test_a_refused_part_replaces_nothing_and_is_remembered_until_it_succeeds():

@@ -42,10 +42,10 @@ class Machine:
     reach: tuple[float, float] = entry(
         Span(key="reach_max_mm", low_key="reach_min_mm", low=0, high=50, unit=MM)
     )
-    turns: tuple[float, ...] = numbers("turn_deg", "xy", -90, 90, DEGREE, default=(0.0, 0.0))
+    turns: tuple[float, ...] = numbers("rotation_deg", "xy", -90, 90, DEGREE, default=(0.0, 0.0))
     law: tuple = entry(Pairs(key="law_deg_mm", units=(DEGREE, MM)))
     names: tuple[str, ...] = entry(Texts(key="names"), ())
-    places: np.ndarray = entry(NumberArray(key="places_mm", shape=(None, 2), unit=MM))
+    places: np.ndarray = entry(NumberArray(key="positions_mm", shape=(None, 2), unit=MM))
     manual: object = file_path("manual")
     is_on: bool = flag("is_on", default=False)
 
@@ -57,10 +57,10 @@ TABLE = {
     "ratio": 3.0,
     "reach_min_mm": 1.0,
     "reach_max_mm": 8.0,
-    "turn_deg": [90.0, -45.0],
+    "rotation_deg": [90.0, -45.0],
     "law_deg_mm": [[0.0, 1.0], [90.0, 2.0]],
     "names": ["a", "b"],
-    "places_mm": [[1.0, 2.0], [4.0, 8.0]],
+    "positions_mm": [[1.0, 2.0], [4.0, 8.0]],
     "manual": None,
     "is_on": True,
 }
@@ -88,7 +88,7 @@ def test_a_file_is_beside_the_one_that_names_it():
         ({"other": [{"teeth": 3}] * 3}, "other: 3 of them, expected 0 to 2"),
         ({"other": [{"teeth": 3, "size": 1}]}, r"other\[0\].size: unknown field"),
         ({"reach_max_mm": 1.0}, "reach_max_mm: 1 is not above reach_min_mm = 1"),
-        ({"turn_deg": [91, 0]}, r"turn_deg\[0\]: 91 is outside -90 to 90"),
+        ({"rotation_deg": [91, 0]}, r"rotation_deg\[0\]: 91 is outside -90 to 90"),
         ({"is_on": 1}, "is_on: 1 is not true or false"),
     ],
 )

@@ -58,7 +58,7 @@ def test_values_are_si():
     # T0 = E h ((1.05^2 - 1)/2) / (1 - nu) = 1e6 x 0.3e-3 x 0.05125 / 0.55
     plain = replace(design.membrane, law=Law.STVK)
     assert plain.pretension == pytest.approx(27.9545, rel=1e-4)
-    assert design.pane_thickness_apparent == pytest.approx(0.684e-3, abs=1e-6)  # 2 mm of n = 1.52
+    assert design.apparent_glass_thickness == pytest.approx(0.684e-3, abs=1e-6)  # 2 mm of n = 1.52
 
 
 def test_markers_are_centred_and_row_by_row():
@@ -102,11 +102,15 @@ def test_every_field_is_checked():
     """No number of the file can be NaN or text without being named."""
     labels = [label for label, *_ in config_fields.scalars(SensorDesign)]
     assert len(labels) == 49
-    circles = {"surface": "rim", "radius_mm": 1.0, "places_mm": [[21.5, 3.0 * k] for k in range(4)]}
+    circles = {
+        "surface": "rim",
+        "radius_mm": 1.0,
+        "positions_mm": [[21.5, 3.0 * k] for k in range(4)],
+    }
     for label in (*labels, "camera.distortion"):
-        on_pane = {"surface": "pane"} if label == "fiducials.blur_px" else {}
+        on_glass = {"surface": "pane"} if label == "fiducials.blur_px" else {}
         for bad in (math.nan, "1"):
-            sections = {"fiducials": circles | on_pane, "relaxation": {"terms_s": [[0.1, 1.0]]}}
+            sections = {"fiducials": circles | on_glass, "relaxation": {"terms_s": [[0.1, 1.0]]}}
             if label == "frame.corner_radius_mm":
                 sections = {"frame__shape": "rounded"}
             changes = sections | {label.replace(".", "__"): bad}
@@ -121,7 +125,7 @@ def test_what_is_written_is_read_again(name):
     assert sensor_from_table(table, name="other", source="other.toml") == design
     round_one = replace(design, frame=Frame(0.07, 0.07, shape="circle"), fiducials=None)
     table = config_fields.write(round_one)
-    assert table["frame"] == {"diameter_mm": 70.0, "rim_mm": 3.0, "shape": "circle"}
+    assert table["frame"] == {"diameter_mm": 70.0, "wall_mm": 3.0, "shape": "circle"}
     assert sensor_from_table(table, name="other", source="other.toml") == round_one
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from mjtactile.core.fidelity_levels import LEFT_OUT, left_out_of, level_texts
+from mjtactile.core.fidelity_levels import LEFT_OUT, disabled_effects, fidelity_notes
 
 
 @pytest.mark.parametrize(
@@ -17,5 +17,5 @@ from mjtactile.core.fidelity_levels import LEFT_OUT, left_out_of, level_texts
     ],
 )
 def test_a_result_says_what_was_left_out(effects, said):
-    result = dict.fromkeys(left_out_of(effects), False)
-    assert level_texts(result) == {name: LEFT_OUT[name] for name in said}
+    result = dict.fromkeys(disabled_effects(effects), False)
+    assert fidelity_notes(result) == {name: LEFT_OUT[name] for name in said}

@@ -16,8 +16,8 @@ from mjtactile.core.fiducials import Fiducials
 PANE = {
     "surface": "pane",
     "radius_mm": 0.6,
-    "ground_mm": 0.35,
-    "places_mm": [[-12.0, -6.0], [-12.0, 6.0], [12.0, -6.0], [12.0, 6.0]],
+    "quiet_zone_mm": 0.35,
+    "positions_mm": [[-12.0, -6.0], [-12.0, 6.0], [12.0, -6.0], [12.0, 6.0]],
 }
 
 
@@ -84,29 +84,29 @@ def test_a_sensor_without_them_has_the_fingerprint_that_it_had():
     [
         ({"surface": "wall"}, "fiducials.surface", "rim, pane"),
         ({"radius_mm": -1}, "fiducials.radius_mm", "-1"),
-        ({"places_mm": [[1, 2, 3]]}, "fiducials.places_mm", "pairs"),
-        ({"places_mm": [[21.5, 0.0]]}, "fiducials.places_mm", "1 circles; from 4 to 64"),
+        ({"positions_mm": [[1, 2, 3]]}, "fiducials.positions_mm", "pairs"),
+        ({"positions_mm": [[21.5, 0.0]]}, "fiducials.positions_mm", "1 circles; from 4 to 64"),
         (
-            {"places_mm": [[21.5, 0], [21.5, 2], [21.5, 6], [-21.5, 0]]},
-            "fiducials.places_mm",
+            {"positions_mm": [[21.5, 0], [21.5, 2], [21.5, 6], [-21.5, 0]]},
+            "fiducials.positions_mm",
             "2 mm apart",
         ),
         (
-            {"places_mm": [[20.5, 0], [21.5, 6], [21.5, -6], [-21.5, 0]]},
-            "fiducials.places_mm",
+            {"positions_mm": [[20.5, 0], [21.5, 6], [21.5, -6], [-21.5, 0]]},
+            "fiducials.positions_mm",
             "[20.5, 0] is not on the lip",
         ),
         (
-            {"places_mm": [[22.5, 0], [21.5, 6], [21.5, -6], [-21.5, 0]]},
-            "fiducials.places_mm",
+            {"positions_mm": [[22.5, 0], [21.5, 6], [21.5, -6], [-21.5, 0]]},
+            "fiducials.positions_mm",
             "[22.5, 0] is not on the lip",
         ),
         (
-            {"places_mm": [[0, 16.5], [21.5, 6], [21.5, -6], [-21.5, 0]]},
-            "fiducials.places_mm",
+            {"positions_mm": [[0, 16.5], [21.5, 6], [21.5, -6], [-21.5, 0]]},
+            "fiducials.positions_mm",
             "[0, 16.5] is out of the picture",
         ),
-        ({"step_mm": 4.0}, "fiducials.step_mm", "no wall of frame.rim_mm 4.4"),
+        ({"wall_setback_mm": 4.0}, "fiducials.wall_setback_mm", "no wall of frame.wall_mm 4.4"),
         ({"lip_mm": 20.0}, "fiducials.lip_mm", "fills the chamber"),
         ({"blur_px": 2.0}, "fiducials.blur_px", "blur_px"),
     ],
@@ -123,4 +123,4 @@ def test_what_cannot_be_seen_is_refused_in_a_line(changes, field, words):
 
 def test_on_the_pane_they_may_not_hide_the_membrane():
     with pytest.raises(InputError, match="hides a part of the membrane"):
-        read({**PANE, "places_mm": [[-10.0, 0.0], *PANE["places_mm"]]})
+        read({**PANE, "positions_mm": [[-10.0, 0.0], *PANE["positions_mm"]]})

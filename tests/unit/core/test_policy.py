@@ -6,7 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mjtactile.core.policy import policy_action, policy_command, policy_names, policy_vector
+from mjtactile.core.policy import (
+    action_from_commands,
+    command_from_action,
+    policy_observation,
+    policy_observation_names,
+)
 from mjtactile.core.types import Command, GripperState, Observation, Touch, Traction, ValveState
 
 PERIOD = 1 / 30
@@ -26,7 +31,13 @@ def seen(forces=(0.0, 0.0), opening=0.05, height=0.0, command=None):
 
 
 def test_every_number_has_its_name():
-    vector = dict(zip(policy_names(), policy_vector(seen((0.3, 0.4), 0.05, 0.01)), strict=True))
+    vector = dict(
+        zip(
+            policy_observation_names(),
+            policy_observation(seen((0.3, 0.4), 0.05, 0.01)),
+            strict=True,
+        )
+    )
     assert vector["finger2.force_normal_N"] == np.float32(0.4) and vector[
         "finger1.tz_Nm"
     ] == np.float32(0.003)
@@ -39,7 +50,7 @@ def test_every_number_has_its_name():
 
 def test_an_unknown_force_is_said_not_to_be_known():
     observation = seen((float("nan"), 0.4))
-    vector = dict(zip(policy_names(), policy_vector(observation), strict=True))
+    vector = dict(zip(policy_observation_names(), policy_observation(observation), strict=True))
     assert (vector["finger1.known"], vector["finger1.force_normal_N"], vector["finger2.known"]) == (
         0,
         0,
@@ -48,26 +59,28 @@ def test_an_unknown_force_is_said_not_to_be_known():
 
 
 def test_an_action_is_speeds_and_a_limit():
-    command = policy_command(seen(opening=0.05), [0.5, 0.0, 1.0])
+    command = command_from_action(seen(opening=0.05), [0.5, 0.0, 1.0])
     assert (
         command.opening == pytest.approx(0.05 + 0.5 * 0.05 * PERIOD) and command.force_limit == 4.0
     )
     assert command.lift_height == pytest.approx(0.05 * PERIOD)
-    assert policy_command(seen(), [9, 9, -9]) == policy_command(seen(), [1, 1, -1])
-    assert policy_command(seen(), [np.nan] * 3).opening == 0.05
+    assert command_from_action(seen(), [9, 9, -9]) == command_from_action(seen(), [1, 1, -1])
+    assert command_from_action(seen(), [np.nan] * 3).opening == 0.05
 
 
 def test_what_a_teacher_did_is_the_action_that_does_it():
     before = Command(0.05, 4.0, 0.01)
-    after = policy_command(replace(seen(), command=before), [-0.3, 0.25, 0.7])
-    np.testing.assert_allclose(policy_action(before, after, PERIOD), [-0.3, 0.25, 0.7], atol=1e-12)
+    after = command_from_action(replace(seen(), command=before), [-0.3, 0.25, 0.7])
+    np.testing.assert_allclose(
+        action_from_commands(before, after, PERIOD), [-0.3, 0.25, 0.7], atol=1e-12
+    )
 
 
 def test_the_goal_stays_within_reach_of_the_jaws():
     command = Command(0.02, 4.0)
-    assert policy_command(seen(opening=0.05, command=command), [-1, 0, 0]).opening == pytest.approx(
-        0.046
-    )
+    assert command_from_action(
+        seen(opening=0.05, command=command), [-1, 0, 0]
+    ).opening == pytest.approx(0.046)
 
 
 def test_a_grasp_from_approach_to_done():
@@ -84,7 +97,7 @@ def test_a_grasp_from_approach_to_done():
         [((0.5, 0.5), 0.05, 0.04)] * 64 + [((0.5, 0.5), 0.05, 0.0)] * 2 + [((0, 0), 0.06, 0.0)] * 2
     )
     for forces, opening, height in course:
-        command = policy_command(seen(forces, opening, height, command), [0, 0, 0])
+        command = command_from_action(seen(forces, opening, height, command), [0, 0, 0])
         if not phases or phases[-1] != command.phase:
             phases.append(command.phase)
     assert phases == ["approach", "close", "regulate", "lift", "hold", "lower", "release", "done"]
@@ -93,8 +106,8 @@ def test_a_grasp_from_approach_to_done():
 def test_what_was_lost_is_not_held_on():
     command = Command(0.05, 4.0, 0.03, "hold", {"phase_time": 0.2, "grip_opening": 0.05})
     for _ in range(17):
-        command = policy_command(seen((0, 0), 0.05, 0.04, command), [0, 0, 0])
+        command = command_from_action(seen((0, 0), 0.05, 0.04, command), [0, 0, 0])
     assert command.phase == "lower"
     for height in (0.0, 0.0):
-        command = policy_command(seen((0, 0), 0.06, height, command), [0, 0, 0])
+        command = command_from_action(seen((0, 0), 0.06, height, command), [0, 0, 0])
     assert command.phase == "abort"  # not "done": nothing was set down

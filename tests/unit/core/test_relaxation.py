@@ -20,7 +20,7 @@ def with_section(**section):
 
 
 def test_a_file_says_shares_and_times():
-    found = with_section(terms_s=[[0.05, 1], [0.04, 10.0]], softening_share=0.1)
+    found = with_section(terms_s=[[0.05, 1], [0.04, 10.0]], mullins_fraction=0.1)
     assert found.relaxation == Relaxation(((0.05, 1.0), (0.04, 10.0)), 0.1)
     assert found.relaxation.quick == pytest.approx(1.09)
 
@@ -33,7 +33,7 @@ def test_a_file_says_shares_and_times():
         ({"terms_s": [[0.1]]}, "pairs"),
         ({"terms_s": [[0.1, 1.0]] * 9}, "more than 8"),
         ({"terms_s": []}, "neither"),
-        ({"terms_s": [], "softening_share": 1.0}, "softening_share"),
+        ({"terms_s": [], "mullins_fraction": 1.0}, "mullins_fraction"),
         ({"term_s": [[0.1, 1.0]]}, "term"),
     ],
 )

@@ -9,8 +9,15 @@ import pytest
 from mjtactile.core import resources
 from mjtactile.core.config_fields import entries
 from mjtactile.core.errors import InputError
-from mjtactile.core.task import Counts, Happening, Orders, Task, TaskObject, load_task
-from mjtactile.core.types import Told
+from mjtactile.core.task import (
+    Disturbance,
+    GoalSettings,
+    ObjectRandomization,
+    SuccessCriteria,
+    Task,
+    load_task,
+)
+from mjtactile.core.types import TaskGoal
 
 NAMES = resources.names("models/tasks", ".toml")
 
@@ -27,13 +34,17 @@ def test_the_shipped_ones_are_read_and_say_what_they_are(name):
 def test_lift_is_what_it_was_and_shows_every_field():
     """Every result so far was of this task: nothing drawn, nothing happens."""
     task = load_task("lift")
-    assert task.is_plain and task.orders.told() == Told() and task.time_limit == 60.0
+    assert task.is_plain and task.orders.told() == TaskGoal() and task.time_limit == 60.0
     assert task == replace(Task("lift", ()), about=task.about, version=task.version)
     text = resources.find("lift", "models/tasks", ".toml").read_text()
     whole = "\n".join(
         line.removeprefix("# ") for line in text.splitlines() if "=" in line or "[" in line
     )
-    keys = {entry.key for kind in (Orders, TaskObject, Counts) for entry in entries(kind).values()}
+    keys = {
+        entry.key
+        for kind in (GoalSettings, ObjectRandomization, SuccessCriteria)
+        for entry in entries(kind).values()
+    }
     assert all(f"{key} = " in whole for key in keys)
 
 
@@ -45,16 +56,18 @@ def test_what_is_drawn_is_within_its_range_and_the_file_s_own_units():
         low, high = table["object"]["mass_g"]
         assert low <= drawn.values["task.mass_g"] <= high
         assert drawn.mass == pytest.approx(1e-3 * drawn.values["task.mass_g"], rel=1e-5)
-        low, high = table["happens"][0]["to_g"]
-        assert low <= drawn.values["task.fill1.to_g"] <= high
+        low, high = table["happens"][0]["final_mass_g"]
+        assert low <= drawn.values["task.fill1.final_mass_g"] <= high
         # nothing that the fingers cannot hold: heaviest of both, two fingers
         heaviest = max(drawn.mass, drawn.events[0].values["mass"])
-        assert heaviest * 9.81 / (2 * drawn.friction) <= table["object"]["need_most_N"] + 1e-9
+        assert (
+            heaviest * 9.81 / (2 * drawn.friction) <= table["object"]["required_grip_max_N"] + 1e-9
+        )
 
 
 def test_masses_are_as_likely_per_doubling():
     masses = [load_task("weigh").thing.mass]
-    task = Task("mine", (), thing=TaskObject(mass=masses[0]))
+    task = Task("mine", (), thing=ObjectRandomization(mass=masses[0]))
     drawn = [math.log(task.draw(seed, 2).mass) for seed in range(400)]
     low, high = (math.log(value) for value in masses[0])
     assert sum(drawn) / 400 == pytest.approx((low + high) / 2, abs=4 * (high - low) / 12**0.5 / 20)
@@ -88,17 +101,17 @@ def test_when_somebody_pulls_with_three_tenths_of_a_newton():
         ("[tell]", ["tell: unknown section", "told"]),
         ("[told]\nhold_time_s = 0", ["told.hold_time_s", "0 is outside 0.1"]),
         ("[object]\nmass_g = 5", ["object.mass_g"]),
-        ("[object]\nbreak_share_of_need = [2, 3]", ["break_share_of_need", "rests on friction"]),
+        ("[object]\nbreak_force_factor = [2, 3]", ["break_force_factor", "rests on friction"]),
         (
-            '[[happens]]\nkind = "rain"\nbegin_s = [0, 1]\nlast_s = [1, 1]',
+            '[[happens]]\nkind = "rain"\nstart_s = [0, 1]\nduration_s = [1, 1]',
             ["happens[0].kind", "fill"],
         ),
         (
-            '[[happens]]\nkind = "push"\nbegin_s = [0, 1]\nlast_s = [1, 1]',
+            '[[happens]]\nkind = "push"\nstart_s = [0, 1]\nduration_s = [1, 1]',
             ["impulse_N_s", "is missing"],
         ),
         (
-            '[[happens]]\nkind = "push"\nbegin_s = [0, 1]\nlast_s = [1, 1]\nimpulse_N_s = [0, 1]\n'
+            '[[happens]]\nkind = "push"\nstart_s = [0, 1]\nduration_s = [1, 1]\nimpulse_N_s = [0, 1]\n'
             "rate_Hz = [1, 2]",
             ["happens[0].rate_Hz"],
         ),
@@ -117,5 +130,5 @@ def test_what_is_wrong_is_one_line_with_file_field_value_and_choices(tmp_path, t
 def test_the_robot_is_told_what_the_file_says_and_no_more():
     told = load_task("place").orders.told()
     assert (told.lift_height, told.place_height) == (0.06, 0.02)
-    assert {one.name for one in fields(Told)} == {one.name for one in fields(Orders)}
-    assert {one.name for one in fields(Happening)}.isdisjoint(fields(Told))
+    assert {one.name for one in fields(TaskGoal)} == {one.name for one in fields(GoalSettings)}
+    assert {one.name for one in fields(Disturbance)}.isdisjoint(fields(TaskGoal))

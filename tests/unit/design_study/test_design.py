@@ -10,9 +10,9 @@ import pytest
 from mjtactile import InputError, load_sensor
 from mjtactile.cli import main
 from mjtactile.design_study import design_sweep, predict_file, sensor_file_edit
-from mjtactile.design_study.resolution import Reacher, ball, place_sd
+from mjtactile.design_study.resolution import ResolutionPredictor, ball, place_sd
 from mjtactile.design_study.score import Score
-from mjtactile.design_study.virtual_bench import Stand
+from mjtactile.design_study.virtual_bench import VirtualBench
 
 MIDDLE = np.zeros(2)
 PLACES = ((1e-3, 0.7e-3), (-3.1e-3, 2.2e-3), (4.3e-3, -1.4e-3))
@@ -20,7 +20,7 @@ PLACES = ((1e-3, 0.7e-3), (-3.1e-3, 2.2e-3), (4.3e-3, -1.4e-3))
 
 @pytest.fixture(scope="module")
 def paper16():
-    return Stand(load_sensor("paper16"))
+    return VirtualBench(load_sensor("paper16"))
 
 
 def test_a_marker_is_known_as_a_circle_of_its_pixels_is(paper16):
@@ -31,7 +31,7 @@ def test_a_marker_is_known_as_a_circle_of_its_pixels_is(paper16):
     rest = paper16.film.rest
 
     def sd(changed):
-        return np.sqrt(np.trace(Stand(changed).see(rest).cov_p, axis1=1, axis2=2))
+        return np.sqrt(np.trace(VirtualBench(changed).see(rest).cov_p, axis1=1, axis2=2))
 
     def with_camera(**values):
         return replace(design, camera=replace(camera, **values))
@@ -69,7 +69,7 @@ def test_twice_the_markers_tell_an_edge_by_the_root_of_two_better():
     sds = []
     for design in (few, many):
         design = replace(design, markers=replace(design.markers, radius=radius))
-        reacher = Reacher(Stand(design))
+        reacher = ResolutionPredictor(VirtualBench(design))
         edges = [reacher.edge_sd(np.array(place), 0.3) for place in PLACES]
         sds.append(np.sqrt(np.mean(np.square(edges))))
     wanted = math.sqrt(many.markers.count / few.markers.count)
@@ -107,7 +107,7 @@ def test_front():
     def tried(force, edge, side, missed):
         score = Score(0.02, 0.01, force, 0.0, 0.0, edge, 0.0, 1.0)
         made = sensor_file_edit.with_markers(design, side, side, (30e-3, 20e-3), 0.2)
-        return design_sweep.Tried(made, score, missed)
+        return design_sweep.DesignCandidate(made, score, missed)
 
     all_of_them = [tried(*row, words) for row, words in zip(rows, missed, strict=True)]
     marked = design_sweep.with_front(all_of_them)
@@ -118,14 +118,14 @@ def test_front():
 
 def test_what_is_missed():
     reached = Score(0.02, 0.01, 0.01, 0.003, 1e-4, 1e-4, math.nan, 3.0)
-    assert design_sweep.Wish(touch=0.01, most=3.0, edge=1e-4).missed(reached) == []
-    assert design_sweep.Wish(touch=0.009, most=4.0).missed(reached) == ["touch", "range"]
-    assert design_sweep.Wish(radius=5e-3).missed(reached) == ["radius"]  # not told at all
+    assert design_sweep.Requirements(touch=0.01, most=3.0, edge=1e-4).missed(reached) == []
+    assert design_sweep.Requirements(touch=0.009, most=4.0).missed(reached) == ["touch", "range"]
+    assert design_sweep.Requirements(radius=5e-3).missed(reached) == ["radius"]  # not told at all
 
 
 def test_markers_out_of_the_picture_are_refused():
     with pytest.raises(InputError, match=r"circles lie whole in the picture"):
-        Stand(sensor_file_edit.scaled_lens(load_sensor("dense"), 1.9))
+        VirtualBench(sensor_file_edit.scaled_lens(load_sensor("dense"), 1.9))
 
 
 @pytest.mark.parametrize(
@@ -152,7 +152,7 @@ def test_a_wish_becomes_sensor_files(tmp_path, capsys):
     for best in result["best"]:
         made = load_sensor(tmp_path / "out" / best["file"])
         assert made.markers.rows == best["rows"]
-        assert 1e-3 * made.chamber.supply_gauge == pytest.approx(best["supply_gauge_kPa"])
+        assert 1e-3 * made.chamber.supply_gauge == pytest.approx(best["supply_pressure_kPa"])
 
 
 @pytest.mark.slow(10)
@@ -172,7 +172,7 @@ def test_a_file_has_a_map_and_a_page(tmp_path, capsys, monkeypatch):
 
 
 def test_a_round_sensor_reaches_as_much_where_it_is_turned(capsys):
-    reacher = Reacher(Stand(load_sensor("round30")))
+    reacher = ResolutionPredictor(VirtualBench(load_sensor("round30")))
     place = np.array([5e-3, 2e-3])
     here, opposite = (reacher.at(at, 0.5) for at in (place, -place))
     # the layout is the same turned by half; the film's tolerance of 0.5 um is 1 mN

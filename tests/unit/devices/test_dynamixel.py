@@ -197,12 +197,12 @@ def test_the_turn_is_found_after_power_up():
     jaw = geometry.servos[0]
     true_ticks = jaw.ticks(0.05)
     for read in (true_ticks, true_ticks - 4096, true_ticks + 4096):
-        jaw.set_turn_offset(read, 0.0, 0.07)
+        jaw.set_revolution_offset(read, 0.0, 0.07)
         assert jaw.part(read) == pytest.approx(0.05, abs=0.012 * TICK)
     with pytest.raises(ValueError, match="no"):
-        jaw.set_turn_offset(jaw.ticks(0.0) - 300 - jaw.turn_offset_ticks, 0.02, 0.05)
+        jaw.set_revolution_offset(jaw.ticks(0.0) - 300 - jaw.revolution_offset_ticks, 0.02, 0.05)
     with pytest.raises(ValueError, match="more than one"):
-        jaw.set_turn_offset(true_ticks, -0.1, 0.2)
+        jaw.set_revolution_offset(true_ticks, -0.1, 0.2)
 
 
 # -- units

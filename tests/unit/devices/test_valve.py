@@ -63,7 +63,7 @@ def test_pressure_is_in_pascal_or_unknown(rig):
     valves[0].open(1000.0)
     assert wait_for(lambda: abs(chambers.pressures[1] - 1000.0) < 1)
     board.seal(1)
-    pressure = valves[0].state().pressure_gauge
+    pressure = valves[0].state().gauge_pressure
     if board.has_sensors:
         assert pressure == pytest.approx(1000.0, abs=30)  # the emulated sensor has 5 Pa of noise
     else:
@@ -255,7 +255,7 @@ def test_a_late_answer_is_not_taken_for_the_next_one():
         try:
             with boards[0]._lock:
                 boards[0]._received += protocol.encode(boards[0]._sequence, "state 1 set 2000 ok")
-                assert boards[0].measure(1).pressure_gauge == pytest.approx(0.0, abs=40)
+                assert boards[0].measure(1).gauge_pressure == pytest.approx(0.0, abs=40)
         finally:
             boards[0].close()
 

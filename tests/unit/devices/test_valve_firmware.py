@@ -144,7 +144,7 @@ def test_it_regulates_seals_and_vents_both_chambers(rig):
         assert is_near(host, pressure, number)
         valve.close()
         assert host.channel(number)[0] == "sealed" and is_near(host, pressure, number)
-        assert board.measure(number).pressure_gauge == pytest.approx(pressure, abs=40)
+        assert board.measure(number).gauge_pressure == pytest.approx(pressure, abs=40)
         valve.open(0.0)
         assert is_near(host, 0.0, number)
         assert host.channel(number)[:2] == ("vent", "ok")
@@ -173,7 +173,7 @@ def test_a_host_that_is_late_finds_its_chamber_sealed_and_one_that_is_gone_leave
     board._thread.join()
     assert wait_for(lambda: host.channel()[:2] == ("sealed", "ok"))
     assert is_near(host, 1000.0)
-    assert board.measure(1).pressure_gauge == pytest.approx(1000.0, abs=40)  # it is back
+    assert board.measure(1).gauge_pressure == pytest.approx(1000.0, abs=40)  # it is back
     assert wait_for(lambda: host.channel()[:2] == ("vent", "silent"))
     # 5 % of an outlet that takes 0.1 s: 2 s
     assert host.channel()[2] > 300.0
@@ -216,7 +216,7 @@ def test_a_stuck_valve_and_a_puncture_are_seen(rig):
     assert is_near(host, 1000.0)
     valves[0].close()
     host.tell("leak 1 1")
-    assert wait_for(lambda: board.measure(1).pressure_gauge < 200)
+    assert wait_for(lambda: board.measure(1).gauge_pressure < 200)
     host.tell("stuck 1")
     valves[1].open(1000.0)
     valves[1]._goal_time -= 10.0
@@ -316,7 +316,7 @@ def test_without_sensors_it_opens_to_the_supply(tmp_path):
         try:
             assert not boards[0].has_sensors
             valves[0].open(1000.0)
-            assert valves[0].state().pressure_gauge is None
+            assert valves[0].state().gauge_pressure is None
             assert wait_for(lambda: host.channel()[2] > 2000)  # the simulated supply is 10 kPa
             valves[0].close()
             assert host.channel()[0] == "sealed"

@@ -65,7 +65,7 @@ def test_an_object_that_nobody_touches_stays_where_it_stands(world):
 
     half = 0.5 * math.radians(1)
     joint.qpos[3:] = [math.cos(half), math.sin(half), 0, 0]
-    world._kept_pose = None
+    world._cached_pose = None
     seated = lean(0.3)
     assert 0.5 < seated < 3 and lean(2.0) == pytest.approx(seated, abs=0.05)
 

@@ -18,7 +18,7 @@ from mjtactile.emulator.faults import Faults
 from mjtactile.emulator.mechanism import GearedJaws, Jaw
 from mjtactile.emulator.servo import EmulatedServo
 from mjtactile.emulator.valve import ValveFirmware, framed, unframed
-from mjtactile.rig.as_built_sensor import SpecimenConfig, camera_pose, true_design
+from mjtactile.rig.as_built_sensor import AsBuiltSensor, camera_pose, true_design
 from mjtactile.rig.domain_randomization import Drawn
 from mjtactile.rig.file import ServoConfig, load_rig_file, rig_from_table
 from mjtactile.sensing.image.markers import detect
@@ -38,13 +38,13 @@ def table():
 def test_the_shipped_specimens_are_read_with_their_units():
     emulator = load_rig_file("emulated_specimen").emulator
     left = emulator.specimen("left")
-    assert (left.focal_share, left.shift, left.valve_zero) == (
+    assert (left.focal_fraction, left.shift, left.valve_zero) == (
         pytest.approx(0.03),
         pytest.approx((4e-4, 0, 0)),
         30.0,
     )
     assert math.degrees(np.linalg.norm(left.tilt)) == pytest.approx(1.0)
-    assert emulator.torque_share == pytest.approx(0.08)
+    assert emulator.torque_fraction == pytest.approx(0.08)
     true = true_design(DESIGN, left)
     assert (
         true.camera.fx == pytest.approx(1.03 * DESIGN.camera.fx)
@@ -86,7 +86,7 @@ def test_a_finger_that_does_not_exist_is_named(table):
 def test_a_camera_that_sits_elsewhere_sees_what_projection_says():
     """Drawn and found again: centres of the circles' images are where OpenCV-like projection puts
     them."""
-    own = SpecimenConfig("left", shift=(4e-4, -2e-4, 3e-4), tilt=(0.0, 0.017, 0.01))
+    own = AsBuiltSensor("left", shift=(4e-4, -2e-4, 3e-4), tilt=(0.0, 0.017, 0.01))
     R_SC, p_SC = camera_pose(DESIGN, own)
     renderer = Renderer(DESIGN, pose=(R_SC, p_SC))
     p_SM = DESIGN.markers.p_SM
@@ -124,7 +124,7 @@ def test_the_valve_board_regulates_by_its_own_sensor():
 
 def test_a_servo_with_more_torque_needs_less_current():
     servo = EmulatedServo(1, "XL330-M288")
-    strong = EmulatedServo(1, "XL330-M288", torque_share=0.08)
+    strong = EmulatedServo(1, "XL330-M288", torque_fraction=0.08)
     for one in (servo, strong):
         one.follow_load(0.0, 0.0, 0.2, 0.01)
     assert servo.current / strong.current == pytest.approx(1.08)
@@ -164,12 +164,12 @@ def test_a_specimen_that_creeps_meets_a_quick_stretch_with_more():
     """5 % of the lasting stress in each decade from 1 to 1000 s: 20 % more at first; the file's
     modulus is the lasting one."""
     design = load_sensor("dense")
-    true = true_design(design, SpecimenConfig("left", creep=0.05))
+    true = true_design(design, AsBuiltSensor("left", creep=0.05))
     assert true.relaxation is not None and true.relaxation.quick == pytest.approx(1.2)
     assert true.membrane == design.membrane
     # an emulated world has it though sensing's file says nothing of it
     rig = build_sim_rig(
-        Scenario(effects="-images"), drawn=Drawn(specimens=(SpecimenConfig("left", creep=0.05),))
+        Scenario(effects="-images"), drawn=Drawn(specimens=(AsBuiltSensor("left", creep=0.05),))
     )
     [left, right] = rig.scene.sensors
     assert left.design.relaxation is not None and right.design.relaxation is None

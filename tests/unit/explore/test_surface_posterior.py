@@ -13,7 +13,7 @@ from mjtactile.explore import superquadric
 from mjtactile.explore.exploration import volume
 from mjtactile.explore.meshing import mesh_of
 from mjtactile.explore.next_best_touch import Mesh, _around, next_aim
-from mjtactile.explore.object_size import news_of_size, principal_sizes, sizes
+from mjtactile.explore.object_size import principal_sizes, size_information_gain, sizes
 from mjtactile.explore.surface_fusion import fuse, shares
 from mjtactile.explore.surface_patch import Patch
 from mjtactile.explore.surface_posterior import unknown
@@ -133,7 +133,7 @@ def test_a_box_of_five_touched_faces_is_a_box_whose_sixth_is_unknown():
             assert said.sd[number] < 6e-4
             true = 2 * HALF[int(np.argmax(along[:, number]))]
             assert said.mean[number] == pytest.approx(true, abs=3e-4)
-    news = news_of_size(mesh, surfaces[0])
+    news = size_information_gain(mesh, surfaces[0])
     # a touch of the sixth face tells nearly all of that, one of the face across what it knows: 50 um
     facing = mesh.normals @ TURN[:, 2]
     assert np.median(news[facing < -0.9]) > 2e-3

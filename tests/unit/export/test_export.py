@@ -97,7 +97,7 @@ def test_the_membrane_is_a_cloud_in_the_sensors_frame(press, tmp_path):
     traction = np.frombuffer(found["/left/traction"][-1][1].data, "<f8").reshape(-1, 6)
     # N: it is pressed
     assert traction[:, 5].sum() == pytest.approx(-touch.force_normal) and touch.force_normal > 0.1
-    assert metadata["mjtactile"]["felt_again"] == "true"
+    assert metadata["mjtactile"]["re_estimate"] == "true"
     assert {"flat_00_left.png", "rest_09_left.png", "sensor.toml"} <= set(attachments)
 
 

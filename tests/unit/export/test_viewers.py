@@ -126,7 +126,9 @@ def test_who_connects_later_sees_the_scene():
     """A server remembers nothing: what stands still is sent again and again."""
     view = mjtactile.LiveView("foxglove:0")
     view.begin(
-        SimpleNamespace(patience=1.0, perceptions=(), rig=SimpleNamespace(fingers=(), scene=None))
+        SimpleNamespace(
+            disk_wait_time=1.0, perceptions=(), rig=SimpleNamespace(fingers=(), scene=None)
+        )
     )
     url = f"ws://127.0.0.1:{view.where.rsplit(':', 1)[-1]}"
     with connect(url, subprotocols=["foxglove.sdk.v1"]) as client:

@@ -21,7 +21,7 @@ from mjtactile.fabrication import (
 )
 from mjtactile.fabrication.build import write
 from mjtactile.fabrication.housing_layout import Layout
-from mjtactile.fabrication.marker_positions import SheetState, growth, simulate
+from mjtactile.fabrication.marker_positions import MembraneState, growth, simulate
 from mjtactile.fabrication.purchased_parts import Hardware
 
 SVG = {"svg": "http://www.w3.org/2000/svg"}
@@ -38,7 +38,7 @@ def bulged(design, height):
     x = design.markers.p_SM[:, 0] / (design.frame.length / 2)
     y = design.markers.p_SM[:, 1] / (design.frame.width / 2)
     p = np.column_stack([design.markers.p_SM[:, :2], height * (1 - x**2) * (1 - y**2)])
-    return SheetState(f"{1e3 * height:g} mm", p, np.tile([0.0, 0, 1], (len(p), 1)), 1.1, height)
+    return MembraneState(f"{1e3 * height:g} mm", p, np.tile([0.0, 0, 1], (len(p), 1)), 1.1, height)
 
 
 STATES = [bulged(DENSE, h) for h in (0.0, 0.003, -0.004)]
@@ -211,7 +211,7 @@ def test_the_longest_focal_length_that_is_named_still_shows_all_markers():
 @pytest.mark.parametrize(
     ("field", "value"),
     [
-        ("frame.rim_mm", 0.5),
+        ("frame.wall_mm", 0.5),
         ("membrane.pre_stretch", 0.97),
         ("glass.thickness_mm", 0.2),
         ("glass.distance_mm", 21.0),
@@ -221,7 +221,7 @@ def test_the_longest_focal_length_that_is_named_still_shows_all_markers():
         ("leds.count", 60),
         ("leds.ring_radius_mm", 8.0),
         ("chamber.depth_mm", 8.0),
-        ("chamber.supply_gauge_kPa", 900.0),
+        ("chamber.supply_pressure_kPa", 900.0),
     ],
 )
 def test_what_cannot_be_built_is_refused_with_a_limit_that_can(field, value):
@@ -230,7 +230,7 @@ def test_what_cannot_be_built_is_refused_with_a_limit_that_can(field, value):
     design = DENSE
     if field == "chamber.depth_mm":  # the chamber ends where the pane begins
         design = with_field(with_field(design, "glass.distance_mm", 35.0), field, value)
-    if field == "chamber.supply_gauge_kPa":
+    if field == "chamber.supply_pressure_kPa":
         design = with_field(
             with_field(design, "glass.thickness_mm", 12.0), "glass.distance_mm", 13.0
         )
@@ -324,7 +324,7 @@ def test_elastic_markers_grow_with_the_sheet():
     """By the sheet's own stretch where that is the same everywhere; turned and shifted it is no
     larger."""
     turn = np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]])
-    stretched = SheetState(
+    stretched = MembraneState(
         "x", 1.03 * DENSE.markers.p_SM @ turn.T + [0, 0, 0.004], np.zeros((81, 3)), 1.1, 0.0
     )
     assert growth(DENSE, [STATES[0], stretched]) == pytest.approx(0.03)
@@ -332,10 +332,10 @@ def test_elastic_markers_grow_with_the_sheet():
 
 def test_a_supply_that_the_sheet_does_not_hold_is_refused():
     with pytest.raises(
-        InputError, match=r"supply_gauge_kPa: 60 is more than this " r"sheet holds.*at most"
+        InputError, match=r"supply_pressure_kPa: 60 is more than this " r"sheet holds.*at most"
     ) as error:
         simulate(
-            with_field(DENSE, "chamber.supply_gauge_kPa", 60.0),
+            with_field(DENSE, "chamber.supply_pressure_kPa", 60.0),
             Hardware(),
             "mine.toml",
             lambda _: None,

@@ -52,5 +52,7 @@ def test_a_sensor_without_them_has_no_step_and_no_page_more():
 
 def test_a_wall_that_would_be_too_thin_is_refused():
     thin = replace(DESIGN, frame=replace(DESIGN.frame, rim=4.0e-3))
-    with pytest.raises(InputError, match=r"fiducials\.step_mm: 3\.2 leaves too thin a wall"):
+    with pytest.raises(
+        InputError, match=r"fiducials\.wall_setback_mm: 3\.2 leaves too thin a wall"
+    ):
         layout_of(thin)

@@ -13,7 +13,7 @@ DENSE = load_sensor("dense")
 AMBIENT = DENSE.chamber.ambient
 RNG = np.random.default_rng(5)
 NOISE = 5.0  # Pa
-HEAT = {"heat_ratio": 1.0, "heat_exchange": 1.0}
+HEAT = {"polytropic_exponent": 1.0, "heat_exchange": 1.0}
 
 
 def run_of(time, pressure, volume):
@@ -75,7 +75,7 @@ def test_heat_by_what_a_fast_press_leaves():
         known={"leak_conductance": 0.0, "extra_volume": 0.0},
     )
     # 5 Pa of 470 Pa, fifty readings
-    assert found.values["heat_ratio"] == pytest.approx(gamma, abs=0.01)
+    assert found.values["polytropic_exponent"] == pytest.approx(gamma, abs=0.01)
     assert found.values["heat_exchange"] == pytest.approx(tau, rel=0.04)
 
 
@@ -89,4 +89,4 @@ def test_a_gas_that_does_nothing_says_nothing():
         known={"leak_conductance": 0.0},
     )
     sd = dict(zip(found.names, np.sqrt(np.diag(found.cov)), strict=True))
-    assert sd["extra_volume"] > 0.1 * DENSE.chamber_volume_flat and sd["heat_ratio"] > 0.2
+    assert sd["extra_volume"] > 0.1 * DENSE.chamber_volume_flat and sd["polytropic_exponent"] > 0.2

@@ -5,8 +5,8 @@ import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
-from mjtactile.fit.identification import _HELD_FIRST, _untold, _with_known
-from mjtactile.fit.membrane_fit import SheetFit
+from mjtactile.fit.identification import _HELD_FIRST, _untold, _with_fixed_values
+from mjtactile.fit.membrane_fit import MembraneFit
 from mjtactile.fit.result import covariance_of
 
 DENSE = load_sensor("dense")
@@ -14,8 +14,8 @@ VALUES = {"young": 1e6, "pre_stretch": 1.05}
 NAMES = ("young", "pre_stretch")
 
 
-def sheet_of(cov):
-    return SheetFit(VALUES, cov, NAMES, DENSE, (), 0.0, ())
+def membrane_of(cov):
+    return MembraneFit(VALUES, cov, NAMES, DENSE, (), 0.0, ())
 
 
 @pytest.mark.parametrize(
@@ -28,20 +28,20 @@ def test_what_is_not_known_is_held_pre_stretch_first(sd, held):
 def test_thickness_and_modulus_are_one_number():
     """var(log E) = var(log E h) + var(log h), cov(log E, log h) = -var(log h): with 0.3 unknown of
     h and 0.01 of E h the correlation is -0.3 / sqrt(0.3^2 + 0.01^2)."""
-    names, cov = covariance_of(sheet_of(np.diag([1e4**2, 1e-3**2])), None, thickness_known=False)
+    names, cov = covariance_of(membrane_of(np.diag([1e4**2, 1e-3**2])), None, known_thickness=False)
     assert names == ["membrane.young_MPa", "membrane.pre_stretch", "membrane.thickness_mm"]
     rho = cov[0, 2] / np.sqrt(cov[0, 0] * cov[2, 2])
     assert rho == pytest.approx(-0.3 / np.hypot(0.3, 0.01))
-    names, cov = covariance_of(sheet_of(np.diag([1e4**2, 1e-3**2])), None, thickness_known=True)
+    names, cov = covariance_of(membrane_of(np.diag([1e4**2, 1e-3**2])), None, known_thickness=True)
     assert len(names) == 2 and cov[0, 0] == 1e8
 
 
 def test_known_values_are_taken_in_the_file_s_unit():
-    design, by_section = _with_known(
+    design, by_section = _with_fixed_values(
         DENSE, {"membrane.thickness_mm": 0.31, "chamber.extra_volume_mL": 2.0}
     )
     assert design.membrane.thickness == pytest.approx(0.31e-3) and by_section["chamber"][
         "extra_volume"
     ] == pytest.approx(2e-6)
     with pytest.raises(InputError, match="no field"):
-        _with_known(DENSE, {"membrane.color": 1.0})
+        _with_fixed_values(DENSE, {"membrane.color": 1.0})

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from mjtactile.core.design import load_sensor
-from mjtactile.fit.image_noise import fit_picture
+from mjtactile.fit.image_noise import fit_image_noise
 from mjtactile.sim.rendering.renderer import Renderer
 
 DENSE = load_sensor("dense")
@@ -20,7 +20,9 @@ TRUE = replace(
 def found():
     renderer = Renderer(TRUE, seed=3)
     n_S = 0 * DENSE.markers.p_SM + [0, 0, 1]
-    return fit_picture(DENSE, [renderer.render(DENSE.markers.p_SM, n_S) for _ in range(6)]).values
+    return fit_image_noise(
+        DENSE, [renderer.render(DENSE.markers.p_SM, n_S) for _ in range(6)]
+    ).values
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from mjtactile.core.design import load_sensor
 from mjtactile.fit.gauss_newton import differences, gauss_newton
 from mjtactile.fit.measurements import Evidence, Hold, Series
-from mjtactile.fit.membrane_fit import fit_sheet, simulate
+from mjtactile.fit.membrane_fit import fit_membrane, simulate
 from mjtactile.recording.stage_protocol import Move, Stage
 
 # coarse: of the same mesh both times
@@ -37,7 +37,7 @@ def true():
 def test_two_pressures_tell_modulus_and_pre_stretch(true):
     """Tension holds the sheet at 0.5 kPa, the modulus at 3 kPa: with heights of 1-4 mm known to a
     few um each is known to a percent or two, and the covariance covers the error."""
-    found = fit_sheet(
+    found = fit_membrane(
         DESIGN, [evidence_of(true, p) for p in (500.0, 3000.0)], known={}, touch_sd=5e-5, mesh=MESH
     )
     assert found.values["young"] == pytest.approx(1.2e6, rel=0.03)
@@ -48,7 +48,7 @@ def test_two_pressures_tell_modulus_and_pre_stretch(true):
 
 def test_one_pressure_does_not(true):
     """One height: only a stiffer sheet that is less stretched can be told from nothing."""
-    found = fit_sheet(DESIGN, [evidence_of(true, 1000.0)], known={}, touch_sd=5e-5, mesh=MESH)
+    found = fit_membrane(DESIGN, [evidence_of(true, 1000.0)], known={}, touch_sd=5e-5, mesh=MESH)
     sd = np.sqrt(np.diag(found.cov))
     assert found.cov[0, 1] / (sd[0] * sd[1]) < -0.9
     assert sd[0] > 0.05e6

@@ -9,7 +9,7 @@ import pytest
 
 from mjtactile.core import config_fields, resources
 from mjtactile.core.design import SensorDesign, load_sensor, sensor_from_table
-from mjtactile.fit.parameter_info import ABOUT, FittedNumber, correlations, digits, judge
+from mjtactile.fit.parameter_info import ABOUT, FittedParameter, correlations, digits, judge
 from mjtactile.fit.rewrite_sensor_file import rewrite
 
 TEXT = resources.find("dense", "models/sensors", ".toml").read_text()
@@ -57,11 +57,11 @@ def test_as_many_digits_as_mean_something(value, sd, text):
 
 def test_the_sensor_file_loads_and_keeps_its_comments():
     numbers = [
-        FittedNumber("membrane.young_MPa", 1.234567, 0.001, "fitted", "a", 1.0),
-        FittedNumber("chamber.extra_volume_mL", -2.5, 0.1, "fitted", "a", 0.0),
-        FittedNumber("chamber.leak_mL_s_kPa", 0.0, math.inf, "not in these recordings", "", 0.0),
-        FittedNumber("membrane.thickness_mm", 0.31, 0.0, "known", "measured by hand", 0.3),
-        FittedNumber("membrane.friction", 0.9, math.inf, "not in these recordings", "", 0.9),
+        FittedParameter("membrane.young_MPa", 1.234567, 0.001, "fitted", "a", 1.0),
+        FittedParameter("chamber.extra_volume_mL", -2.5, 0.1, "fitted", "a", 0.0),
+        FittedParameter("chamber.leak_mL_s_kPa", 0.0, math.inf, "not in these recordings", "", 0.0),
+        FittedParameter("membrane.thickness_mm", 0.31, 0.0, "known", "measured by hand", 0.3),
+        FittedParameter("membrane.friction", 0.9, math.inf, "not in these recordings", "", 0.9),
     ]
     text = rewrite(TEXT, numbers, "Fitted.")
     found = sensor_from_table(tomllib.loads(text), name="fitted", source="fitted.toml")

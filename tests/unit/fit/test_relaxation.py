@@ -61,7 +61,7 @@ def test_a_press_that_is_held_and_let_go_says_what_fades(tmp_path, capsys):
     found = fit_relaxation(tmp_path / "held", load_sensor(nominal), "left")
     begin, end = found.within
     faded = sum(share * (np.exp(-begin / tau) - np.exp(-end / tau)) for share, tau in terms)
-    assert found.is_known
+    assert found.is_finite_value
     # 2.5 sd, of which one is a tenth of it
     assert found.faded == pytest.approx(faded, abs=2.5 * found.faded_sd)
     assert found.faded_sd < 0.15 * faded

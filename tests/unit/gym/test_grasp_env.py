@@ -15,7 +15,7 @@ from gymnasium.utils.env_checker import check_env
 import mjtactile.gym
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
-from mjtactile.core.policy import policy_names, share_let_go
+from mjtactile.core.policy import fraction_released, policy_observation_names
 from mjtactile.core.types import Command
 from mjtactile.rig.registry import build_rig
 from mjtactile.sim import ground_truth
@@ -23,7 +23,7 @@ from mjtactile.sim import ground_truth
 CLOSE = np.array([-1.0, 0.0, 0.0], np.float32)
 GRIP = np.array([-0.05, 0.0, 0.5], np.float32)
 DRAWN = "-sheet,-chain"
-FORCE = policy_names().index("finger1.force_normal_N")
+FORCE = policy_observation_names().index("finger1.force_normal_N")
 
 
 def make(**how):
@@ -153,7 +153,7 @@ def test_a_hand_is_paid_for_how_far_it_lets_go():
     """Of the way from a grip's goal, 4 mm ahead of the jaws, to 8 mm beyond them."""
     for opening, share in ((0.036, 0.0), (0.042, 0.5), (0.048, 1.0)):
         sent = Command(opening, 1.0, 0.0, "release", {"grip_opening": 0.040}, "", None)
-        assert share_let_go(sent) == pytest.approx(share)
+        assert fraction_released(sent) == pytest.approx(share)
 
 
 def test_random_things_are_those_of_the_seeds():
@@ -180,7 +180,7 @@ def test_time_runs_out():
 
 
 def test_no_truth_is_shown(env):
-    names = policy_names()
+    names = policy_observation_names()
     assert (
         not [name for name in names if "true" in name]
         and len(names) == env.observation_space.shape[0] == 30

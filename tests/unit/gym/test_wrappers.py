@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mjtactile.core.policy import policy_bounds
-from mjtactile.gym.wrappers import MIDDLE, SCALE, SPAN, Decisions, save_policy
+from mjtactile.gym.wrappers import MIDDLE, SCALE, SPAN, ActionRepeatScaling, save_policy
 
 CHECKOUT = Path(__file__).resolve().parents[3]
 
@@ -32,7 +32,7 @@ class Counted(gymnasium.Env):
 
 
 def test_an_action_stands_for_some_steps_and_an_end_costs_what_was_said():
-    env = Decisions(Counted(), steps=3, fear=0.3)
+    env = ActionRepeatScaling(Counted(), steps=3, fear=0.3)
     shown, _ = env.reset()
     np.testing.assert_array_equal(shown, 2)
     first = env.step(np.zeros(3))
@@ -44,7 +44,7 @@ def test_an_action_stands_for_some_steps_and_an_end_costs_what_was_said():
 
 
 def test_the_least_and_the_largest_action_are_the_environments_own():
-    env = Decisions(Counted())
+    env = ActionRepeatScaling(Counted())
     env.reset()
     for end, own in ((env.action_space.low, -1.0), (env.action_space.high, 1.0)):
         env.step(end)

@@ -90,12 +90,12 @@ def test_judgement(polarity):
                 fit_validation.implausible(*args), numpy_candidates.implausible(*args)
             )
             args = fit, found, polarity, SIZE, least, DEFAULTS.markers
-            (status, keep), (wanted, wanted_keep) = (
+            (status, keep), (wanted, keep_requested) = (
                 fit_validation.judge(*args),
                 numpy_candidates.judge(*args),
             )
             np.testing.assert_array_equal(status, wanted)
-            np.testing.assert_array_equal(keep, wanted_keep)
+            np.testing.assert_array_equal(keep, keep_requested)
             seen |= set(status)
     assert polarity == "bright" or seen == set(fit_validation.STATUSES)
 

@@ -48,7 +48,7 @@ def test_discs_and_opening(scene, blur):
             [-18e-3, 14e-3, 45e-3],
         ]
     )
-    for draw, what in (("draw_discs", (p, n, radius)), ("draw_opening", (corners,))):
+    for draw, what in (("render_discs", (p, n, radius)), ("render_opening", (corners,))):
         ours, theirs = np.zeros((2, camera.height, camera.width), np.float32)
         for module, image in ((renderer, ours), (numpy_discs, theirs)):
             getattr(module, draw)(camera, *what, blur, image)
@@ -63,7 +63,7 @@ def test_light_noise_and_rounding(scene):
     drawn = Renderer(DESIGN, seed=4)
     gray = drawn.irradiance_image(*scene)
     coverage = np.zeros_like(gray)
-    renderer.draw_discs(
+    renderer.render_discs(
         drawn.camera,
         scene[0] - DESIGN.camera.p_SC,
         scene[1],

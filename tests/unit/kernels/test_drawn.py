@@ -13,9 +13,9 @@ from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import MjtactileError
 from mjtactile.kernels import kernel
 from mjtactile.kernels.bindings import declarations
-from mjtactile.sensing.pipeline import Chain
+from mjtactile.sensing.pipeline import SensingPipeline
 from mjtactile.sensing.settings import DEFAULTS
-from tests import sheet_images
+from tests import membrane_images
 
 DRAWS = int(os.environ.get("MJTACTILE_DRAWS", "2"))
 REFUSALS = (ValueError, np.linalg.LinAlgError)
@@ -103,11 +103,11 @@ def within(rng, entry):
 
 @pytest.mark.parametrize("seed", range(DRAWS))
 def test_a_chain_with_drawn_settings_says_something(seed):
-    images = sheet_images.sequence()
-    chain = Chain(load_sensor("paper16"), settings=drawn(np.random.default_rng(seed)))
+    images = membrane_images.sequence()
+    chain = SensingPipeline(load_sensor("paper16"), settings=drawn(np.random.default_rng(seed)))
     try:
-        state = chain.take_flat(chain.begin(), images.flat)
-        state = chain.take_rest(state, images.rest, sheet_images.GAUGE)
+        state = chain.measure_flat_reference(chain.begin(), images.flat)
+        state = chain.measure_rest_reference(state, images.rest, membrane_images.GAUGE)
         for image in images.pressed:
             touch, state = chain.step(state, image, image.time)
             assert touch.status.code is not None
@@ -119,11 +119,11 @@ def test_a_chain_with_drawn_settings_says_something(seed):
 def test_the_images_are_felt_as_what_they_are():
     """So that the draws above try something: the sheet's own loads, by its own inverse. What is
     left is the prior's, a few per cent at 0.4 N and above."""
-    images = sheet_images.sequence()
-    chain = Chain(load_sensor("paper16"))
-    state = chain.take_flat(chain.begin(), images.flat)
-    state = chain.take_rest(state, images.rest, sheet_images.GAUGE)
-    for image, (shear, normal) in zip(images.pressed, sheet_images.LOADS, strict=True):
+    images = membrane_images.sequence()
+    chain = SensingPipeline(load_sensor("paper16"))
+    state = chain.measure_flat_reference(chain.begin(), images.flat)
+    state = chain.measure_rest_reference(state, images.rest, membrane_images.GAUGE)
+    for image, (shear, normal) in zip(images.pressed, membrane_images.LOADS, strict=True):
         touch, state = chain.step(state, image, image.time)
         assert touch.status == "ok"
         assert touch.force_normal == pytest.approx(normal, abs=0.05)

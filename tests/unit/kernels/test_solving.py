@@ -11,12 +11,12 @@ from mjtactile.core.design import load_sensor
 from mjtactile.core.neo_hookean import Law
 from mjtactile.core.types import Markers
 from mjtactile.kernels import kernel
-from mjtactile.sensing.constitutive_law import SheetLaw
+from mjtactile.sensing.constitutive_law import ConstitutiveLaw
 from mjtactile.sensing.force import spline_fem
 from mjtactile.sensing.force.inverse_fem import InverseMembrane
 from mjtactile.sensing.force.spline_fem import Gas
 from mjtactile.sensing.surface import surface
-from tests.numpy_chain import sheet as numpy_sheet
+from tests.numpy_chain import sheet as numpy_membrane
 from tests.numpy_chain import surface as numpy_surface
 from tests.numpy_chain.inverse import DenseInverse
 
@@ -80,7 +80,7 @@ def test_sheet(law):
     design = load_sensor("dense")
     design = replace(design, membrane=replace(design.membrane, law=law))
     ours = spline_fem.Sheet(design, (14, 10))
-    theirs = numpy_sheet.Sheet(design, (14, 10))
+    theirs = numpy_membrane.Sheet(design, (14, 10))
     rng = np.random.default_rng(4)
     n = ours.count
     c = ours.equilibrium(Gas(600.0)) + rng.normal(0, 3e-5, (3, n))
@@ -190,5 +190,5 @@ def test_thickness_is_lamberts_function(poisson):
     log_det = np.linspace(-1.0, 2.0, 301)
     lambert = half * lambertw(np.exp(1 / half - log_det) / half).real
     places = np.linspace(-3.0, 4.0, 7001)
-    q, _ = SheetLaw(membrane).table
+    q, _ = ConstitutiveLaw(membrane).table
     np.testing.assert_allclose(np.interp(log_det, places, q) * np.exp(log_det), lambert, rtol=1e-9)

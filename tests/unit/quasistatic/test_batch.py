@@ -6,7 +6,7 @@ from functools import partial
 import pytest
 
 from mjtactile.core.errors import InputError
-from mjtactile.quasistatic import Film
+from mjtactile.quasistatic import QuasistaticMembrane
 from mjtactile.quasistatic.batch import at_once
 
 
@@ -29,7 +29,7 @@ def test_what_fails_in_a_thread_is_raised_and_the_thread_goes_on():
 
 
 def test_what_is_no_batch_is_refused_in_one_line_that_names_it():
-    film = Film("dense", (9, 7))
+    film = QuasistaticMembrane("dense", (9, 7))
     ball = film.obstacle("sphere", (8e-3,), (0.0, 0.0, 0.03))
     one = film.solve(ball)
     for says, call in (
@@ -37,10 +37,13 @@ def test_what_is_no_batch_is_refused_in_one_line_that_names_it():
         ("obstacles: must be a list", lambda: film.solve_batch([3])),
         ("obstacles: every environment", lambda: film.solve_batch([])),
         ("threads: '2' is not a whole", lambda: film.solve_batch([ball], threads="2")),
-        ("batch: FilmState is no FilmBatch", lambda: film.solve_batch([ball], one)),
-        ("into: int is no FilmBatch", lambda: film.solve_batch([ball], into=3)),
-        ("state: str is no FilmState", lambda: film.solve(ball, "x")),
-        (r"pressure_gauge: \[1000\] is not", lambda: Film("dense", (9, 7), [1000])),
+        (
+            "batch: MembraneSolution is no MembraneSolutionBatch",
+            lambda: film.solve_batch([ball], one),
+        ),
+        ("into: int is no MembraneSolutionBatch", lambda: film.solve_batch([ball], into=3)),
+        ("state: str is no MembraneSolution", lambda: film.solve(ball, "x")),
+        (r"gauge_pressure: \[1000\] is not", lambda: QuasistaticMembrane("dense", (9, 7), [1000])),
     ):
         with pytest.raises(InputError, match=says) as caught:
             call()

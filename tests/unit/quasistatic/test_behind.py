@@ -4,8 +4,8 @@ everywhere, without the kernel's short cuts."""
 import numpy as np
 import pytest
 
-from mjtactile import Film
-from mjtactile.quasistatic import FilmStatus
+from mjtactile import QuasistaticMembrane
+from mjtactile.quasistatic import MembraneStatus
 
 KINDS = {
     "sphere": lambda r: (r,),
@@ -18,7 +18,7 @@ ABOUT = np.stack(np.meshgrid(*[np.linspace(-8e-3, 8e-3, 81)] * 2), axis=-1).resh
 
 @pytest.fixture(scope="module")
 def film():
-    return Film("dense", grid=(21, 16), pressure_gauge=1000.0)
+    return QuasistaticMembrane("dense", grid=(21, 16), gauge_pressure=1000.0)
 
 
 def press(film, rng, kind):
@@ -28,7 +28,7 @@ def press(film, rng, kind):
     at = rng.uniform(-1, 1, 2) * [10e-3, 6e-3]
     R_SO = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     R_SO *= np.sign(np.linalg.det(R_SO))
-    lowest = film.heights_of(film.obstacle(kind, sizes, (*at, 0), R_SO), at + ABOUT).min()
+    lowest = film.obstacle_heights(film.obstacle(kind, sizes, (*at, 0), R_SO), at + ABOUT).min()
     p_SO = (*at, 2.8e-3 - rng.uniform(0, 4e-3) - lowest)
     end = sizes[1] * R_SO[:2, 2] if kind == "capsule" else np.zeros(2)
     return film.obstacle(kind, sizes, p_SO, R_SO), np.stack([at - end, at, at + end])
@@ -54,7 +54,7 @@ def is_behind(film, body, own, x, force):
     sheet = np.concatenate([heights.ravel(), heights[i, j]])
     touches = np.concatenate([near.ravel(), near[i, j]])
     much = np.where(touches, 1.5, 0.2) * spacing.max()
-    return bool((sheet - film.heights_of(body, places) > much).any())
+    return bool((sheet - film.obstacle_heights(body, places) > much).any())
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -64,9 +64,9 @@ def test_what_goes_through_is_refused_and_nothing_else(film, kind):
     batch = film.solve_batch([[body] for body, _ in presses])
     judged = []
     for (body, own), x, force, found in zip(presses, batch.x, batch.force, batch, strict=True):
-        if found.status in (FilmStatus.CONVERGED, FilmStatus.GOES_THROUGH):
+        if found.status in (MembraneStatus.CONVERGED, MembraneStatus.TUNNELLING):
             behind = is_behind(film, body, own, x, force)
-            judged.append((found.status is FilmStatus.GOES_THROUGH, behind))
+            judged.append((found.status is MembraneStatus.TUNNELLING, behind))
     refused, behind = np.array(judged).T
     assert 2 <= behind.sum() <= PRESSES / 2  # there is something to tell apart
     np.testing.assert_array_equal(refused, behind)

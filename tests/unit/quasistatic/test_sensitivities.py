@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mjtactile import Film, InputError
+from mjtactile import InputError, QuasistaticMembrane
 from mjtactile.quasistatic.obstacles import NUMBERS, pooled
 from mjtactile.quasistatic.sensitivities import answered, changed_bodies
 
@@ -12,17 +12,20 @@ from mjtactile.quasistatic.sensitivities import answered, changed_bodies
 TURN = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 HEIGHT = 2  # the number of each that is its middle's height
 SHAPES = {
-    "ball": (lambda n: Film.obstacle("sphere", (n[3],), n[:3]), [1.3e-3, -0.7e-3, 9e-3, 8e-3]),
+    "ball": (
+        lambda n: QuasistaticMembrane.obstacle("sphere", (n[3],), n[:3]),
+        [1.3e-3, -0.7e-3, 9e-3, 8e-3],
+    ),
     "rod": (
-        lambda n: Film.obstacle("capsule", (n[3], 4e-3), n[:3], TURN),
+        lambda n: QuasistaticMembrane.obstacle("capsule", (n[3], 4e-3), n[:3], TURN),
         [1.3e-3, -0.7e-3, 5.5e-3, 4e-3],
     ),
     "quadric": (
-        lambda n: Film.obstacle("quadric", (n[3], n[4], 0.012), n[:3]),
+        lambda n: QuasistaticMembrane.obstacle("quadric", (n[3], n[4], 0.012), n[:3]),
         [1.3e-3, -0.7e-3, 1.2e-3, 120, 60],
     ),
     "box": (
-        lambda n: Film.obstacle("box", (n[3], n[4], 0.01), n[:3]),
+        lambda n: QuasistaticMembrane.obstacle("box", (n[3], n[4], 0.01), n[:3]),
         [1.3e-3, -0.7e-3, 0.0117, 5.3e-3, 4.1e-3],
     ),
 }
@@ -33,7 +36,7 @@ def test_they_are_what_differences_say(monkeypatch, name):
     monkeypatch.setattr(
         "mjtactile.quasistatic.membrane.TOLERANCE", 1e-10
     )  # m; differences are of 1e-6
-    film = Film("dense", pressure_gauge=1000.0)
+    film = QuasistaticMembrane("dense", gauge_pressure=1000.0)
     shape, numbers = SHAPES[name]
 
     def settled(at, state=film.rest):
@@ -59,7 +62,7 @@ def test_they_are_what_differences_say(monkeypatch, name):
         wrench = difference(lambda s: s.wrench)
         np.testing.assert_allclose(by.wrench[k, :3], wrench[:3], atol=rel * np.ptp(wrench[:3]))
         np.testing.assert_allclose(by.wrench[k, 3:], wrench[3:], atol=rel * np.ptp(wrench[3:]))
-        assert by.pressure_gauge[k] == pytest.approx(difference(lambda s: s.pressure_gauge), rel)
+        assert by.gauge_pressure[k] == pytest.approx(difference(lambda s: s.gauge_pressure), rel)
         assert by.volume[k] == pytest.approx(difference(lambda s: s.volume), rel)
         area = np.abs(by.area * numbers).max() / abs(numbers[k])  # some areas hardly change
         assert by.area[k] == pytest.approx(difference(lambda s: s.area), rel, abs=rel * area)
@@ -71,7 +74,7 @@ def test_they_are_what_differences_say(monkeypatch, name):
 def test_quick_answers_are_nearly_the_derivatives(name, seen):
     """Heights and forces move as the exact ones do, but for what moves in the plane. Other numbers
     of a box than its height say where its face ends, of which nothing is `seen`."""
-    film = Film("dense", (32, 24), pressure_gauge=1000.0)
+    film = QuasistaticMembrane("dense", (32, 24), gauge_pressure=1000.0)
     shape, numbers = SHAPES[name]
     state = film.solve(shape(np.array(numbers)))
     state = film.solve(shape(np.array(numbers)), state)
@@ -93,7 +96,7 @@ def test_a_contact_s_stiffness_is_that_of_an_energy():
     """Without friction the film has an energy by the body's pose. Of its second derivatives, those
     by two shifts do not hang on their order; a shift and a turn, or two turns, on axes that stay,
     differ by what turns force and torque."""
-    film = Film("dense", pressure_gauge=1000.0)
+    film = QuasistaticMembrane("dense", gauge_pressure=1000.0)
     ball = film.obstacle("sphere", (8e-3,), (1.3e-3, -0.7e-3, 9e-3))
     state = film.solve(ball)
     stiffness = film.derivatives_by_pose(film.solve(ball, state)).wrench.T
@@ -109,7 +112,7 @@ def test_a_contact_s_stiffness_is_that_of_an_energy():
 
 
 def test_by_its_pose_is_by_a_shape_that_moves():
-    film = Film("dense", pressure_gauge=1000.0)
+    film = QuasistaticMembrane("dense", gauge_pressure=1000.0)
     place, tilt = np.array([2e-3, 1e-3, 8.2e-3]), Rotation.from_euler("xyz", [0.3, 0.1, 0.5])
 
     def posed(numbers):
@@ -122,18 +125,20 @@ def test_by_its_pose_is_by_a_shape_that_moves():
     state = film.solve(posed(np.zeros(6)))
     by_pose = film.derivatives_by_pose(state)
     by_shape = film.derivatives(state, posed, np.zeros(6), steps=np.full(6, 1e-7))
-    for name in ("displacements", "contact_forces", "wrench", "pressure_gauge"):
+    for name in ("displacements", "contact_forces", "wrench", "gauge_pressure"):
         found, same = getattr(by_pose, name), getattr(by_shape, name)
         # m and rad, by differences of 1e-8 and 1e-7 that bend by some 100/m
         np.testing.assert_allclose(found, same, atol=2e-4 * abs(same).max())
 
 
 def test_a_state_that_does_not_know_its_bodies_has_no_derivative_by_pose():
-    film = Film("dense", (11, 9), 1000.0)
+    film = QuasistaticMembrane("dense", (11, 9), 1000.0)
     ball = film.obstacle("sphere", (8e-3,), (0, 0, 9e-3))
     with pytest.raises(InputError, match="of a batch"):
         film.derivatives_by_pose(film.solve_batch([[ball]])[0])
-    field = film.obstacle("heights", data=film.heights_of(ball, _nodes(film)).reshape(film.grid))
+    field = film.obstacle(
+        "heights", data=film.obstacle_heights(ball, _nodes(film)).reshape(film.grid)
+    )
     with pytest.raises(InputError, match="heights"):
         film.derivatives_by_pose(film.solve(field))
     assert not film.derivatives_by_pose(film.rest).wrench.any()
@@ -144,7 +149,7 @@ def _nodes(film):
 
 
 def test_what_has_no_derivative_is_refused(monkeypatch):
-    film = Film("dense", (11, 9), 1000.0)
+    film = QuasistaticMembrane("dense", (11, 9), 1000.0)
     shape = SHAPES["ball"][0]
     with pytest.raises(InputError, match="finite"):
         film.derivatives(film.rest, shape, [np.nan, 0, 0.02, 8e-3])

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from scipy.linalg import cho_solve_banded
 
-from mjtactile import Film, InputError
-from mjtactile.quasistatic import Held, drag
+from mjtactile import InputError, QuasistaticMembrane
+from mjtactile.quasistatic import StickState, drag
 from mjtactile.quasistatic.incremental import Sticking
 from mjtactile.quasistatic.stiffness import compliance_of
 
 
 @pytest.fixture(scope="module")
 def fine():
-    return Film("dense", grid=(41, 31), pressure_gauge=1000.0)
+    return QuasistaticMembrane("dense", grid=(41, 31), gauge_pressure=1000.0)
 
 
 def pressed(film, radius, depth, place=(0, 0)):
@@ -49,7 +49,7 @@ def test_a_sticking_patch_is_as_stiff_as_an_independent_sheet_holds_it(
 
 def test_a_film_that_moves_holds_a_patch_nearly_as_stiffly():
     """It takes the stiffness of the sheet at rest, for all contacts."""
-    coarse = Film("dense", pressure_gauge=1000.0)
+    coarse = QuasistaticMembrane("dense", gauge_pressure=1000.0)
     sticking = Sticking(coarse)
     for radius, depth, along, _ in DRAGGED:
         state = pressed(coarse, radius, depth)
@@ -59,7 +59,7 @@ def test_a_film_that_moves_holds_a_patch_nearly_as_stiffly():
 
 def test_the_compliance_is_the_inverse_of_the_stiffness():
     """By SciPy, of a grid whose nodes are no whole number of those solved for together."""
-    film = Film("dense", grid=(10, 8), pressure_gauge=1000.0)
+    film = QuasistaticMembrane("dense", grid=(10, 8), gauge_pressure=1000.0)
     factor = film.stiffness_factor(film.rest)
     in_plane = np.arange(factor.shape[1]) % 3 < 2
     inverse = cho_solve_banded((factor, True), np.eye(factor.shape[1]))
@@ -79,7 +79,7 @@ def test_two_bodies_are_two_patches(fine):
 
 def test_it_holds_remembers_and_slides(fine):
     (patch,) = fine.patches(pressed(fine, 8e-3, 2e-3))
-    force, held = drag(patch, Held.none(), (1e-4, 0, 0), friction=0.5)
+    force, held = drag(patch, StickState.none(), (1e-4, 0, 0), friction=0.5)
     assert force[0] == pytest.approx(-1e-4 * patch.stiffness[0, 0])
     force, held = drag(patch, held, (-1e-4, 0, 0), friction=0.5)
     np.testing.assert_allclose(force, 0, atol=1e-12)  # back where it was: nothing is left

@@ -234,7 +234,7 @@ def test_no_recording_and_a_foreign_file_are_named(tmp_path):
 CYCLES = [fake_cycle(i) for i in range(50)]
 
 
-def given_up(recorder, caplog):
+def aborted(recorder, caplog):
     """Record until the recorder gives up; what it said."""
     for cycle in CYCLES:
         recorder.add(cycle)
@@ -247,7 +247,7 @@ def given_up(recorder, caplog):
 def test_a_folder_that_is_removed(tmp_path, caplog):
     recorder = Recorder(tmp_path / "run", {})
     shutil.rmtree(tmp_path / "run")
-    (said,) = given_up(recorder, caplog)
+    (said,) = aborted(recorder, caplog)
     assert "No such file" in said
 
 
@@ -260,7 +260,7 @@ def test_a_disk_that_is_full(tmp_path, caplog):
     # as good as a full disk: whatever grows a file fails
     resource.setrlimit(resource.RLIMIT_FSIZE, (1, limit[1]))
     try:
-        (said,) = given_up(recorder, caplog)
+        (said,) = aborted(recorder, caplog)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limit)
     assert "too large" in said
@@ -272,7 +272,7 @@ def test_a_process_without_descriptors(tmp_path, caplog):
     recorder = Recorder(tmp_path, {})
     resource.setrlimit(resource.RLIMIT_NOFILE, (3, limit[1]))
     try:
-        (said,) = given_up(recorder, caplog)
+        (said,) = aborted(recorder, caplog)
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, limit)
     assert "Too many open files" in said
@@ -283,19 +283,19 @@ def test_a_notebook_that_contains_itself(tmp_path, caplog):
     memory["me"] = memory
     recorder = Recorder(tmp_path, {})
     recorder.add(replace(fake_cycle(0), sent=Command(0.05, 4.0, memory=memory)))
-    (said,) = given_up(recorder, caplog)
+    (said,) = aborted(recorder, caplog)
     assert "RecursionError" in said
 
 
-@pytest.mark.parametrize("patience", [0.0, 0.05])
-def test_a_disk_that_stands_still_holds_up_nothing(tmp_path, caplog, monkeypatch, patience):
-    """The first image takes for ever, or as long as this test; the loop is held up for `patience`
-    at most, once."""
+@pytest.mark.parametrize("disk_wait_time", [0.0, 0.05])
+def test_a_disk_that_stands_still_holds_up_nothing(tmp_path, caplog, monkeypatch, disk_wait_time):
+    """The first image takes for ever, or as long as this test; the loop is held up for
+    `disk_wait_time` at most, once."""
     over = threading.Event()
     monkeypatch.setattr(Path, "write_bytes", lambda *_: over.wait(60))
     monkeypatch.setattr(writer, "_FLUSH_TIME", 0.05)
     recorder = Recorder(tmp_path, {})
-    recorder.patience = patience
+    recorder.disk_wait_time = disk_wait_time
     put = recorder._queue.put
     in_vain = []
 
@@ -309,7 +309,7 @@ def test_a_disk_that_stands_still_holds_up_nothing(tmp_path, caplog, monkeypatch
     monkeypatch.setattr(recorder._queue, "put", counted)
     for cycle in 4 * CYCLES:
         recorder.add(cycle)
-    assert in_vain == [{"block": patience > 0, "timeout": patience}]
+    assert in_vain == [{"block": disk_wait_time > 0, "timeout": disk_wait_time}]
     recorder.close(outcome="held")
     assert (
         "cycles behind" in recorder.problem
@@ -343,7 +343,7 @@ def test_json_is_always_valid(tmp_path):
 
 def test_commanded_pressures_are_read_back_and_older_recordings_have_none(tmp_path):
     cycles = [fake_cycle(0), fake_cycle(1)]
-    commanded = replace(cycles[1].sent, pressure_gauge=(600.0, 700.0))
+    commanded = replace(cycles[1].sent, gauge_pressure=(600.0, 700.0))
     with Recorder(tmp_path, {}) as recorder:
         recorder.add(cycles[0])
         recorder.add(replace(cycles[1], sent=commanded))

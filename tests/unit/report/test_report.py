@@ -13,7 +13,7 @@ from mjtactile.core.errors import MjtactileError
 from mjtactile.recording.reader import load_recording
 from mjtactile.recording.writer import Recorder
 from mjtactile.report import summary_figure as report
-from mjtactile.report.figure_process import drawing_beside
+from mjtactile.report.figure_process import figure_writer_process
 from mjtactile.runtime.progress import Progress
 from tests.fake_run import fake_cycle, fake_touch, write_fake_recording
 
@@ -72,7 +72,7 @@ def test_a_run_without_a_cycle(tmp_path):
 def test_a_process_beside_the_run_draws_the_same_and_one_that_ended_is_not_missed(tmp_path, alive):
     cycles = write_fake_recording(tmp_path, count=20)
     pictures = []
-    with drawing_beside() as beside:
+    with figure_writer_process() as beside:
         if not alive:
             beside._worker._process.kill()
         for write in (report.write_figure, beside):
@@ -94,14 +94,14 @@ def test_without_room_for_a_process_it_is_drawn_here(tmp_path, monkeypatch):
 
     write_fake_recording(tmp_path, count=3)
     monkeypatch.setattr(process, "start", refuse)
-    with drawing_beside() as beside:
+    with figure_writer_process() as beside:
         beside(tmp_path / "summary.png", load_recording(tmp_path), None, SUMMARY)
     assert (tmp_path / "summary.png").exists()
 
 
 def test_what_the_process_fails_with_is_said_here(tmp_path):
     write_fake_recording(tmp_path, count=3)
-    with drawing_beside() as beside, pytest.raises(FileNotFoundError, match="no/such"):
+    with figure_writer_process() as beside, pytest.raises(FileNotFoundError, match="no/such"):
         beside(tmp_path / "no/such/summary.png", load_recording(tmp_path), None, SUMMARY)
 
 

@@ -7,15 +7,15 @@ import math
 import numpy as np
 import pytest
 
-from mjtactile.core.types import FeltShape
-from mjtactile.report.shape_wireframe import lines_of, words_of
+from mjtactile.core.types import ContactShape
+from mjtactile.report.shape_wireframe import describe_shape, lines_of
 
 BORDER = 3e-3 * np.column_stack([np.cos(np.arange(12) / 2), np.sin(np.arange(12) / 2)])
 
 
 def shape(**values):
     said = {"p_SO": np.array([1e-3, -2e-3, 1.5e-3]), "outline": BORDER, "direction": 0.4}
-    return FeltShape("smooth", {"smooth": 1.0}, **said | values)
+    return ContactShape("smooth", {"smooth": 1.0}, **said | values)
 
 
 def test_the_arcs_of_a_ball_lie_on_it():
@@ -25,7 +25,7 @@ def test_the_arcs_of_a_ball_lie_on_it():
     middle = ball.p_SO + (0, 0, 8e-3)
     for arc in arcs:
         assert np.linalg.norm(arc - middle, axis=1) == pytest.approx(np.full(len(arc), 8e-3))
-    assert words_of(ball) == "ball, radius 8.0 mm"
+    assert describe_shape(ball) == "ball, radius 8.0 mm"
 
 
 def test_a_lying_cylinder_is_straight_along_itself():
@@ -39,6 +39,6 @@ def test_a_lying_cylinder_is_straight_along_itself():
 
 
 def test_what_is_unknown_has_no_lines():
-    unknown = FeltShape("unknown", {}, status="no body explains the markers")
+    unknown = ContactShape("unknown", {}, status="no body explains the markers")
     assert lines_of(unknown) == []
-    assert words_of(unknown) == "shape unknown: no body explains the markers"
+    assert describe_shape(unknown) == "shape unknown: no body explains the markers"

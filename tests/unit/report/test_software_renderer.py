@@ -5,7 +5,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from mjtactile.report.software_renderer import picture_axes, rasterise
+from mjtactile.report.software_renderer import image_axes, rasterise
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.scene_triangles import SceneView, _shape
 
@@ -58,7 +58,7 @@ def test_a_disc_covers_its_area_and_the_nearer_one_is_seen():
 
 def test_two_sensors_lie_side_by_side_seen_from_above():
     p_WS = np.array([[-0.03, 0.0, 0.1], [0.03, 0.0, 0.1]])
-    right, up, towards = picture_axes(p_WS)
+    right, up, towards = image_axes(p_WS)
     assert right @ (p_WS[1] - p_WS[0]) > 0.05 and up[2] > 0.9 and towards[2] > 0
     np.testing.assert_allclose(
         [right @ up, up @ towards, np.cross(right, up) @ towards], [0, 0, 1], atol=1e-12
@@ -68,7 +68,7 @@ def test_two_sensors_lie_side_by_side_seen_from_above():
 def test_of_three_sensors_the_last_is_behind_between_the_others():
     angle = np.radians([90, 210, 330])
     p_WS = 0.03 * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(3)])
-    right, _, towards = picture_axes(p_WS)
+    right, _, towards = image_axes(p_WS)
     depth = p_WS @ towards
     side = p_WS @ right
     assert depth[2] < -0.028 and min(depth[:2]) > 0.01  # the viewer is on the other side

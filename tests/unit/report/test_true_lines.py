@@ -10,8 +10,8 @@ import pytest
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from mjtactile.core.types import FeltShape
-from mjtactile.report.shape_cross_section import draw_section
+from mjtactile.core.types import ContactShape
+from mjtactile.report.shape_cross_section import plot_section
 from mjtactile.report.shape_wireframe import lines_of, true_lines
 
 RADIUS = 0.008
@@ -46,7 +46,7 @@ class Scene:
 def ball(radius=RADIUS, place=PLACE, direction=0.5):
     kinds = {"smooth": 1.0}
     curvatures = np.full(2, 1 / radius)
-    return FeltShape(
+    return ContactShape(
         "smooth", kinds, curvatures=curvatures, direction=direction, radius=radius, p_SO=place,
         family="ball",
     )  # fmt: skip
@@ -68,7 +68,7 @@ def test_a_true_ball_lies_on_the_lines_of_one_that_is_believed_rightly():
         across = np.array([-np.sin(turn), np.cos(turn)])
         in_plane = (np.abs((pieces - PLACE)[:, :, :2] @ across) < 1e-9).all(axis=1)
         assert in_plane.sum() > 50
-    assert not len(true_lines(FeltShape("unknown", {}), scene(), 0))
+    assert not len(true_lines(ContactShape("unknown", {}), scene(), 0))
 
 
 def dark(picture):
@@ -82,14 +82,14 @@ def orange(picture):
 
 def test_a_section_shows_how_far_the_believed_body_is_off():
     size = (150, 480)
-    right = draw_section(ball(), true_lines(ball(), scene(), 0), size)
+    right = plot_section(ball(), true_lines(ball(), scene(), 0), size)
     deep = ball(place=PLACE + [0, 0, 1e-3])
-    off = draw_section(deep, true_lines(deep, scene(), 0), size)
+    off = plot_section(deep, true_lines(deep, scene(), 0), size)
     lowest = {name: dark(picture)[:, 0].max() for name, picture in (("right", right), ("off", off))}
     true = {"right": orange(right)[:, 0].max(), "off": orange(off)[:, 0].max()}
     # believed bodies are drawn from their own lowest point: the true one is 1 mm lower
     assert lowest["right"] == pytest.approx(lowest["off"], abs=1)
     assert true["off"] - true["right"] == pytest.approx(240 / 18, abs=2)  # px in a mm
-    nothing = draw_section(None, np.zeros((0, 2, 3)), size)
+    nothing = plot_section(None, np.zeros((0, 2, 3)), size)
     assert not len(dark(nothing))
     assert len(lines_of(ball())) == 2

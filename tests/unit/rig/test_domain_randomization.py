@@ -17,7 +17,7 @@ from mjtactile.core.scenario import Scenario
 from mjtactile.core.sensor_parts import Chamber
 from mjtactile.core.toml import read_toml
 from mjtactile.core.types import Command
-from mjtactile.rig.as_built_sensor import SpecimenConfig, marker_radii, true_design
+from mjtactile.rig.as_built_sensor import AsBuiltSensor, marker_radii, true_design
 from mjtactile.rig.domain_randomization import (
     CAMERA,
     NONE,
@@ -139,7 +139,7 @@ def test_units_and_fingers():
             "object": {"mass_percent": 20, "place_mm": [2, 2], "yaw_deg": 90},
             "rig": {"delay_ms": 10, "backlash_mm": 0.2},
             "sensor": {"camera_tilt_deg": 1, "missing_markers": 2},
-            "gas": {"leak_mL_s_kPa": 0.01, "warming_K_min": 6},
+            "gas": {"leak_mL_s_kPa": 0.01, "temperature_drift_K_min": 6},
         }
     )
     assert world.object == ObjectChange(
@@ -187,7 +187,7 @@ def test_the_world_is_as_drawn_and_sensing_does_not_know():
             assert (
                 finger.design.membrane == DESIGN.membrane and finger.design.camera == DESIGN.camera
             )
-            share = 1 + world.specimen(finger.name).stiffness_share
+            share = 1 + world.specimen(finger.name).stiffness_fraction
             assert sensor.design.membrane.young == pytest.approx(share * DESIGN.membrane.young)
         stands = load_object("egg").break_force * (1 + world.object.breaking)
         assert rig.scene.object.break_force == pytest.approx(stands) and rig.varied == world.values
@@ -200,7 +200,7 @@ def test_the_world_is_as_drawn_and_sensing_does_not_know():
 
 
 def test_missing_markers_are_not_seen():
-    own = SpecimenConfig("left", missing=(0, 40), light_share=0.1)
+    own = AsBuiltSensor("left", missing=(0, 40), light_fraction=0.1)
     true = true_design(DESIGN, own)
     flat = true.markers.p_SM, np.tile([0.0, 0.0, -1.0], (81, 1))
     renderer = Renderer(true, radius=marker_radii(true, own))
@@ -214,7 +214,7 @@ def test_missing_markers_are_not_seen():
 def test_a_sealed_rigid_chamber_warms_as_the_gas_law_says():
     """p / T is constant at a constant volume: 3 K of 293.15 in 30 s, in steps, with and without an
     exchange of heat."""
-    for chamber in (Chamber(0.02), Chamber(0.02, heat_ratio=1.4, heat_exchange=1.0)):
+    for chamber in (Chamber(0.02), Chamber(0.02, polytropic_exponent=1.4, heat_exchange=1.0)):
         gas = ChamberGas(chamber)
         gas.open(1000.0)
         gas.advance(2e-5, 0.0)
@@ -223,7 +223,7 @@ def test_a_sealed_rigid_chamber_warms_as_the_gas_law_says():
         assert not gas.is_still
         for _ in range(300):
             gas.advance(2e-5, 0.1)
-        assert gas.pressure_gauge + chamber.ambient == pytest.approx(
+        assert gas.gauge_pressure + chamber.ambient == pytest.approx(
             (chamber.ambient + 1000) * 296.15 / 293.15, rel=1e-9
         )
 

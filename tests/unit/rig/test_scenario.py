@@ -12,7 +12,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.recording.files import write_json
 from mjtactile.recording.writer import Recorder
-from mjtactile.rig.scenario import complete_scenario, load_scenario
+from mjtactile.rig.scenario import load_scenario, resolve_scenario
 from tests.fake_run import fake_cycle
 
 OTHER = Scenario(
@@ -101,20 +101,20 @@ def rig_with(path, **sensors):
 
 
 def test_a_scenario_has_the_sensors_that_the_rigs_fingers_really_have(tmp_path):
-    same = complete_scenario(
+    same = resolve_scenario(
         Scenario(rig=rig_with(tmp_path / "same.toml", left="paper16", right="paper16"))
     )
     assert (same.sensor, same.sensors) == ("paper16", {})
-    one = complete_scenario(Scenario(rig=rig_with(tmp_path / "one.toml", left="paper16")))
+    one = resolve_scenario(Scenario(rig=rig_with(tmp_path / "one.toml", left="paper16")))
     assert (one.sensor, one.sensors) == ("dense", {"left": "paper16"})
     assert one.names()["sensor"] == "dense, paper16"
-    assert complete_scenario(one) == one and complete_scenario(same) == same
+    assert resolve_scenario(one) == one and resolve_scenario(same) == same
     # what a scenario says of a finger is stronger than the rig file
     rig = mjtactile.build_rig(replace(one, sensors={"left": "dense", "right": "paper16"}))
     rig.close()
     assert [finger.design.name for finger in rig.fingers] == ["dense", "paper16"]
     with pytest.raises(InputError, match=r"no finger 'thumb' on .*left, right"):
-        complete_scenario(replace(one, sensors={"thumb": "dense"}))
+        resolve_scenario(replace(one, sensors={"thumb": "dense"}))
 
 
 def test_a_recording_is_replayed_with_the_sensor_that_it_names(tmp_path):
@@ -123,10 +123,10 @@ def test_a_recording_is_replayed_with_the_sensor_that_it_names(tmp_path):
         scenario = Scenario().to_dict() | {"sensor": known}
         with Recorder(tmp_path / name, {"scenario": scenario}) as recorder:
             recorder.add(fake_cycle(0, 1))
-    replayed = complete_scenario(Scenario(rig=f"replay:{tmp_path / 'shipped'}"))
+    replayed = resolve_scenario(Scenario(rig=f"replay:{tmp_path / 'shipped'}"))
     assert replayed.sensor == "paper16"
-    assert complete_scenario(replace(replayed, sensor="round30")).sensor == "round30"
-    assert complete_scenario(Scenario(rig=f"replay:{tmp_path / 'gone'}")).sensor == "dense"
+    assert resolve_scenario(replace(replayed, sensor="round30")).sensor == "round30"
+    assert resolve_scenario(Scenario(rig=f"replay:{tmp_path / 'gone'}")).sensor == "dense"
 
 
 QUICK = """
@@ -155,7 +155,7 @@ def test_a_run_says_its_fingers_own_sensors_and_is_felt_again_with_them(
     assert code == 1  # it only looked
     assert summary["sensor"] == ("dense, paper16" if len(fingers) == 1 else "paper16")
     assert main(["summary", "run", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["felt_again"]
+    assert json.loads(capsys.readouterr().out)["re_estimate"]
     recording = mjtactile.load_recording("run")
     assert recording.header["scenario"] == summary["scenario"]
     # and the same run again, from its result

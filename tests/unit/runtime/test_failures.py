@@ -17,9 +17,9 @@ from mjtactile.core import memory_limit
 from mjtactile.core.errors import ControllerError, DeviceError, Interrupted
 from mjtactile.core.signals import Stop
 from mjtactile.core.types import Command
-from mjtactile.core.types.control import MEMORY_MOST
+from mjtactile.core.types.control import MEMORY_MAX
 from mjtactile.recording.observer import Observer
-from mjtactile.rig.command_limits import Limits
+from mjtactile.rig.command_limits import CommandLimits
 from mjtactile.runtime import control_loop
 from mjtactile.runtime.controller import Controller
 from mjtactile.runtime.cycle import ControlCycle
@@ -67,7 +67,7 @@ def test_a_step_that_eats_the_memory_is_refused_and_the_hand_goes_down(greedy):
 
     def wide(observation):
         late = observation.time > 0.2
-        memory = dict.fromkeys(range(MEMORY_MOST + 1), 0.0) if late else {}
+        memory = dict.fromkeys(range(MEMORY_MAX + 1), 0.0) if late else {}
         return replace(observation.command, memory=memory)
 
     world = World()
@@ -326,7 +326,7 @@ def test_a_controller_cannot_close_blind():
 
 
 def test_a_controller_cannot_exceed_the_limits():
-    limits = Limits(opening=(0.01, 0.1), speed=0.1, force=5.0)
+    limits = CommandLimits(opening=(0.01, 0.1), speed=0.1, force=5.0)
     sent = limits.apply(Command(0.5, 99.0, 9.0), Command(0.099, 1.0), 0.05)
     assert (sent.opening, sent.force_limit) == (0.1, 5.0)
     sent = limits.apply(Command(0.0, 1.0), Command(0.05, 1.0), 0.05)

@@ -15,7 +15,7 @@ from mjtactile.evaluate.report import page
 from mjtactile.export.episode import RecordedEpisode as Exported
 from mjtactile.recording.observer import Observer
 from mjtactile.recording.reader import load_recording
-from mjtactile.runtime.flag_observer import FlagNotes
+from mjtactile.runtime.flag_observer import FlagObserver
 
 # closes on the block, whose faces have edges within the membrane's frame, and ends there
 CLOSES = """
@@ -93,7 +93,7 @@ def test_notes_are_taken_when_doubts_grow_and_at_the_end():
         def note(self, **facts):
             noted.append(facts)
 
-    with FlagNotes(lambda: flags, Keeps()) as notes:
+    with FlagObserver(lambda: flags, Keeps()) as notes:
         notes.on_images()
         flags["edge"] = "an edge presses"
         notes.on_images()

@@ -9,7 +9,7 @@ import pytest
 
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.core.types import Command, ValveState
-from mjtactile.rig.command_limits import Limits
+from mjtactile.rig.command_limits import CommandLimits
 from mjtactile.runtime import control_loop
 from mjtactile.runtime.supervisor import Supervisor
 from tests.stub_rig import BLIND, LAST, OK, PERIOD, World
@@ -22,7 +22,7 @@ def supervisor():
     return supervisor
 
 
-AIR = Limits(pressure=(200.0, 2000.0), pressure_rate=600.0)
+AIR = CommandLimits(pressure=(200.0, 2000.0), pressure_rate=600.0)
 
 
 @pytest.mark.parametrize(
@@ -35,8 +35,8 @@ AIR = Limits(pressure=(200.0, 2000.0), pressure_rate=600.0)
     ],
 )
 def test_air_keeps_range_and_rate(wanted, last, period, sent):
-    wanted = Command(0.05, 1.0, pressure_gauge=wanted)
-    assert AIR.apply(wanted, Command(0.05, 1.0, pressure_gauge=last), period).pressure_gauge == sent
+    wanted = Command(0.05, 1.0, gauge_pressure=wanted)
+    assert AIR.apply(wanted, Command(0.05, 1.0, gauge_pressure=last), period).gauge_pressure == sent
 
 
 class Chamber:
@@ -72,7 +72,7 @@ def test_air_begins_at_what_the_gauge_shows_and_is_sealed_when_it_is_left_alone(
         return replace(
             observation.command,
             phase="done" if calls == 9 else "hold",
-            pressure_gauge=(600.0,) if 2 <= calls < 6 else None,
+            gauge_pressure=(600.0,) if 2 <= calls < 6 else None,
         )
 
     run_air(world, valve, step)
@@ -82,8 +82,8 @@ def test_air_begins_at_what_the_gauge_shows_and_is_sealed_when_it_is_left_alone(
 @pytest.mark.parametrize(
     ("pressures", "limits", "message"),
     [
-        ((600.0,), Limits(), "Command: pressure_gauge: rig 'stub' has no valves"),
-        ((600.0, 600.0), AIR, "Command: pressure_gauge: 2 pressures for 1 fingers"),
+        ((600.0,), CommandLimits(), "Command: gauge_pressure: rig 'stub' has no valves"),
+        ((600.0, 600.0), AIR, "Command: gauge_pressure: 2 pressures for 1 fingers"),
         ((math.nan,), AIR, "nan is not a finite number"),
     ],
 )
@@ -95,18 +95,18 @@ def test_air_that_a_rig_cannot_give_is_refused_by_name_and_the_hand_goes_down(
         run_air(
             world,
             Chamber(),
-            lambda o: replace(o.command, pressure_gauge=pressures) if o.time > 0.2 else o.command,
+            lambda o: replace(o.command, gauge_pressure=pressures) if o.time > 0.2 else o.command,
             limits,
         )
     assert world.has_set_down()
 
 
 def test_a_blind_rig_keeps_its_air_and_a_retreat_too(supervisor):
-    last = replace(LAST, pressure_gauge=(900.0,))
-    wanted = replace(LAST, pressure_gauge=(2000.0,))
-    assert supervisor.decide(0.1, wanted, last, (BLIND,), ()).pressure_gauge == (900.0,)
+    last = replace(LAST, gauge_pressure=(900.0,))
+    wanted = replace(LAST, gauge_pressure=(2000.0,))
+    assert supervisor.decide(0.1, wanted, last, (BLIND,), ()).gauge_pressure == (900.0,)
     supervisor.make_safe("a fault", 0.2)
-    assert supervisor.decide(0.3, wanted, last, (OK,), ()).pressure_gauge == (900.0,)
+    assert supervisor.decide(0.3, wanted, last, (OK,), ()).gauge_pressure == (900.0,)
 
 
 def test_a_valve_that_does_not_obey_leads_to_the_retreat():
@@ -116,5 +116,5 @@ def test_a_valve_that_does_not_obey_leads_to_the_retreat():
 
     world = World()
     with pytest.raises(DeviceError, match="stopped safely: valve left is lost"):
-        run_air(world, Broken(), lambda o: replace(o.command, pressure_gauge=(900.0,)))
+        run_air(world, Broken(), lambda o: replace(o.command, gauge_pressure=(900.0,)))
     assert world.has_set_down()

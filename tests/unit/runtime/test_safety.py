@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from mjtactile.core.errors import ControllerError
-from mjtactile.core.types import Command, GripperState, Slip, Told, Touch, ValveState
+from mjtactile.core.types import Command, GripperState, Slip, TaskGoal, Touch, ValveState
 from mjtactile.recording.observer import Observer
-from mjtactile.rig.command_limits import Limits
+from mjtactile.rig.command_limits import CommandLimits
 from mjtactile.runtime import control_loop
 from mjtactile.runtime.retreat import RETREAT_OPENING, RETREAT_SPEED
 from mjtactile.runtime.supervisor import BLIND_TIME_MAX, Supervisor
@@ -28,7 +28,7 @@ def supervisor():
 
 def test_the_reason_of_a_command_passes_limits_and_processes():
     wanted = Command(0.04, 9.0, 0.03, "abort", {"t": 1.0}, reason="closed on nothing")
-    sent = pickle.loads(pickle.dumps(Limits(force=5.0).apply(wanted, LAST, PERIOD)))
+    sent = pickle.loads(pickle.dumps(CommandLimits(force=5.0).apply(wanted, LAST, PERIOD)))
     assert (sent.reason, sent.force_limit, sent.memory["t"]) == ("closed on nothing", 5.0, 1.0)
 
 
@@ -160,7 +160,7 @@ def test_the_jaws_open_at_once_when_the_hand_has_come_down_with_its_command(supe
 def test_an_empty_hand_over_the_place_it_was_told_is_not_driven_into_it(
     supervisor, place, touch, lands
 ):
-    rig = SimpleNamespace(told=Told(place_height=place))
+    rig = SimpleNamespace(told=TaskGoal(place_height=place))
     last = Command(0.06, 4.0, 0.025, "done")
     gripper = GripperState(0.06, 0.0, 0.0, 0.025)
     cycle = SimpleNamespace(
@@ -309,7 +309,7 @@ def test_a_hand_that_is_measured_in_the_air_has_not_landed(supervisor):
     """A lift that lags: its command is down, the hand is not."""
     up = GripperState(0.06, 0.0, 0.0, 0.02)
     cycle = SimpleNamespace(
-        rig=SimpleNamespace(told=Told()),
+        rig=SimpleNamespace(told=TaskGoal()),
         last=Command(0.06, 4.0, 0.0, "done"),
         touch=(OK,),
         supervisor=supervisor,

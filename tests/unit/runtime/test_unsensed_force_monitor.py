@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from mjtactile.runtime.unsensed_force_monitor import KIND, PushWatch
+from mjtactile.runtime.unsensed_force_monitor import KIND, UnsensedForceMonitor
 
 PERIOD = 1 / 30
 
@@ -22,7 +22,7 @@ def pushed(watch, effort, felt, seconds=1.0):
 
 @pytest.fixture
 def watch():
-    return PushWatch(("left", "right"), PERIOD)
+    return UnsensedForceMonitor(("left", "right"), PERIOD)
 
 
 @pytest.mark.parametrize(

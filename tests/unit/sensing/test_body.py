@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 import benchmarks.quasistatic
-from mjtactile import Chain, Film, load_sensor
-from mjtactile.core.types import BodyMotion, FeltShape, Markers, Slip, Touch
+from mjtactile import QuasistaticMembrane, SensingPipeline, load_sensor
+from mjtactile.core.types import ContactShape, Markers, RelativeMotion, Slip, Touch
 from mjtactile.quasistatic import obstacle
-from mjtactile.sensing.apply_contact_shape import with_shape
+from mjtactile.sensing.apply_contact_shape import attach_shape
 from mjtactile.sensing.contact_shape import press_tracker as following
 from mjtactile.sensing.contact_shape.estimator import Found
 from mjtactile.sensing.contact_shape.force_fusion import _model, below_frame, borne
-from mjtactile.sensing.contact_shape.forward_model import Forward
-from mjtactile.sensing.contact_shape.relative_motion import RubberMotion, rubber_step
+from mjtactile.sensing.contact_shape.forward_model import ForwardModel
+from mjtactile.sensing.contact_shape.relative_motion import MembraneMotion, rubber_step
 from mjtactile.sensing.contact_shape.shape_models import FAMILIES
 from mjtactile.sensing.settings import DEFAULTS
 from mjtactile.sensing.touch.slip import SlipHistory, SlipSample
@@ -33,16 +33,16 @@ def sensor():
     """The chain of `dense` with the rest of the film, which the independent sheet shares to 2 um,
     and the finder of shapes."""
     design = load_sensor("dense")
-    chain = Chain(design)
-    film = Film(design, (41, 31))
+    chain = SensingPipeline(design)
+    film = QuasistaticMembrane(design, (41, 31))
     rest = seen(in_order(benchmarks.quasistatic._markers(film, film.rest)))
-    state = chain.set_rest(chain.begin(), rest, film.pressure_gauge)
-    return chain, state, chain.shape_finder(state)
+    state = chain.load_rest_reference(chain.begin(), rest, film.gauge_pressure)
+    return chain, state, chain.make_shape_estimator(state)
 
 
 def shape_of(sensor, *touches):
     chain, state, finder = sensor
-    return chain.find_shape(state, touches, finder)
+    return chain.estimate_contact_shape(state, touches, finder)
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +82,7 @@ def layout_places(case):
 def test_a_ball_is_a_ball_of_its_radius(sensor, cases, radius_mm, at_mm):
     case = next(c for c in cases if c["size_mm"] == [radius_mm] and c["at_mm"] == at_mm)
     touch = touch_of(sensor, layout_places(case))
-    assert touch.contact.area_from == "nodal"
+    assert touch.contact.area_source == "nodal"
     shape = shape_of(sensor, touch)
     assert shape.kind == "smooth" and shape.status == "ok"
     assert sum(shape.probabilities.values()) == pytest.approx(1.0)
@@ -95,8 +95,8 @@ def test_a_ball_is_a_ball_of_its_radius(sensor, cases, radius_mm, at_mm):
     # frictionless both, and the film is within 2 %; `friction` of 3 % is added for what sticks
     assert shape.force_normal == pytest.approx(1.03 * case["force_N"], rel=0.04)
     assert pickle.loads(pickle.dumps(shape)).kind == "smooth"
-    touch = with_shape(touch, shape)
-    assert touch.contact.area == shape.area and touch.contact.area_from == shape.family
+    touch = attach_shape(touch, shape)
+    assert touch.contact.area == shape.area and touch.contact.area_source == shape.family
 
 
 @pytest.mark.parametrize(
@@ -105,7 +105,7 @@ def test_a_ball_is_a_ball_of_its_radius(sensor, cases, radius_mm, at_mm):
 def test_a_flat_face_with_a_rim_has_its_own_area(sensor, radius_mm, depth_mm):
     """Markers of a film of 0.5 mm between nodes, on a sharp rim: small and large, lightly and firmly
     pressed, as large as it is."""
-    film = Film(load_sensor("dense"), (81, 61))
+    film = QuasistaticMembrane(load_sensor("dense"), (81, 61))
     radius = 1e-3 * radius_mm
     height = film.rest.heights.max() - 1e-3 * depth_mm
     cylinder = film.obstacle("cylinder", (radius, 0.02), (1e-3, -0.5e-3, 0.02 + height))
@@ -123,7 +123,7 @@ def test_nothing_is_said_of_what_does_not_touch(sensor):
     still = touch_of(sensor, chain.inverse.positions(state.reference.rest.c))
     shape = shape_of(sensor, still)
     assert shape.kind == "unknown" and shape.status != "ok"
-    assert with_shape(still, shape).contact.area_from == "nodal"
+    assert attach_shape(still, shape).contact.area_source == "nodal"
     assert np.isnan(shape.area) and np.isnan(shape.radius)
     assert all(np.isnan(p) for p in shape.probabilities.values())
 
@@ -159,26 +159,31 @@ def pressed(sensor, film, bodies, seed, time=0.0):
 
 
 @pytest.fixture(scope="module")
-def fine_film():
+def fine_membrane():
     """Nodes 0.5 mm apart."""
-    return Film(load_sensor("dense"), (81, 61))
+    return QuasistaticMembrane(load_sensor("dense"), (81, 61))
 
 
-def test_a_press_is_followed_for_some_films_an_image(sensor, fine_film, monkeypatch):
+def test_a_press_is_followed_for_some_films_an_image(sensor, fine_membrane, monkeypatch):
     """As deep as before it takes a handful of films; the first image, with all families, tens."""
     radius = 8e-3
     touches = [
-        pressed(sensor, fine_film, fine_film.obstacle("sphere", (radius,), (0, 0, z + radius)), n)
+        pressed(
+            sensor,
+            fine_membrane,
+            fine_membrane.obstacle("sphere", (radius,), (0, 0, z + radius)),
+            n,
+        )
         for n, z in enumerate((1.4e-3, 1.3e-3, 1.3e-3, 1.3e-3, 1.3e-3))
     ]
     counts = []
-    solve = Forward.solve
+    solve = ForwardModel.solve
 
     def counted(self, bodies, start=None):
         counts[-1] += len(bodies)
         return solve(self, bodies, start)
 
-    monkeypatch.setattr(Forward, "solve", counted)
+    monkeypatch.setattr(ForwardModel, "solve", counted)
     chain, state, finder = sensor
     p_rest = chain.inverse.positions(state.reference.rest.c) + state.reference.rest.offset
     press = None
@@ -194,13 +199,13 @@ def test_a_press_is_followed_for_some_films_an_image(sensor, fine_film, monkeypa
     assert found.shape.radius == pytest.approx(radius, abs=3 * found.shape.radius_sd)
 
 
-def test_two_balls_at_once_are_two_balls(sensor, fine_film):
+def test_two_balls_at_once_are_two_balls(sensor, fine_membrane):
     radii, x = (4.5e-3, 6e-3), (-6.5e-3, 6.5e-3)
     bodies = [
-        fine_film.obstacle("sphere", (r,), (at, 1e-3, r + 1.2e-3))
+        fine_membrane.obstacle("sphere", (r,), (at, 1e-3, r + 1.2e-3))
         for r, at in zip(radii, x, strict=True)
     ]
-    touch = pressed(sensor, fine_film, bodies, 3)
+    touch = pressed(sensor, fine_membrane, bodies, 3)
     assert len(touch.patches) == 2
     found = follow(sensor, [touch])[0]
     shape = found.shape
@@ -211,8 +216,8 @@ def test_two_balls_at_once_are_two_balls(sensor, fine_film):
         assert part.radius == pytest.approx(radius, rel=0.3)
         assert part.p_SO[:2] == pytest.approx([at, 1e-3], abs=0.3e-3)
     assert shape.area == pytest.approx(sum(part.area for part in shape.parts))
-    felt = with_shape(touch, shape, found.load)
-    assert {patch.area_from for patch in felt.patches} <= {"ball", "cylinder", "disc", "block"}
+    felt = attach_shape(touch, shape, found.load)
+    assert {patch.area_source for patch in felt.patches} <= {"ball", "cylinder", "disc", "block"}
     assert felt.contact.area == shape.area
 
 
@@ -222,7 +227,7 @@ def test_the_force_takes_up_what_the_body_bears(sensor, cases):
     for case in cases[2::3]:
         touch = touch_of(sensor, layout_places(case))
         found = follow(sensor, [touch])[0]
-        felt = with_shape(touch, found.shape, found.load)
+        felt = attach_shape(touch, found.shape, found.load)
         # what sticks bears 3 % more than what slides, of which the load knows
         true = 1.03 * case["force_N"]
         off.append(felt.force_normal - true)
@@ -242,9 +247,9 @@ def test_what_is_sharp_is_no_doubt_where_a_body_explains_it(sensor, cases):
     sharpness = 0.5 * np.diag(before)
 
     def felt(misfit):
-        left = (max(misfit, 1.0) / DEFAULTS.body.misfit_most) ** 2
+        left = (max(misfit, 1.0) / DEFAULTS.body.misfit_max) ** 2
         load = replace(found.load, explained=1 - left)
-        return with_shape(touch, found.shape, load, sharpness).traction.wrench_cov
+        return attach_shape(touch, found.shape, load, sharpness).traction.wrench_cov
 
     # a ball is not sharp: where markers say that something is, it is no ball
     assert found.shape.probabilities["smooth"] > 0.9
@@ -299,23 +304,23 @@ def test_what_presses_the_sheet_below_its_frame_beside_it_is_in_doubt(sensor):
     load = np.array([-force, 0, 0])
     s = DEFAULTS.body
     known, told = (_model(load, 1.0, 0.0, 1e-4, at, s)[0, 0] for at in (0.0, low))
-    assert told - known == pytest.approx((s.frame_share * low) ** 2)
+    assert told - known == pytest.approx((s.frame_fraction * low) ** 2)
 
 
-def test_a_ball_that_is_dragged_over_still_rubber_rolls_or_slides(sensor, fine_film):
+def test_a_ball_that_is_dragged_over_still_rubber_rolls_or_slides(sensor, fine_membrane):
     """The film slides under the ball: what the ball goes, it goes over the rubber."""
     radius, speed, period = 8e-3, 15e-3, 1 / 30
     touches = [
         pressed(
             sensor,
-            fine_film,
-            fine_film.obstacle("sphere", (radius,), (speed * period * n, 0, 1.3e-3 + radius)),
+            fine_membrane,
+            fine_membrane.obstacle("sphere", (radius,), (speed * period * n, 0, 1.3e-3 + radius)),
             n,
             time=n * period,
         )
         for n in range(7)
     ]
-    still = RubberMotion(np.zeros(2), 0.0)
+    still = MembraneMotion(np.zeros(2), 0.0)
     motion = follow(sensor, touches, still)[-1].shape.motion
     sd = np.sqrt(np.diag(motion.velocity_cov))
     assert (sd < 0.3 * speed).all()
@@ -331,7 +336,7 @@ class KnownMotion:
     """A finder of shapes that says how a body moves."""
 
     def __init__(self, motion):
-        self.shape = FeltShape("unknown", {}, motion=motion)
+        self.shape = ContactShape("unknown", {}, motion=motion)
 
     def follow(self, touch, press, p_rest, rubber):
         return Found(self.shape, None, None)
@@ -345,8 +350,8 @@ def test_the_chain_hears_of_a_body_that_turns_on_the_spot(sensor):
     touch = Touch(0.0, 0.0, 1.0, 0.1, True, slip=Slip("sticking", np.zeros(2), 0.0, 0.5))
     zero, none = np.zeros(2), np.zeros((2, 2))
     for spinning, said in ((0.0, "sticking"), (1.0, "slipping")):
-        motion = BodyMotion(zero, none, zero, none, zero, spinning, 0.05)
-        felt, after = chain.follow_shape(before, before, touch, KnownMotion(motion))
+        motion = RelativeMotion(zero, none, zero, none, zero, spinning, 0.05)
+        felt, after = chain.track_contact_shape(before, before, touch, KnownMotion(motion))
         assert felt.slip.state == said
         assert after.slip.distance == felt.slip.distance
 

@@ -4,7 +4,7 @@ multiple of the finder's, with the camera's noise."""
 import numpy as np
 import pytest
 
-from mjtactile import Chain, Film, load_sensor
+from mjtactile import QuasistaticMembrane, SensingPipeline, load_sensor
 from mjtactile.quasistatic.interpolation import carried
 from mjtactile.types import Markers
 
@@ -17,13 +17,15 @@ class Round:
     def __init__(self, name):
         design = load_sensor(name)
         self.flat = design.markers.p_SM
-        self.chain = Chain(design)
+        self.chain = SensingPipeline(design)
         sides = (design.frame.length, design.frame.width)
-        self.film = Film(design, tuple(2 * round(side / 1e-3) + 1 for side in sides))
+        self.film = QuasistaticMembrane(design, tuple(2 * round(side / 1e-3) + 1 for side in sides))
         self.carried = carried(self.film, self.flat[:, :2])
         rest = self.seen(self.film.rest.x)
-        self.state = self.chain.set_rest(self.chain.begin(), rest, self.film.pressure_gauge)
-        self.finder = self.chain.shape_finder(self.state)
+        self.state = self.chain.load_rest_reference(
+            self.chain.begin(), rest, self.film.gauge_pressure
+        )
+        self.finder = self.chain.make_shape_estimator(self.state)
         self.top = float(self.film.rest.heights.max())
 
     def seen(self, x, rng=None):
@@ -39,7 +41,7 @@ class Round:
         state = self.film.solve(body)
         markers = self.seen(state.x, np.random.default_rng(seed))
         touch = self.chain.feel(self.state, markers, self.chain.fitter.fit(markers), 0.0)[0]
-        return state, self.chain.find_shape(self.state, [touch], self.finder)
+        return state, self.chain.estimate_contact_shape(self.state, [touch], self.finder)
 
 
 @pytest.fixture(scope="module", params=["round30", "ellipse"])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from mjtactile.quasistatic import FilmState
-from mjtactile.sensing.contact_shape.fit_state import At, Prior
+from mjtactile.quasistatic import MembraneSolution
+from mjtactile.sensing.contact_shape.fit_state import FitState, Prior
 from mjtactile.sensing.contact_shape.levenberg_step import damped_step
 from mjtactile.sensing.contact_shape.shape_models import FAMILIES
 
@@ -15,7 +15,9 @@ THETA = np.array([0.3, -0.2, 0.1, 100.0])
 
 def standing(residual):
     zeros = np.zeros(0)
-    return At(THETA, FilmState(zeros, zeros, zeros), zeros, residual, float(residual @ residual))
+    return FitState(
+        THETA, MembraneSolution(zeros, zeros, zeros), zeros, residual, float(residual @ residual)
+    )
 
 
 def asked(scale, seed):

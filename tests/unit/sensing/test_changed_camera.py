@@ -8,40 +8,39 @@ import pytest
 from mjtactile.core.config_fields import from_table
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError
-from mjtactile.rig.camera_faults import CameraTroubles
-from mjtactile.sensing.force.camera_drift_model import MODES, CameraBelief, camera_modes
+from mjtactile.rig.camera_faults import CameraFaults
+from mjtactile.sensing.force.camera_drift_model import MODES, CameraDriftFilter, camera_modes
 from mjtactile.sensing.settings import DEFAULTS
-from mjtactile.sensing.stateful_pipeline import Perception
-from mjtactile.sim.rendering.image_faults import TroubledPicture
-from tests import sheet_images
+from mjtactile.sensing.stateful_pipeline import StatefulPipeline
+from mjtactile.sim.rendering.image_faults import FaultyImage
+from tests import membrane_images
 
 AFTER = (
-    {"zoom_percent": 0.3},
-    {"zoom_percent": -1.0},
+    {"scale_percent": 0.3},
+    {"scale_percent": -1.0},
     {"gamma": 1.3},
     {"gamma": 0.8},
     {"black_DN": 50},
     {"white_DN": 150},
     {"exposure_percent": 60},
-    {"knock_px": [1.5, -1.2]},
-    {"knock_px": [4.0, 3.0], "turn_deg": 0.3},
+    {"image_shift_px": [1.5, -1.2]},
+    {"image_shift_px": [4.0, 3.0], "rotation_deg": 0.3},
 )
 # both at once, five pixels and half a degree, are 0.0301 N off: more than the others may be
-FAR_OFF = {"knock_px": [4.0, 3.0], "turn_deg": 0.5}
+FAR_OFF = {"image_shift_px": [4.0, 3.0], "rotation_deg": 0.5}
 BEFORE = ({"black_DN": 50}, {"gamma": 1.3})
 
 
 def touches(references=None, run=None):
     """What is felt with those troubles in the references' images, and after them; every press is
     seen four times, as its motion makes bars larger."""
-    images = sheet_images.sequence("dense")
+    images = membrane_images.sequence("dense")
     seen = [
-        TroubledPicture(from_table(CameraTroubles, table or {}, "test"))
-        for table in (references, run)
+        FaultyImage(from_table(CameraFaults, table or {}, "test")) for table in (references, run)
     ]
-    sensor = Perception.of(load_sensor("dense"))
-    sensor.take_flat([seen[0](image) for image in images.flat])
-    sensor.take_rest([seen[0](image) for image in images.rest], sheet_images.GAUGE)
+    sensor = StatefulPipeline.of(load_sensor("dense"))
+    sensor.measure_flat_reference([seen[0](image) for image in images.flat])
+    sensor.measure_rest_reference([seen[0](image) for image in images.rest], membrane_images.GAUGE)
     found = []
     for image in (images.rest[0], *images.pressed):
         for _ in range(4):
@@ -86,7 +85,7 @@ def test_modes_are_what_a_changed_camera_shows():
     assert modes.shape == (len(p), 3, MODES)
     away = p - design.camera.p_SC
     # a camera that moves by x makes all markers seem to move by as much
-    assert modes[:, :, 0] == pytest.approx(np.tile([s.knock_place, 0, 0], (len(p), 1)))
+    assert modes[:, :, 0] == pytest.approx(np.tile([s.knock_shift, 0, 0], (len(p), 1)))
     # turns keep distances from the camera
     for k in (3, 4, 5):
         assert (modes[:, :, k] * away).sum(axis=1) == pytest.approx(0, abs=1e-12)
@@ -105,7 +104,7 @@ def test_what_images_tell_of_a_camera_adds_up():
     that stays, and a jitter of the size that is each image's own."""
     s = dataclasses.replace(DEFAULTS.inverse, drift_walk=0.0)
     rng = np.random.default_rng(0)
-    first = CameraBelief.unseen(s, knocked=True)
+    first = CameraDriftFilter.unseen(s, knocked=True)
     belief = dataclasses.replace(first, time=0.0)
     normal = np.eye(MODES)
     right = np.zeros(MODES)
@@ -130,17 +129,19 @@ def test_what_images_tell_of_a_camera_adds_up():
 @pytest.mark.parametrize("sensor", ["dense", "paper16"])
 def test_overexposed_references_are_refused(sensor):
     """White around most circles, so that their size goes with the light; 20 % more is none."""
-    images = sheet_images.sequence(sensor)
-    perception = Perception.of(load_sensor(sensor))
+    images = membrane_images.sequence(sensor)
+    perception = StatefulPipeline.of(load_sensor(sensor))
     bright, white = (
-        TroubledPicture(from_table(CameraTroubles, {"exposure_percent": more}, "test"))
+        FaultyImage(from_table(CameraFaults, {"exposure_percent": more}, "test"))
         for more in (20, 90)
     )
     with pytest.raises(DeviceError, match="flat reference: the picture is overexposed"):
-        perception.take_flat([white(image) for image in images.flat])
-    perception.take_flat([bright(image) for image in images.flat])
+        perception.measure_flat_reference([white(image) for image in images.flat])
+    perception.measure_flat_reference([bright(image) for image in images.flat])
     with pytest.raises(DeviceError, match="rest reference: the picture is overexposed"):
-        perception.take_rest([white(image) for image in images.rest], sheet_images.GAUGE)
+        perception.measure_rest_reference(
+            [white(image) for image in images.rest], membrane_images.GAUGE
+        )
 
 
 @pytest.mark.parametrize(
@@ -148,7 +149,7 @@ def test_overexposed_references_are_refused(sensor):
 )
 def test_an_image_that_breaks_the_numbers_tells_nothing_of_the_camera(left):
     """A covariance that is singular, grows, or is no number: the belief stays, and the loop runs."""
-    before = CameraBelief.unseen(DEFAULTS.inverse)
+    before = CameraDriftFilter.unseen(DEFAULTS.inverse)
     after = before.told(np.ones(MODES), left, before.root, 1.0)
     assert np.isfinite(after.known).all() and np.isfinite(after.mean).all()
     assert np.linalg.det(after.known) > 0

@@ -11,7 +11,7 @@ from mjtactile.core import optics
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import CirclePoses
 from mjtactile.sensing.image.markers import detect
-from mjtactile.sensing.pose.circles_from_images import find_circles
+from mjtactile.sensing.pose.circles_from_images import detect_circles
 from mjtactile.sensing.surface.depth_smoothing import agree_on_depth
 
 CAMERA = optics.Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
@@ -106,7 +106,7 @@ def test_small_circles_through_a_cheap_camera(height):
     truth = np.array([c.p_C for c in circles])
     scatter = {}
     for neighbours in ("never", "auto"):
-        found = find_circles(image, CAMERA, R, neighbours=neighbours)
+        found = detect_circles(image, CAMERA, R, neighbours=neighbours)
         assert (found.poses.status == "ok").sum() == 100 and found.overexposed
         assert ("depth" in found.shared) is (neighbours == "auto")
         uv = optics.project(CAMERA, truth)
@@ -124,22 +124,22 @@ def test_small_circles_through_a_cheap_camera(height):
 def test_bright_circles_and_large_ones():
     circles = board(depth=18.0)
     image = marker_scenes.image(CAMERA, circles)
-    dark = find_circles(image, CAMERA, R)
-    bright = find_circles(255 - image, CAMERA, R, polarity="bright")
+    dark = detect_circles(image, CAMERA, R)
+    bright = detect_circles(255 - image, CAMERA, R, polarity="bright")
     assert (dark.poses.status == "ok").sum() >= 80  # the rest is outside of the image or cut
     # rounding in the detector only
     np.testing.assert_allclose(dark.poses.p_CM, bright.poses.p_CM, atol=1e-5)
     assert not dark.overexposed and not bright.overexposed
     assert "depth" not in dark.shared  # 8 px: each knows its depth itself
-    assert "depth" in find_circles(image, CAMERA, R, neighbours="always").shared
+    assert "depth" in detect_circles(image, CAMERA, R, neighbours="always").shared
 
 
 def test_one_grey_from_colour_and_bits():
     image = marker_scenes.image(CAMERA, board(depth=20.0)[:30])
-    reference = find_circles(image, CAMERA, R).poses.p_CM
+    reference = detect_circles(image, CAMERA, R).poses.p_CM
     for same in (np.dstack([image] * 3), image[..., None], image.astype(np.uint16) * 257):
         # float32 inside, and the search starts elsewhere: 1e-4 of the depth, where noise makes 1e-3
-        np.testing.assert_allclose(find_circles(same, CAMERA, R).poses.p_CM, reference, atol=2e-5)
+        np.testing.assert_allclose(detect_circles(same, CAMERA, R).poses.p_CM, reference, atol=2e-5)
 
 
 def test_a_large_neighbour_does_not_disturb_a_small_circle():
@@ -168,7 +168,7 @@ def test_blur_is_not_taken_for_size(radius_px, blur):
         depth=(0.98 * depth, 1.02 * depth),
         tilt_deg=(0, 25),
     )
-    found = find_circles(
+    found = detect_circles(
         marker_scenes.image(CAMERA, circles, blur_px=blur), CAMERA, 1e-3, neighbours="never"
     ).poses
     z = found.p_CM[:, 2]
@@ -184,7 +184,7 @@ def test_blur_on_small_circles_is_right_or_flagged(blur):
     circles = board()
     truth = np.array([c.p_C for c in circles])
     for seed in range(2):
-        found = find_circles(
+        found = detect_circles(
             marker_scenes.image(CAMERA, circles, blur_px=blur, seed=seed),
             CAMERA,
             R,
@@ -210,7 +210,7 @@ def test_glare_over_an_outline_is_flagged_not_left_out():
 def test_circles_behind_glass():
     """Rendered through a pane of 5 mm: right to the noise with it, 1.67 mm and more off without
     (Eq. V8); a pane that is farther away than the circles cannot be."""
-    glass = CAMERA.behind_pane(5e-3, 1.5, 0.06)
+    glass = CAMERA.behind_glass(5e-3, 1.5, 0.06)
     circles = marker_scenes.random_circles(
         glass,
         np.random.default_rng(0),
@@ -223,7 +223,7 @@ def test_circles_behind_glass():
     image = marker_scenes.image(glass, circles)
 
     def depth_errors(camera):
-        found = find_circles(image, camera, 6e-3).poses
+        found = detect_circles(image, camera, 6e-3).poses
         which, nearer, seen = match(found, circles)
         assert seen.all() and len(np.unique(which)) == 6
         return nearer[:, 2] - [c.p_C[2] for c in circles]
@@ -234,7 +234,7 @@ def test_circles_behind_glass():
     shift = [5e-3 * (1 - 1 / np.sqrt(1.5**2 + 1.25 * t)) for t in tan2]
     # and it widens cones by up to 0.3 %
     np.testing.assert_allclose(depth_errors(CAMERA), np.negative(shift), atol=4e-4)
-    wrong = find_circles(image, CAMERA.behind_pane(5e-3, 1.5, 0.16), 6e-3)
+    wrong = detect_circles(image, CAMERA.behind_glass(5e-3, 1.5, 0.16), 6e-3)
     assert (
         set(wrong.poses.status) == {"nearer than the glass"}
         and wrong.status == "none of 6 circles can be trusted"
@@ -243,4 +243,4 @@ def test_circles_behind_glass():
 
 def test_bad_neighbours():
     with pytest.raises(InputError, match="auto, always, never"):
-        find_circles(np.zeros((48, 64), np.uint8), CAMERA, R, neighbours="some")
+        detect_circles(np.zeros((48, 64), np.uint8), CAMERA, R, neighbours="some")

@@ -11,7 +11,7 @@ from mjtactile.core import optics
 from mjtactile.sensing.image.exhaustive_detection import detect_thoroughly
 from mjtactile.sensing.image.markers import detect
 from mjtactile.sensing.pose.circles import estimate_poses
-from mjtactile.sensing.pose.circles_from_images import find_circles
+from mjtactile.sensing.pose.circles_from_images import detect_circles
 
 CAMERA = optics.Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
 
@@ -104,7 +104,7 @@ def test_what_is_no_circle_is_listed_with_the_reason():
     image = np.full((480, 640), 180, np.uint8)
     cv2.ellipse(image, (100, 100), (40, 4), 0, 0, 360, 40, -1, cv2.LINE_AA)
     cv2.putText(image, "T", (300, 300), cv2.FONT_HERSHEY_SIMPLEX, 2, 40, 6, cv2.LINE_AA)
-    found = find_circles(cv2.GaussianBlur(image, (0, 0), 0.7), CAMERA, 1e-3)
+    found = detect_circles(cv2.GaussianBlur(image, (0, 0), 0.7), CAMERA, 1e-3)
     assert found.status == "no circle found" and len(found.poses) == 0
     for place, words in (((100, 100), "too long"), ((320, 280), "not an ellipse")):
         near = np.linalg.norm(found.rejected.center_px - place, axis=1) < 25

@@ -11,7 +11,7 @@ from mjtactile.core.errors import DeviceError
 from mjtactile.core.optics import Camera, project
 from mjtactile.core.types import Image
 from mjtactile.sensing.pose.flat_reference import fit_camera_pose
-from mjtactile.sensing.stateful_pipeline import Perception
+from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 from mjtactile.sim.rendering.renderer import Renderer
 
 DESIGN = load_sensor("dense")
@@ -37,8 +37,10 @@ def test_pose_fit_inverts_the_projection():
 
 def test_radius_of_each_marker_is_found():
     factor = 1 + 0.03 * np.random.default_rng(1).uniform(-1, 1, DESIGN.markers.count)
-    perception = Perception.of(DESIGN)
-    flat = perception.take_flat(flat_images(radius=DESIGN.markers.radius * factor, seed=2))
+    perception = StatefulPipeline.of(DESIGN)
+    flat = perception.measure_flat_reference(
+        flat_images(radius=DESIGN.markers.radius * factor, seed=2)
+    )
     # depth noise of 18 um in 45 mm over ten images is 1.3e-4; four sd
     np.testing.assert_allclose(flat.scale, factor, atol=6e-4)
     view = Renderer(DESIGN, radius=DESIGN.markers.radius * factor, seed=5)
@@ -57,8 +59,10 @@ def test_a_camera_that_sits_askew_is_found_and_taken_out():
     def image(p_SM: np.ndarray, n_S: np.ndarray) -> Image:
         return view.render((p_SM - p_SC) @ R_SC + DESIGN.camera.p_SC, n_S @ R_SC)
 
-    perception = Perception.of(DESIGN)
-    flat = perception.take_flat([image(DESIGN.markers.p_SM, OUTWARD) for _ in range(10)])
+    perception = StatefulPipeline.of(DESIGN)
+    flat = perception.measure_flat_reference(
+        [image(DESIGN.markers.p_SM, OUTWARD) for _ in range(10)]
+    )
     # 81 centres to 0.02 px over ten images: 0.7 um sideways, 2 um in depth, 1e-4 rad; four sd
     np.testing.assert_allclose(flat.p_SC, p_SC, atol=1e-5)
     np.testing.assert_allclose(flat.R_SC, R_SC, atol=4e-4)
@@ -70,13 +74,15 @@ def test_a_camera_that_sits_askew_is_found_and_taken_out():
 
 def test_what_does_not_fit_the_sensor_file_is_refused():
     with pytest.raises(DeviceError, match=r"radius_mm"):
-        Perception.of(DESIGN).take_flat(flat_images(2, radius=DESIGN.markers.radius * 1.15))
+        StatefulPipeline.of(DESIGN).measure_flat_reference(
+            flat_images(2, radius=DESIGN.markers.radius * 1.15)
+        )
     blank = Image(np.full((480, 640), 180, np.uint8))
     with pytest.raises(DeviceError, match="only 0 of 81 markers"):
-        Perception.of(DESIGN).take_flat([blank])
+        StatefulPipeline.of(DESIGN).measure_flat_reference([blank])
     stretched = replace(DESIGN, markers=replace(DESIGN.markers, pitch_x=3.9e-3))
     with pytest.raises(DeviceError, match="off the layout"):
-        Perception.of(stretched).take_flat(flat_images(2))
+        StatefulPipeline.of(stretched).measure_flat_reference(flat_images(2))
 
 
 @pytest.mark.parametrize("stuck_inflated", [False, True])
@@ -91,7 +97,7 @@ def test_a_valve_that_does_not_move_is_noticed_without_a_pressure_sensor(stuck_i
     images = [
         view.render(DESIGN.markers.p_SM + bulge[:, None] * [0, 0, 1], OUTWARD) for _ in range(5)
     ]
-    perception = Perception.of(DESIGN)
-    perception.take_flat(images)
+    perception = StatefulPipeline.of(DESIGN)
+    perception.measure_flat_reference(images)
     with pytest.raises(DeviceError, match="does the valve move"):
-        perception.take_rest(images, DESIGN.chamber.supply_gauge)
+        perception.measure_rest_reference(images, DESIGN.chamber.supply_gauge)

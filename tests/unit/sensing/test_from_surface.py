@@ -4,14 +4,20 @@ what scale, shift and turn must do."""
 import numpy as np
 import pytest
 
-from mjtactile import Film, InputError, RestSurface, force_of_surface, load_sensor
+from mjtactile import (
+    InputError,
+    QuasistaticMembrane,
+    RestSurface,
+    estimate_force_from_surface,
+    load_sensor,
+)
 
 SMOOTHING = 2e-3
 
 
 @pytest.fixture(scope="module")
 def film():
-    return Film(load_sensor("dense"), (61, 46))
+    return QuasistaticMembrane(load_sensor("dense"), (61, 46))
 
 
 def points_of(film, state):
@@ -25,7 +31,7 @@ def outline_of(film):
 
 
 def rest_of(film):
-    return RestSurface(points_of(film, film.rest), film.rest.pressure_gauge)
+    return RestSurface(points_of(film, film.rest), film.rest.gauge_pressure)
 
 
 def pressed(film, at, radius, depth):
@@ -46,8 +52,8 @@ def test_force_is_the_films(film, at, radius, depth):
     seen = points_of(film, state)
     # a camera's errors: 10 um, as a depth camera would have of so small a thing
     seen = seen + np.random.default_rng(1).normal(0, [0, 0, 1e-5], seen.shape)
-    found = force_of_surface(
-        seen, state.pressure_gauge, outline_of(film), rest_of(film), smoothing=SMOOTHING
+    found = estimate_force_from_surface(
+        seen, state.gauge_pressure, outline_of(film), rest_of(film), smoothing=SMOOTHING
     )
     # the film has a tension of its own at each place, of which one factor is followed: 3 %
     assert found.force[2] == pytest.approx(state.wrench[2], rel=0.06)
@@ -58,7 +64,7 @@ def test_force_is_the_films(film, at, radius, depth):
 
 
 def test_nothing_touches(film):
-    found = force_of_surface(
+    found = estimate_force_from_surface(
         points_of(film, film.rest), 1000.0, outline_of(film), rest_of(film), smoothing=SMOOTHING
     )
     assert np.abs(found.force).max() < 1e-9 and found.area == 0 and np.isnan(found.place).all()
@@ -70,14 +76,14 @@ def test_shift_turn_and_pressure(film):
     state = pressed(film, (4e-3, 3e-3), 6e-3, 2.5e-3)
     given = [points_of(film, state), points_of(film, film.rest)]
     corners = outline_of(film)
-    own = force_of_surface(
+    own = estimate_force_from_surface(
         given[0], 1020.0, corners, RestSurface(given[1], 1000.0), smoothing=SMOOTHING
     )
     turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     shift = np.array([12e-3, -7e-3, 60e-3])
     moved = [one @ turn.T + shift for one in given]
     outline = corners @ turn[:2, :2].T + shift[:2]
-    found = force_of_surface(
+    found = estimate_force_from_surface(
         moved[0], 2040.0, outline, RestSurface(moved[1], 2000.0), smoothing=SMOOTHING
     )
     # the turned grid lies elsewhere over the points, and cells at the rim of what counts come and go
@@ -104,4 +110,4 @@ def test_what_cannot_be_is_refused(film, change, field):
         "smoothing": SMOOTHING,
     }
     with pytest.raises(InputError, match=field):
-        force_of_surface(**(given | change))
+        estimate_force_from_surface(**(given | change))

@@ -9,7 +9,7 @@ import pytest
 from benchmarks.paper import marker_scenes
 from mjtactile.core import optics
 from mjtactile.core.errors import InputError
-from mjtactile.sensing.pose.circles_from_images import find_circles
+from mjtactile.sensing.pose.circles_from_images import detect_circles
 
 CAMERA = optics.Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
 R = 0.0015
@@ -43,8 +43,8 @@ def depth_errors(found):
 @pytest.mark.parametrize("gamma", [1.0, 2.2])
 def test_gamma_is_told_by_the_circles_and_undone(gamma):
     image = encoded(gamma)
-    known = find_circles(image, CAMERA, R, gamma=gamma)
-    told = find_circles(image, CAMERA, R, gamma="auto")
+    known = detect_circles(image, CAMERA, R, gamma=gamma)
+    told = detect_circles(image, CAMERA, R, gamma="auto")
     # 16 circles of 20 px: the fit's own sd is 0.05, what is not modelled 0.08 of it
     assert known.gamma.value == pytest.approx(gamma, abs=0.3) and 0.05 < known.gamma.sd < 0.3
     assert not known.nonlinear and not told.nonlinear
@@ -56,23 +56,23 @@ def test_gamma_is_told_by_the_circles_and_undone(gamma):
 
 
 def test_a_wrong_gamma_is_said_and_in_the_error_bars():
-    found = find_circles(encoded(2.2), CAMERA, R)
+    found = detect_circles(encoded(2.2), CAMERA, R)
     error, normal = depth_errors(found)
     assert error.mean() > 0.3  # dark circles look small and far away
     assert found.nonlinear and found.assumed == 1 and (normal**2).mean() < 3
-    overcorrected = find_circles(encoded(1.0), CAMERA, R, gamma=2.2)
+    overcorrected = detect_circles(encoded(1.0), CAMERA, R, gamma=2.2)
     assert overcorrected.nonlinear and depth_errors(overcorrected)[0].mean() < -0.3
 
 
 def test_nothing_is_said_where_there_is_too_little_to_tell():
     """A sharp image has no grey levels between; fewer than six circles do not count; nor does a
     clipped ground."""
-    assert np.isnan(find_circles(encoded(2.2, blur_px=0.2), CAMERA, R).gamma.value)
+    assert np.isnan(detect_circles(encoded(2.2, blur_px=0.2), CAMERA, R).gamma.value)
     cut = encoded(2.2).copy()
     cut[:, 200:] = cut[5, 5]
-    assert np.isnan(find_circles(cut, CAMERA, R).gamma.value)
+    assert np.isnan(detect_circles(cut, CAMERA, R).gamma.value)
     assert np.isnan(
-        find_circles(
+        detect_circles(
             np.where(encoded(1.0) > 150, 255, encoded(1.0)).astype(np.uint8), CAMERA, R
         ).gamma.value
     )
@@ -81,4 +81,4 @@ def test_nothing_is_said_where_there_is_too_little_to_tell():
 @pytest.mark.parametrize("gamma", [0.0, "some", np.nan])
 def test_bad_gamma(gamma):
     with pytest.raises(InputError, match="auto, 0"):
-        find_circles(encoded(1.0), CAMERA, R, gamma=gamma)
+        detect_circles(encoded(1.0), CAMERA, R, gamma=gamma)

@@ -10,45 +10,45 @@ from mjtactile.core.calibration_parts import RestMarkers
 from mjtactile.core.config_fields import from_table
 from mjtactile.core.design import load_sensor
 from mjtactile.core.toml import Section
-from mjtactile.core.types import FiducialsSeen, Image
+from mjtactile.core.types import FiducialDetections, Image
 from mjtactile.doctor import fiducial_findings
-from mjtactile.rig.camera_faults import CameraTroubles
+from mjtactile.rig.camera_faults import CameraFaults
 from mjtactile.sensing.force.camera_drift_estimator import (
-    KNOWN_MODES,
-    CameraFinder,
-    CameraSeen,
+    OBSERVED_MODES,
+    CameraDriftEstimate,
+    CameraDriftEstimator,
     _solve,
 )
 from mjtactile.sensing.force.inverse_fem import InverseMembrane
 from mjtactile.sensing.force.spline_fem import Gas
 from mjtactile.sensing.force.tone_curve import tone_of
 from mjtactile.sensing.settings import DEFAULTS
-from mjtactile.sensing.stateful_pipeline import Perception
-from mjtactile.sim.rendering.image_faults import TroubledPicture
+from mjtactile.sensing.stateful_pipeline import StatefulPipeline
+from mjtactile.sim.rendering.image_faults import FaultyImage
 from mjtactile.sim.rendering.renderer import Renderer
-from tests import sheet_images
+from tests import membrane_images
 
 SENSOR = "dense_fiducials"
 DESIGN = load_sensor(SENSOR)
 CHANGES = (
-    {"zoom_percent": 0.3},
-    {"zoom_percent": -1.0},
+    {"scale_percent": 0.3},
+    {"scale_percent": -1.0},
     {"gamma": 1.3},
     {"gamma": 0.8},
     {"black_DN": 50},
     {"white_DN": 140},
-    {"knock_px": [0.4, -0.3]},
-    {"knock_px": [4.0, 3.0], "turn_deg": 0.3},
+    {"image_shift_px": [0.4, -0.3]},
+    {"image_shift_px": [4.0, 3.0], "rotation_deg": 0.3},
     {"defocus_px": 1.0},
 )
 
 
 def begun():
     """A sensor with its references, and images of nothing, 0.1, 0.4 and 0.8 N, and let go."""
-    images = sheet_images.sequence(SENSOR)
-    sensor = Perception.of(DESIGN)
-    sensor.take_flat(images.flat)
-    sensor.take_rest(images.rest, sheet_images.GAUGE)
+    images = membrane_images.sequence(SENSOR)
+    sensor = StatefulPipeline.of(DESIGN)
+    sensor.measure_flat_reference(images.flat)
+    sensor.measure_rest_reference(images.rest, membrane_images.GAUGE)
     return sensor, (images.rest[0], *images.pressed)
 
 
@@ -59,7 +59,7 @@ def touches(change=lambda image: image):
 
 
 def troubled(table):
-    return TroubledPicture(from_table(CameraTroubles, table, "test"))
+    return FaultyImage(from_table(CameraFaults, table, "test"))
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,7 @@ def test_it_recovers_within_an_image(clean, table):
 
 def test_what_has_changed_is_said():
     """Place and size of ten circles, each seen to 0.005 px, 290 px from the middle."""
-    table = {"knock_px": [4.0, 3.0], "turn_deg": 0.3, "zoom_percent": 0.2}
+    table = {"image_shift_px": [4.0, 3.0], "rotation_deg": 0.3, "scale_percent": 0.2}
     camera = touches(troubled(table))[2][-1].camera
     assert camera.shift == pytest.approx((4.0, 3.0), abs=0.03)
     # a picture turned clockwise is a scene turned against the clock
@@ -100,32 +100,32 @@ def test_circles_that_grew_by_their_level_are_taken_back_exactly():
     finder = sensor.chain.sight.known._camera
     s = DEFAULTS.inverse
     p_SM = DESIGN.markers.p_SM + [0.0, 0.0, 2e-3]
-    eye = DESIGN.camera.p_SC + [0.0, 0.0, DESIGN.pane_thickness_apparent]
+    eye = DESIGN.camera.p_SC + [0.0, 0.0, DESIGN.apparent_glass_thickness]
     radius_px = DESIGN.camera.fx * DESIGN.markers.radius / (p_SM - eye)[:, 2]
     darker = np.linspace(-0.1, 0.3, len(p_SM))
-    mean = np.zeros(KNOWN_MODES)
+    mean = np.zeros(OBSERVED_MODES)
     mean[8] = -1.3
-    grown_px = s.drift_levels * mean[8] * (darker - 0.05)
-    shown = eye + (p_SM - eye) * (radius_px / (radius_px + grown_px))[:, None]
-    camera = CameraSeen(mean, np.eye(KNOWN_MODES), 0.05, None)
+    radius_change_px = s.drift_levels * mean[8] * (darker - 0.05)
+    shown = eye + (p_SM - eye) * (radius_px / (radius_px + radius_change_px))[:, None]
+    camera = CameraDriftEstimate(mean, np.eye(OBSERVED_MODES), 0.05, None)
     assert finder.undone(shown, darker, camera) == pytest.approx(p_SM, abs=1e-12)
 
 
-def felt_after_a_loss(sensor, share, load):
+def estimate_after_loss(sensor, share, load):
     """First and fourth touch, less the load, once a share of the gas has gone; without a gauge."""
     design = load_sensor(sensor)
     sheet = InverseMembrane(design).sheet
-    rest = sheet.equilibrium(Gas(sheet_images.GAUGE))
-    gas = sheet.seal(sheet.state(rest), sheet_images.GAUGE)
+    rest = sheet.equilibrium(Gas(membrane_images.GAUGE))
+    gas = sheet.seal(sheet.state(rest), membrane_images.GAUGE)
     less = replace(gas, constant=(1 - share) * gas.constant)
-    c = sheet.equilibrium(less, load=sheet_images._load(sheet, 0.0, load), start=rest)
-    images = sheet_images.sequence(sensor)
-    chain = Perception.of(design)
-    chain.take_flat(images.flat)
-    chain.take_rest(images.rest, sheet_images.GAUGE)
+    c = sheet.equilibrium(less, load=membrane_images._load(sheet, 0.0, load), start=rest)
+    images = membrane_images.sequence(sensor)
+    chain = StatefulPipeline.of(design)
+    chain.measure_flat_reference(images.flat)
+    chain.measure_rest_reference(images.rest, membrane_images.GAUGE)
     chain.perceive(images.rest[0], 0.0)
     view = Renderer(design, seed=5)
-    now = sheet_images._image(design, sheet, view, c, 0.1)
+    now = membrane_images._image(design, sheet, view, c, 0.1)
     found = [chain.perceive(now, 0.1) for _ in range(4)]
     return [(touch.force_normal - load, touch.force_normal_sd) for touch in (found[0], found[-1])]
 
@@ -135,11 +135,11 @@ def felt_after_a_loss(sensor, share, load):
 def test_gas_that_is_lost_without_a_gauge_is_told_from_the_camera(share, load):
     """A lower bulge is a camera farther away, gas that is gone, or a load. With the first known,
     the first image after the loss is right; without, 3 % are half a newton."""
-    for off, sd in felt_after_a_loss(SENSOR, share, load):
+    for off, sd in estimate_after_loss(SENSOR, share, load):
         assert abs(off) < 0.03
         assert abs(off) < 5 * sd
     if (share, load) == (0.03, 0.0):
-        assert abs(felt_after_a_loss("dense", share, load)[1][0]) > 0.3
+        assert abs(estimate_after_loss("dense", share, load)[1][0]) > 0.3
 
 
 def covered(*ids, of=DESIGN):
@@ -168,7 +168,7 @@ def test_dirty_fiducials_cost_themselves(clean):
 def test_without_fiducials_the_camera_is_where_it_was_last(clean):
     """Knocked, then all covered: still taken back, and nothing named."""
     sensor, images = begun()
-    knock = troubled({"knock_px": [4.0, -3.0]})
+    knock = troubled({"image_shift_px": [4.0, -3.0]})
     cover = covered(*range(10))
     sensor.perceive(knock(images[0]), images[0].time)
     touch = sensor.perceive(knock(cover(images[0])), images[0].time)
@@ -184,7 +184,7 @@ def test_doctor_says_how_many_are_seen_and_where_they_stand(hidden, level):
     """A picture shifted by 4 px and -3 px and 1 % larger; half a pixel and a tenth of a per cent
     is what circles' middles and the lens leave."""
     _, images = begun()
-    changed = troubled({"knock_px": [4.0, -3.0], "zoom_percent": 1.0})(images[0])
+    changed = troubled({"image_shift_px": [4.0, -3.0], "scale_percent": 1.0})(images[0])
     shown = covered(*hidden)(changed) if hidden else changed
     [found] = fiducial_findings("camera left", DESIGN, shown)
     assert found.level == level and f"{10 - len(hidden)} of 10 fiducials seen" in found.text
@@ -199,7 +199,7 @@ def test_fiducials_are_no_markers():
     """A knock of ten pixels and markers that are missing beside them: what is seen at their places
     is never named."""
     sensor, images = begun()
-    knock = troubled({"knock_px": [8.0, 6.0]})
+    knock = troubled({"image_shift_px": [8.0, 6.0]})
     pixels = knock(images[3]).pixels.copy()
     pixels[:, 75:150] = 150  # the first column of markers is gone
     markers, _ = sensor.chain.see(sensor.state, Image(pixels, images[3].time))
@@ -209,10 +209,10 @@ def test_fiducials_are_no_markers():
 
 
 def test_a_sensor_without_them_knows_nothing_of_it():
-    images = sheet_images.sequence("dense")
-    sensor = Perception.of(load_sensor("dense"))
-    sensor.take_flat(images.flat)
-    sensor.take_rest(images.rest, sheet_images.GAUGE)
+    images = membrane_images.sequence("dense")
+    sensor = StatefulPipeline.of(load_sensor("dense"))
+    sensor.measure_flat_reference(images.flat)
+    sensor.measure_rest_reference(images.rest, membrane_images.GAUGE)
     touch = sensor.perceive(images.rest[0], 0.0)
     assert sensor.chain.sight.known is None
     assert touch.camera is None
@@ -225,11 +225,11 @@ def test_they_are_rows_of_the_same_fit():
     factor, are the same."""
     rng = np.random.default_rng(3)
     H = rng.standard_normal((30, 6))
-    D = rng.standard_normal((30, KNOWN_MODES))
-    F = rng.standard_normal((8, 3, KNOWN_MODES))
+    D = rng.standard_normal((30, OBSERVED_MODES))
+    F = rng.standard_normal((8, 3, OBSERVED_MODES))
     seen = rng.standard_normal(30)
     moved = 0.1 * rng.standard_normal((8, 3))
-    ones = np.ones(KNOWN_MODES)
+    ones = np.ones(OBSERVED_MODES)
     mean, covariance, misfit = _solve(F, moved, ones, 1e9)
     root = np.linalg.cholesky(covariance)
     assert misfit < 1  # else the covariance is scaled
@@ -237,14 +237,14 @@ def test_they_are_rows_of_the_same_fit():
         [
             [H, D],
             [np.zeros((24, 6)), F.reshape(24, -1)],
-            [np.eye(6), np.zeros((6, KNOWN_MODES))],
-            [np.zeros((KNOWN_MODES, 6)), np.eye(KNOWN_MODES)],
+            [np.eye(6), np.zeros((6, OBSERVED_MODES))],
+            [np.zeros((OBSERVED_MODES, 6)), np.eye(OBSERVED_MODES)],
         ]
     )
-    data = np.concatenate([seen, moved.ravel(), np.zeros(6 + KNOWN_MODES)])
+    data = np.concatenate([seen, moved.ravel(), np.zeros(6 + OBSERVED_MODES)])
     joint = np.linalg.lstsq(rows, data, rcond=None)[0][:6]
-    ours = np.vstack([np.hstack([H, D @ root]), np.eye(6 + KNOWN_MODES)])
-    left = np.concatenate([seen - D @ mean, np.zeros(6 + KNOWN_MODES)])
+    ours = np.vstack([np.hstack([H, D @ root]), np.eye(6 + OBSERVED_MODES)])
+    left = np.concatenate([seen - D @ mean, np.zeros(6 + OBSERVED_MODES)])
     assert np.linalg.lstsq(ours, left, rcond=None)[0][:6] == pytest.approx(joint, abs=1e-10)
 
 
@@ -253,7 +253,7 @@ def test_one_that_is_far_off_counts_for_nothing():
     finder = sensor.chain.sight.known._camera
     rest = sensor.state.reference.fiducials
     center = rest.center_px + [0.5, -0.2]
-    assert isinstance(finder, CameraFinder)
+    assert isinstance(finder, CameraDriftEstimator)
     whole = finder.find(replace(rest, center_px=center), rest)
     center = center.copy()
     center[3] += 2.0
@@ -264,7 +264,7 @@ def test_one_that_is_far_off_counts_for_nothing():
 
 def replace_ids(seen, count):
     """Only the first few."""
-    return FiducialsSeen(*(value[:count] for value in vars(seen).values()))
+    return FiducialDetections(*(value[:count] for value in vars(seen).values()))
 
 
 @pytest.mark.parametrize(("light", "gamma", "black"), [(1.0, 1.3, 0.0), (0.7, 1.0, 30.0)])
@@ -283,7 +283,7 @@ def test_the_tone_is_that_of_a_curve_that_is_known(light, gamma, black):
 
 def test_a_calibration_keeps_where_they_were():
     sensor, images = begun()
-    markers = sensor.chain.rest_markers(sensor.state, images[:1])
+    markers = sensor.chain.detect_rest_markers(sensor.state, images[:1])
     part = RestMarkers(markers, 1000.0, sealed=True)
     again = RestMarkers.from_section(Section(part.to_table(), "", "left.json"))
     for name, value in vars(markers.fiducials).items():

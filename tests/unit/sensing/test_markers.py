@@ -9,7 +9,7 @@ from benchmarks.paper import marker_accuracy, marker_scenes
 from mjtactile.core import optics
 from mjtactile.sensing.image import edge_fit, ellipse, fit_validation, markers
 from mjtactile.sensing.pose.circles import estimate_poses
-from mjtactile.sensing.pose.neighbor_smoothing import share_elongation
+from mjtactile.sensing.pose.neighbor_smoothing import smooth_aspect_ratio
 
 CAMERA = marker_accuracy.CAMERA
 R = marker_accuracy.RADIUS
@@ -339,7 +339,7 @@ def test_neighbours_share_elongation_on_a_plane_only():
     ratio = []
     for seed in range(4):
         alone = markers.detect(noisy(exact, 4, seed), CAMERA)
-        shared = share_elongation(alone)
+        shared = smooth_aspect_ratio(alone)
         assert shared is not alone
         for ellipses, errors_z in ((alone, before), (shared, after)):
             poses = estimate_poses(ellipses, CAMERA, R)
@@ -355,4 +355,4 @@ def test_neighbours_share_elongation_on_a_plane_only():
         CAMERA, np.random.default_rng(0), rows=7, columns=9, radius=0.001
     )
     ellipses = markers.detect(marker_scenes.image(CAMERA, scattered), CAMERA)
-    assert share_elongation(ellipses) is ellipses
+    assert smooth_aspect_ratio(ellipses) is ellipses

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mjtactile.core.design import load_sensor
-from mjtactile.sensing.force.model_error import Doubt, ShapeEvidence
+from mjtactile.sensing.force.model_error import FitDiagnostics, ModelErrorVariance
 from mjtactile.sensing.settings import DEFAULTS
 
 DENSE = load_sensor("dense")
@@ -20,11 +20,11 @@ NOTHING = DEFAULTS.override(
     }
     | {"doubt.drag": 0.0}
 ).doubt
-AT_REST = ShapeEvidence(np.zeros((3, 2)), np.zeros(6), np.zeros(3), 0.0)
+AT_REST = FitDiagnostics(np.zeros((3, 2)), np.zeros(6), np.zeros(3), 0.0)
 
 
 def sd(felt, design=DENSE, nodes=NODES, **shares):
-    return np.sqrt(Doubt(design, nodes, replace(NOTHING, **shares)).variance(felt))
+    return np.sqrt(ModelErrorVariance(design, nodes, replace(NOTHING, **shares)).variance(felt))
 
 
 def loaded(*forces, **more):
@@ -102,7 +102,7 @@ def test_what_a_body_explains_is_sharpness_and_what_is_drawn_to_it_from_all_side
     felt = loaded([0.2, 0.0, -2.0], [-0.1, 0.3, 0.0], excess=5.0)
     shares = {name: getattr(DEFAULTS.doubt, name) for name in ("share", "lateral", "outside")}
     sharp = {"sharp": (0.1, 0.2, 0.3, 0.4), "caught": (0.4, 0.3, 0.2, 0.1)}
-    doubt = Doubt(DENSE, NODES, replace(NOTHING, **shares, **sharp))
+    doubt = ModelErrorVariance(DENSE, NODES, replace(NOTHING, **shares, **sharp))
     left = doubt.variance(felt) - doubt.of_sharpness(felt.force, felt.excess)
     tilts = [2, 3, 4]  # and the normal force, of which `lateral` has nothing
     assert left[tilts] == pytest.approx(sd(felt, **shares)[tilts] ** 2)
@@ -126,4 +126,4 @@ def test_a_wrench_that_changes_is_known_less():
 
 
 def test_nothing_felt_is_not_doubted():
-    assert np.all(Doubt(DENSE, NODES).variance(AT_REST) == 0.0)
+    assert np.all(ModelErrorVariance(DENSE, NODES).variance(AT_REST) == 0.0)

@@ -11,9 +11,9 @@ from mjtactile.core.errors import DeviceError, InputError, MjtactileError
 from mjtactile.core.optics import project
 from mjtactile.core.types import Image, Markers
 from mjtactile.sensing.image.markers import detect
-from mjtactile.sensing.pipeline import Chain
+from mjtactile.sensing.pipeline import SensingPipeline
 from mjtactile.sensing.pose.circles import estimate_poses
-from tests import sheet_images
+from tests import membrane_images
 
 DESIGN = load_sensor("paper16")
 NO_MARKERS = Markers(np.zeros(0, int), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
@@ -21,19 +21,19 @@ NO_MARKERS = Markers(np.zeros(0, int), np.zeros((0, 3)), np.zeros((0, 3)), np.ze
 
 @pytest.fixture(scope="module")
 def chain():
-    return Chain(DESIGN)
+    return SensingPipeline(DESIGN)
 
 
 @pytest.fixture(scope="module")
 def flat(chain):
-    return chain.take_flat(chain.begin(), sheet_images.sequence().flat)
+    return chain.measure_flat_reference(chain.begin(), membrane_images.sequence().flat)
 
 
 def test_no_images_are_no_reference(chain, flat):
     with pytest.raises(DeviceError, match="flat reference: 0 images"):
-        chain.take_flat(chain.begin(), [])
+        chain.measure_flat_reference(chain.begin(), [])
     with pytest.raises(DeviceError, match="rest reference: no images"):
-        chain.take_rest(flat, [], 1000.0)
+        chain.measure_rest_reference(flat, [], 1000.0)
 
 
 @pytest.mark.parametrize("count", [0, 1, 16])
@@ -45,37 +45,41 @@ def test_markers_that_are_none_or_nowhere_are_no_reference(chain, flat, count):
         np.full((count, 3, 3), np.nan),
     )
     with pytest.raises(DeviceError, match="only 0 of 16 markers found"):
-        chain.set_rest(flat, nowhere, 1000.0)
+        chain.load_rest_reference(flat, nowhere, 1000.0)
 
 
 @pytest.mark.parametrize("pressure", [None, np.nan, np.inf, "1000"])
 def test_what_is_no_pressure_is_said(chain, flat, pressure):
-    with pytest.raises(InputError, match=r"pressure_gauge: .* is not a pressure, Pa"):
-        chain.take_rest(flat, sheet_images.sequence().rest, pressure)
+    with pytest.raises(InputError, match=r"gauge_pressure: .* is not a pressure, Pa"):
+        chain.measure_rest_reference(flat, membrane_images.sequence().rest, pressure)
 
 
 @pytest.mark.parametrize("pressure", [1e9, -1e9, 1e5])
 def test_a_pressure_that_nothing_holds_is_refused(chain, flat, pressure):
     with pytest.raises(MjtactileError, match="finds no equilibrium"):
-        chain.take_rest(flat, sheet_images.sequence().rest, pressure)
+        chain.measure_rest_reference(flat, membrane_images.sequence().rest, pressure)
 
 
 @pytest.mark.parametrize("young", [np.nan, np.inf])
 def test_a_stiffness_that_is_not_finite_is_said(flat, young):
     design = replace(DESIGN, membrane=replace(DESIGN.membrane, young=young))
     with pytest.raises(MjtactileError, match="stiffness is not finite"):
-        Chain(design).take_rest(flat, sheet_images.sequence().rest, 1000.0)
+        SensingPipeline(design).measure_rest_reference(
+            flat, membrane_images.sequence().rest, 1000.0
+        )
 
 
 def test_touch_without_markers_says_so(chain, flat):
-    rest = chain.take_rest(flat, sheet_images.sequence().rest, sheet_images.GAUGE)
+    rest = chain.measure_rest_reference(
+        flat, membrane_images.sequence().rest, membrane_images.GAUGE
+    )
     touch, _ = chain.feel(rest, NO_MARKERS, chain.fitter.fit(NO_MARKERS), 0.0)
     assert touch.status == "only 0 of 16 markers seen"
     assert np.isnan(touch.force_normal)
 
 
 def test_a_radius_that_is_no_number_is_said():
-    ellipses = detect(sheet_images.sequence().flat[0])
+    ellipses = detect(membrane_images.sequence().flat[0])
     for radius in ("x", None, [1e-3, "x"], object()):
         with pytest.raises(InputError, match="radius: "):
             estimate_poses(ellipses, DESIGN.camera, radius)
@@ -96,10 +100,10 @@ def enlarged(image, at, radius):
 def test_a_speck_on_one_marker_costs_one_marker(sensor, larger):
     """Felt forces as without it, to what one marker of 16 tells and two sd: 25 mN."""
     design = load_sensor(sensor)
-    images = sheet_images.sequence(sensor)
-    chain = Chain(design)
-    state = chain.take_flat(chain.begin(), images.flat)
-    state = spotted = chain.take_rest(state, images.rest, sheet_images.GAUGE)
+    images = membrane_images.sequence(sensor)
+    chain = SensingPipeline(design)
+    state = chain.measure_flat_reference(chain.begin(), images.flat)
+    state = spotted = chain.measure_rest_reference(state, images.rest, membrane_images.GAUGE)
     markers, _ = chain.see(state, images.rest[0])
     seen = project(chain.camera, markers.p_SM - design.camera.p_SC)
     middle = seen[len(seen) // 2]

@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks.paper import marker_scenes
 from mjtactile.core import optics
-from mjtactile.sensing.pose.circles_from_images import find_circles
+from mjtactile.sensing.pose.circles_from_images import detect_circles
 
 CAMERA = optics.Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
 R = 0.0025
@@ -42,7 +42,7 @@ def test_neighbours_on_a_sheet_decide_even_for_the_more_tilted_pose():
     for slope, bend in (((0.5, 0.3), 0.0), ((-0.2, 0.4), 15.0)):
         circles = sheet(slope, bend)
         decided, sure = right(
-            find_circles(marker_scenes.image(CAMERA, circles), CAMERA, R), circles
+            detect_circles(marker_scenes.image(CAMERA, circles), CAMERA, R), circles
         )
         assert len(decided) == 30 and decided.mean() > 0.96
         assert sure.mean() > 0.95
@@ -59,7 +59,9 @@ def test_circles_with_tilts_of_their_own_are_as_sure_as_they_are_right():
         circles = marker_scenes.random_circles(
             CAMERA, np.random.default_rng(seed), tilt_deg=(0, 60)
         )
-        images.append(find_circles(marker_scenes.image(CAMERA, circles, seed=seed), CAMERA, 0.0015))
+        images.append(
+            detect_circles(marker_scenes.image(CAMERA, circles, seed=seed), CAMERA, 0.0015)
+        )
         one, two = right(images[-1], circles)
         decided = [*decided, *one]
         sure = [*sure, *two]
@@ -77,7 +79,7 @@ def test_one_circle_alone_has_both_poses_with_their_covariances():
     truth = marker_scenes.Circle(
         np.array([0.012, 0.006, 0.05]), np.array([np.sin(0.6), 0.0, -np.cos(0.6)]), 0.0015
     )
-    found = find_circles(marker_scenes.image(CAMERA, [truth]), CAMERA, truth.radius)
+    found = detect_circles(marker_scenes.image(CAMERA, [truth]), CAMERA, truth.radius)
     assert len(found.poses) == 1 and 0.5 <= found.sure[0] < 0.9
     error = np.stack([found.poses.p_CM[0], found.poses.p_CM_alt[0]]) - truth.p_C
     chi2 = [

@@ -8,24 +8,24 @@ from mjtactile.core import resources
 from mjtactile.core.config_fields import from_table
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
-from mjtactile.rig.camera_faults import CameraTroubles
-from mjtactile.sensing.stateful_pipeline import Perception
-from mjtactile.sim.rendering.image_faults import TroubledPicture
-from tests import sheet_images
+from mjtactile.rig.camera_faults import CameraFaults
+from mjtactile.sensing.stateful_pipeline import StatefulPipeline
+from mjtactile.sim.rendering.image_faults import FaultyImage
+from tests import membrane_images
 
 ANGLES = np.radians([0, 25, 50, 130, 155, 180, 205, 230, 310, 335])  # in the picture, with room
 
 
-def write(folder, radius_mm, ground_mm=0.45):
+def write(folder, radius_mm, quiet_zone_mm=0.45):
     """The shipped round sensor, its rim wider, with fiducials on a circle."""
     text = resources.find("round30", "models/sensors", ".toml").read_text("utf-8")
     around = np.column_stack([np.cos(ANGLES), np.sin(ANGLES)])
     places = (radius_mm * around).round(3).tolist()
-    text = text.replace("rim_mm = 3.0 ", "rim_mm = 4.5 ")
+    text = text.replace("wall_mm = 3.0 ", "wall_mm = 4.5 ")
     path = folder / "round.toml"
     path.write_text(
-        f"{text}\n[fiducials]\nsurface = 'rim'\nradius_mm = 0.8\nplaces_mm = {places}\n"
-        f"ground_mm = {ground_mm}\nlip_mm = 1.0\nstep_mm = 3.2\n"
+        f"{text}\n[fiducials]\nsurface = 'rim'\nradius_mm = 0.8\npositions_mm = {places}\n"
+        f"quiet_zone_mm = {quiet_zone_mm}\nlip_mm = 1.0\nstep_mm = 3.2\n"
     )
     return str(path)
 
@@ -47,25 +47,25 @@ def test_the_groove_is_a_ring_of_gas(path):
     assert design.chamber_volume_flat - flat == pytest.approx(ring * groove, rel=1e-5)
 
 
-@pytest.mark.parametrize(("radius_mm", "ground_mm"), [(16.2, 0.45), (17.2, 0.45)])
-def test_circles_beside_the_lip_are_refused(tmp_path, radius_mm, ground_mm):
+@pytest.mark.parametrize(("radius_mm", "quiet_zone_mm"), [(16.2, 0.45), (17.2, 0.45)])
+def test_circles_beside_the_lip_are_refused(tmp_path, radius_mm, quiet_zone_mm):
     with pytest.raises(InputError, match=r"not on the lip|out of the picture"):
-        load_sensor(write(tmp_path, radius_mm, ground_mm))
+        load_sensor(write(tmp_path, radius_mm, quiet_zone_mm))
 
 
 def touches(path, change=lambda image: image):
-    images = sheet_images.sequence(path)
-    sensor = Perception.of(load_sensor(path))
-    sensor.take_flat(images.flat)
-    sensor.take_rest(images.rest, sheet_images.GAUGE)
+    images = membrane_images.sequence(path)
+    sensor = StatefulPipeline.of(load_sensor(path))
+    sensor.measure_flat_reference(images.flat)
+    sensor.measure_rest_reference(images.rest, membrane_images.GAUGE)
     shown = (images.rest[0], images.pressed[1])
     return [[sensor.perceive(change(one), one.time) for _ in range(2)][-1] for one in shown]
 
 
 @pytest.mark.slow
 def test_a_knocked_camera_is_known(path):
-    table = {"knock_px": [4.0, 3.0], "turn_deg": 0.3, "zoom_percent": 0.2}
-    knocked = TroubledPicture(from_table(CameraTroubles, table, "test"))
+    table = {"image_shift_px": [4.0, 3.0], "rotation_deg": 0.3, "scale_percent": 0.2}
+    knocked = FaultyImage(from_table(CameraFaults, table, "test"))
     for now, then in zip(touches(path, knocked), touches(path), strict=True):
         assert now.status == "ok"
         assert now.camera.seen == len(ANGLES)

@@ -16,7 +16,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Traction
 from mjtactile.sensing.force import contact_detection
 from mjtactile.sensing.image.markers import detect
-from mjtactile.sensing.pipeline import Chain
+from mjtactile.sensing.pipeline import SensingPipeline
 from mjtactile.sensing.settings import DEFAULTS
 from mjtactile.sensing.settings.tunable_parameter import GAUGED, PRESSED, SEEN, TRIED
 from mjtactile.sensing.touch.material import judge
@@ -56,22 +56,22 @@ def test_a_number_that_was_tried_has_its_row_on_the_page():
 
 def test_overriding_leaves_the_defaults_and_all_others_alone():
     other = DEFAULTS.override(
-        {"zero.touch_least": 0.5, "inverse.spans": (12, 8), "fewest_seen": 0.6}
+        {"zero.touch_min": 0.5, "inverse.spans": (12, 8), "min_detected": 0.6}
     )
     changed = {key for key, value in other.to_dict().items() if DEFAULTS.to_dict()[key] != value}
     assert (
-        changed == {"zero.touch_least", "inverse.spans", "fewest_seen"}
-        and DEFAULTS.zero.touch_least == 0.02
+        changed == {"zero.touch_min", "inverse.spans", "min_detected"}
+        and DEFAULTS.zero.touch_min == 0.02
     )
 
 
 def test_a_chain_works_with_what_it_is_given():
-    chain = Chain(
+    chain = SensingPipeline(
         load_sensor("paper16"),
         settings=DEFAULTS.override({"inverse.spans": (10, 8), "surface.laplacian": 200.0}),
     )
     assert (len(chain.inverse.x), len(chain.inverse.y)) == (11, 9)
-    assert not np.allclose(chain.fitter.prior, Chain(load_sensor("paper16")).fitter.prior)
+    assert not np.allclose(chain.fitter.prior, SensingPipeline(load_sensor("paper16")).fitter.prior)
     press = Traction(
         np.zeros(2),
         np.zeros(2),
@@ -81,7 +81,7 @@ def test_a_chain_works_with_what_it_is_given():
         0.0,
         "",
     )
-    deaf = chain.settings.override({"zero.touch_least": 0.5}).zero
+    deaf = chain.settings.override({"zero.touch_min": 0.5}).zero
     assert (
         contact_detection.detect_touch(1.0, press, None).touching
         and not contact_detection.detect_touch(1.0, press, None, deaf).touching
@@ -92,7 +92,7 @@ def test_a_chain_works_with_what_it_is_given():
     ("values", "message"),
     [
         ({"zero.tuch_sd": 1.0}, r"zero\.tuch_sd: unknown setting \(valid: zero\.touch_sd, "),
-        ({"nil.touch_sd": 1.0}, r"unknown setting \(valid: fewest_seen, markers"),
+        ({"nil.touch_sd": 1.0}, r"unknown setting \(valid: min_detected, markers"),
         ({"zero": 1.0}, "unknown setting"),
         ({"zero.touch_sd": math.nan}, "nan is outside 0.05 to 500"),
         ({"zero.touch_sd": "5"}, "'5' is not a number"),
@@ -101,7 +101,7 @@ def test_a_chain_works_with_what_it_is_given():
         ({"inverse.spans": (14, 2)}, r"inverse\.spans\[1\]: 2 is outside 4 to 40"),
         ({"identity.neighbours": 65}, r"identity\.neighbours: 65 is outside 1 to 64"),
         ({"thorough.scale_step": 1}, r"thorough\.scale_step: 1 is outside 2 to 300"),
-        ({"zero.touch_least": -0.02}, "-0.02 is outside 0.0002 to 2"),
+        ({"zero.touch_min": -0.02}, "-0.02 is outside 0.0002 to 2"),
     ],
 )
 def test_a_wrong_name_or_value_is_refused(values, message):
@@ -110,7 +110,7 @@ def test_a_wrong_name_or_value_is_refused(values, message):
 
 
 def test_settings_go_into_recordings_as_json():
-    assert json.loads(json.dumps(DEFAULTS.to_dict()))["zero.touch_least"] == 0.02
+    assert json.loads(json.dumps(DEFAULTS.to_dict()))["zero.touch_min"] == 0.02
 
 
 def test_every_stage_works_with_what_it_is_given():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mjtactile.sensing.contact_shape.gauss_newton import Prior
-from mjtactile.sensing.contact_shape.shape_filter import Common
+from mjtactile.sensing.contact_shape.shape_filter import ShapeFilter
 from mjtactile.sensing.contact_shape.shape_models import FAMILIES
 
 BALL = FAMILIES["ball"]
@@ -52,7 +52,7 @@ def marginal(J, own, place):
 @pytest.mark.parametrize("k2", [100.0, 180.0])
 def test_looks_add_up_and_differ_as_normal_distributions_do(k2):
     rng = np.random.default_rng(0)
-    common = Common.of(BALL)
+    common = ShapeFilter.of(BALL)
     means, variances = [], []
     for k in (100.0, k2):
         J = rng.normal(size=(81, 4)) * [2.0, 2.0, 5.0, 1.0]
@@ -60,7 +60,7 @@ def test_looks_add_up_and_differ_as_normal_distributions_do(k2):
         mean, variance = marginal(J, own, fit.theta[:3] / BALL.sd[:3])
         means.append(mean)
         variances.append(variance + (WRONG * k / BALL.sd[3]) ** 2)
-        common = common.with_look(fit)
+        common = common.with_observation(fit)
     precision = sum(1 / v for v in variances)
     both = sum(m / v for m, v in zip(means, variances, strict=True)) / precision
     # exact but for the 1e-6 that stands for what is not seen
@@ -72,4 +72,4 @@ def test_looks_add_up_and_differ_as_normal_distributions_do(k2):
 
 def test_one_look_does_not_drift():
     fit, _ = look(100.0, np.random.default_rng(1).normal(size=(81, 4)))
-    assert Common.of(BALL).with_look(fit).drift == 0.0
+    assert ShapeFilter.of(BALL).with_observation(fit).drift == 0.0

@@ -161,10 +161,10 @@ def test_unevenness_is_that_of_shear_over_pressure(sensor):
     force = np.array([0.3, 0.4, -NORMAL])
     for sticks, spread in ((SLIDES, 0.0), (1.0, 0.64)):
         shape = replace(flat, traction=patch(estimator, force, (0, 0), 12e-3, sticks))
-        found, is_known = slip.unevenness(estimator, shape, force)
-        assert is_known and found == pytest.approx(spread, abs=0.15 if spread else 1e-9)
+        found, is_finite_value = slip.shear_nonuniformity(estimator, shape, force)
+        assert is_finite_value and found == pytest.approx(spread, abs=0.15 if spread else 1e-9)
     small = replace(flat, traction=patch(estimator, force, (0, 0), 3.5e-3, SLIDES))
-    assert not slip.unevenness(estimator, small, force)[1]
+    assert not slip.shear_nonuniformity(estimator, small, force)[1]
 
 
 def turned_patch(estimator, friction, sticks, radius=9e-3, place=(0.0, 0.0), about=0.0):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mjtactile.core.types import BodyMotion, Slip
+from mjtactile.core.types import RelativeMotion, Slip
 from mjtactile.sensing.settings import DEFAULTS
 from mjtactile.sensing.touch.slip import SlipHistory, SlipSample
 from mjtactile.sensing.touch.slip_from_motion import slides, spins, with_motion
@@ -17,7 +17,7 @@ STICKS = Slip("sticking", np.zeros(2), 0.0, 0.5)
 def motion(velocity=(0.0, 0.0), sd=1e-3, spinning=0.0, spinning_sd=0.05):
     """Of a body whose rolling is not asked about."""
     nothing = np.full((2, 2), np.nan)
-    return BodyMotion(
+    return RelativeMotion(
         np.array(velocity),
         sd**2 * np.eye(2),
         np.full(2, np.nan),
@@ -54,7 +54,7 @@ def test_a_body_that_slides_along_the_shear_slips():
         (motion((0.0, 10e-3)), history()),  # across it
         (motion((10e-3, 0.0), sd=3e-3), history()),  # by no more than its error bar allows
         (motion((0.9 * S.body_speed, 0.0), sd=1e-5), history()),  # creeping
-        (motion((10e-3, 0.0)), history((0.5 * S.least_load, 0.0, 0.0))),  # no shear: it rolls
+        (motion((10e-3, 0.0)), history((0.5 * S.min_load, 0.0, 0.0))),  # no shear: it rolls
         # partial slip: a body goes `follows` of the way that it drags the rubber
         (motion((10e-3, 0.0)), history(dragged=0.1 * 8e-3 / S.follows)),
     ],

@@ -6,8 +6,8 @@ import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.types import Markers
-from mjtactile.sensing.force.model_error import Doubt, ShapeEvidence
-from mjtactile.sensing.force.temporal_blending import BlendFinder
+from mjtactile.sensing.force.model_error import FitDiagnostics, ModelErrorVariance
+from mjtactile.sensing.force.temporal_blending import BlendEstimator
 
 SD = 2e-6  # m
 
@@ -27,7 +27,7 @@ def pictures(design, share, count=60, motion=None, missing=(), seed=3):
 
 def blend(design, share, **how):
     found = None
-    finder = BlendFinder(design.markers.p_SM)
+    finder = BlendEstimator(design.markers.p_SM)
     for markers in pictures(design, share, **how):
         found = finder.after(found, markers)
     return found
@@ -58,7 +58,7 @@ def test_what_moves_is_no_lag():
     dent = np.zeros((len(x), 3))
     dent[:, 2] = -4 * SD * np.exp(-(x**2 + y**2) / (2 * 5e-3**2))
     assert blend(design, 0.0, motion=dent).images == 0.0
-    finder = BlendFinder(design.markers.p_SM)
+    finder = BlendEstimator(design.markers.p_SM)
     found = blend(design, 0.5)
     for markers in pictures(design, 0.5, motion=dent, seed=4):
         found = finder.after(found, markers)
@@ -68,12 +68,12 @@ def test_what_moves_is_no_lag():
 def test_what_lags_is_as_doubtful_as_it_changes():
     """By one picture: 0.1 N more than in the last one may be 0.25 N more."""
     design = load_sensor("dense")
-    doubt = Doubt(design, np.zeros((2, 2)))
+    doubt = ModelErrorVariance(design, np.zeros((2, 2)))
     change = np.array([0.0, 0.0, -0.1, 0.0, 0.0, 0.0])
     force = np.zeros((3, 2))
     force[2] = -0.5
     without, late = (
-        doubt.variance(ShapeEvidence(force, change, np.zeros(3), 0.0, lag=lag))
+        doubt.variance(FitDiagnostics(force, change, np.zeros(3), 0.0, lag=lag))
         for lag in (0.0, 1.0)
     )
     assert late[2] - without[2] == pytest.approx(0.25**2)

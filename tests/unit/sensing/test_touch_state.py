@@ -12,7 +12,7 @@ from mjtactile.core.types import Markers, Traction
 from mjtactile.sensing.force import contact_detection
 from mjtactile.sensing.force.inverse_fem import InverseMembrane
 from mjtactile.sensing.force.spline_fem import Gas
-from mjtactile.sensing.pipeline import Chain
+from mjtactile.sensing.pipeline import SensingPipeline
 from mjtactile.sensing.settings import DEFAULTS
 
 SUPPLY = 1000.0
@@ -102,7 +102,7 @@ def test_zero_follows_a_warming_chamber_and_leaves_a_right_force(sensor):
     c = estimator.sheet.equilibrium(warm, rest.stiffness_scale, start=rest.c)
     rng = np.random.default_rng(2)
     shape = None
-    now = contact_detection.Zero.of(rest)
+    now = contact_detection.RestTracker.of(rest)
     before = estimator.traction(estimator.estimate(seen(estimator, c), rest))
     off = before.wrench[2]
     # as far as it is not taken for a camera that sees all larger: within its bar
@@ -127,9 +127,9 @@ def test_a_touch_that_comes_slowly_is_not_zeroed_away(sensor, kelvin):
     """0.046 N after nine seconds, which took as long as the zero takes to follow; the gas warms by
     0.1 K before it."""
     estimator, rest = sensor
-    chain = Chain(estimator.design)
+    chain = SensingPipeline(estimator.design)
     rng = np.random.default_rng(3)
-    state = chain.set_rest(chain.begin(), seen(estimator, rest.c), SUPPLY)
+    state = chain.load_rest_reference(chain.begin(), seen(estimator, rest.c), SUPPLY)
     assert state.reference is not None
     rest = state.reference.rest
     surface = state.reference.surface
@@ -151,15 +151,15 @@ def test_a_touch_that_comes_slowly_is_not_zeroed_away(sensor, kelvin):
 
 
 def test_zero_is_frozen_in_contact_and_a_lost_zero_is_said():
-    chain = Chain(load_sensor("paper16"))
+    chain = SensingPipeline(load_sensor("paper16"))
     estimator = chain.inverse
-    rest_markers = seen(estimator, estimator.sheet.equilibrium(Gas(SUPPLY)))
-    state = chain.set_rest(chain.begin(), rest_markers, SUPPLY)
+    detect_rest_markers = seen(estimator, estimator.sheet.equilibrium(Gas(SUPPLY)))
+    state = chain.load_rest_reference(chain.begin(), detect_rest_markers, SUPPLY)
     assert state.reference is not None
     rest = state.reference.rest
-    surface = chain.fitter.fit(rest_markers)
+    surface = chain.fitter.fit(detect_rest_markers)
     markers = seen(estimator, pressed(estimator, rest, np.array([0, 0, -0.4]))[0])
-    _, state = chain.feel(state, rest_markers, surface, 0.0)
+    _, state = chain.feel(state, detect_rest_markers, surface, 0.0)
     for k in range(40):
         touch, state = chain.feel(state, markers, surface, (k + 1) * FRAME)
     assert touch.touching and state.reference is not None and state.reference.rest is rest
@@ -183,14 +183,14 @@ def test_zero_is_frozen_in_contact_and_a_lost_zero_is_said():
 def loaded(sensor):
     """A chain, what it sees under 1.5 N, and its state after two images of that."""
     estimator, _ = sensor
-    chain = Chain(load_sensor("paper16"))
-    rest_markers = seen(estimator, estimator.sheet.equilibrium(Gas(SUPPLY)))
-    state = chain.set_rest(chain.begin(), rest_markers, SUPPLY)
+    chain = SensingPipeline(load_sensor("paper16"))
+    detect_rest_markers = seen(estimator, estimator.sheet.equilibrium(Gas(SUPPLY)))
+    state = chain.load_rest_reference(chain.begin(), detect_rest_markers, SUPPLY)
     assert state.reference is not None
     strong = seen(estimator, pressed(estimator, state.reference.rest, np.array([0, 0, -1.5]))[0])
-    surface = chain.fitter.fit(rest_markers)
+    surface = chain.fitter.fit(detect_rest_markers)
     for k in range(8):
-        shown = strong if k else rest_markers
+        shown = strong if k else detect_rest_markers
         touch, state = chain.feel(state, shown, surface, k * FRAME)
     assert touch.force_normal == pytest.approx(1.5, abs=5 * touch.force_normal_sd)
     return chain, strong, surface, state
@@ -236,14 +236,14 @@ def test_a_first_image_may_be_the_middle_of_a_blow(loaded):
     assert second.force_normal_sd < 0.06 * 1.5
 
 
-def felt_light(sensor, **settings):
+def light_estimate(sensor, **settings):
     """Force of ten images of 0.05 N between four markers, after ten of nothing, and its sd, through
     a coarse camera."""
     estimator, _ = sensor
     coarse = 5 * NOISE
-    chain = Chain(load_sensor("paper16"), settings=DEFAULTS.override(settings))
+    chain = SensingPipeline(load_sensor("paper16"), settings=DEFAULTS.override(settings))
     nothing = estimator.sheet.equilibrium(Gas(SUPPLY))
-    state = chain.set_rest(chain.begin(), seen(estimator, nothing, noise=coarse), SUPPLY)
+    state = chain.load_rest_reference(chain.begin(), seen(estimator, nothing, noise=coarse), SUPPLY)
     assert state.reference is not None
     rest = state.reference.rest
     light = pressed(estimator, rest, np.array([0, 0, -0.05]), (1e-3, 1e-3), 2.5e-3)[0]
@@ -259,10 +259,10 @@ def felt_light(sensor, **settings):
 
 def test_a_light_touch_is_not_overlooked_since_nothing_was_felt_before(sensor):
     """Without a second look a third of it is believed, until the camera is doubted."""
-    force, sd = felt_light(sensor)
+    force, sd = light_estimate(sensor)
     assert np.all(np.abs(force[:10]) < 5 * sd[:10])
     assert np.all(np.abs(force[10:] - 0.05) < 3 * sd[10:])
-    overlooked, _ = felt_light(sensor, **{"inverse.overlooked_load": 0.0005})
+    overlooked, _ = light_estimate(sensor, **{"inverse.overlooked_load": 0.0005})
     assert np.all(overlooked[10:12] < 0.02)
 
 

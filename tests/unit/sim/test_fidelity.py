@@ -10,7 +10,7 @@ from mjtactile.sim.effects import fidelity
 from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR, Fidelity
 from mjtactile.sim.rig import build_sim_rig
 from mjtactile.sim.sensor.effect_switches import Effect
-from mjtactile.sim.sensor.quasistatic_cache import FILM_GRID
+from mjtactile.sim.sensor.quasistatic_cache import QS_GRID
 
 
 def _row(mesh, error, cost):
@@ -123,10 +123,10 @@ def test_a_force_error_may_be_had_from_a_film_where_the_object_is_round(
 ):
     """And the rig says which it took."""
     film = fidelity.row_from_json(_row([21, 16], 0.01, 10.0) | {"effects": "-sheet"})
-    monkeypatch.setattr(fidelity, "load_films", lambda: [film])
+    monkeypatch.setattr(fidelity, "load_membranes", lambda: [film])
     rig = build_sim_rig(Scenario(object=grasped, accuracy=accuracy, effects=effects))
     rig.close()
     assert (Effect.SHEET in rig.scene.effects) is sheet
     if not sheet:
-        assert tuple(rig.simulated["mesh"]) == FILM_GRID
+        assert tuple(rig.simulated["mesh"]) == QS_GRID
     assert (Effect.FRICTION in rig.scene.effects) is (effects != "-friction")

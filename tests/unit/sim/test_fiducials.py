@@ -9,16 +9,16 @@ from mjtactile.core import optics, resources
 from mjtactile.core.design import load_sensor, sensor_from_table
 from mjtactile.sensing.image.markers import detect
 from mjtactile.sim.rendering.renderer import Effects, Renderer
-from mjtactile.sim.rendering.synthetic_ellipses import Sighter
+from mjtactile.sim.rendering.synthetic_ellipses import EllipseSampler
 from tests.unit.core.test_fiducials import PANE
 
 AROUND = np.linspace(0, 2 * np.pi, 720, endpoint=False)
 
 
-def on_pane():
+def on_glass():
     path = resources.find("dense_fiducials", "models/sensors", ".toml")
     table = {**tomllib.loads(path.read_text("utf-8")), "fiducials": PANE}
-    return sensor_from_table(table, name="on_pane", source="on_pane.toml")
+    return sensor_from_table(table, name="on_glass", source="on_glass.toml")
 
 
 def flat(design):
@@ -40,7 +40,7 @@ def outlines(design):
 
 @pytest.mark.parametrize(
     ("design", "place", "size"),
-    [(load_sensor("dense_fiducials"), 0.015, 0.06), (on_pane(), 0.05, 0.3)],
+    [(load_sensor("dense_fiducials"), 0.015, 0.06), (on_glass(), 0.05, 0.3)],
     ids=["rim", "pane"],
 )
 def test_they_are_where_lens_and_pane_have_them(design, place, size):
@@ -81,7 +81,7 @@ def test_their_ground_is_as_bright_as_the_membrane_and_nothing_else_has_changed(
 
 def test_a_sighting_has_them_too():
     design = load_sensor("dense_fiducials")
-    seen = Sighter(design).sight(*flat(design)).ellipses
+    seen = EllipseSampler(design).sight(*flat(design)).ellipses
     assert len(seen) == design.markers.count + 10
     _, center = outlines(design)
     # sd 0.01 px

@@ -11,7 +11,7 @@ from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.sim.scenes import meshes
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
-from mjtactile.sim.sensor.feature_size import filled_share
+from mjtactile.sim.sensor.feature_size import filled_fraction
 
 CORNERS = np.array([(0, 0), (12, 0), (12, 4), (4, 4), (4, 12), (0, 12)], float)  # of an L, mm
 HEIGHT = 5.0
@@ -74,7 +74,7 @@ def test_every_format_is_the_same_solid(name, write, tmp_path):
         np.sort(np.unique(prism().reshape(-1, 3), axis=0), axis=0) * 1e-3,
         atol=1e-8,
     )  # MuJoCo keeps them in single precision
-    assert filled_share(vertices, faces) == pytest.approx(AREA / HULL, rel=1e-5)
+    assert filled_fraction(vertices, faces) == pytest.approx(AREA / HULL, rel=1e-5)
 
 
 def test_a_hollow_is_cut_once_and_then_known(tmp_path, cache):
@@ -82,8 +82,8 @@ def test_a_hollow_is_cut_once_and_then_known(tmp_path, cache):
     obj(tmp_path / "l.obj")
     solid = meshes.load_solid(tmp_path / "l.obj")
     parts = meshes.convex_parts(solid)
-    assert len(parts) == 2 and all(filled_share(*part) > 0.999 for part in parts)
-    volumes = [filled_share(*part) * volume(*part) for part in parts]
+    assert len(parts) == 2 and all(filled_fraction(*part) > 0.999 for part in parts)
+    volumes = [filled_fraction(*part) * volume(*part) for part in parts]
     # CoACD cuts where it samples
     assert sum(volumes) == pytest.approx(AREA * HEIGHT * 1e-9, rel=0.02)
     before = list(cache.rglob("*.npz"))

@@ -14,7 +14,7 @@ from mjtactile.sim.rendering.led_illumination import Light
 from mjtactile.sim.rendering.renderer import Renderer
 from mjtactile.sim.rendering.shadows import (
     ShadowedLight,
-    SmoothSheet,
+    SmoothMembrane,
     bilinear,
     clearance,
     irradiance,
@@ -255,7 +255,7 @@ def test_sheet_goes_through_the_markers_and_ends_at_the_frame(node, worst, monke
     monkeypatch.setattr(shadows, "_NODE", node)
     p = dented(4e-3, at=(5e-3, -3e-3), width=6e-3)
     p[:, :2] += 5e-4 * np.sin(200 * p[:, 1::-1])  # along the sheet too
-    sheet = SmoothSheet(DENSE)
+    sheet = SmoothMembrane(DENSE)
     z = sheet.heights(p)
     # bilinear between nodes: 1/8 node^2 x curvature, 2 x 4 mm / (6 mm)^2 = 3e-5 at 1 mm, somewhat
     # more as a thin-plate spline's curvature peaks at its points; the peak's share falls with the
@@ -267,7 +267,7 @@ def test_sheet_goes_through_the_markers_and_ends_at_the_frame(node, worst, monke
 
 def test_a_circular_frame_holds_the_sheet_too():
     design = replace(DENSE, frame=replace(DENSE.frame, length=40e-3, width=40e-3, shape="circle"))
-    sheet = SmoothSheet(design)
+    sheet = SmoothMembrane(design)
     z = sheet.heights(dented(4e-3, design=design))
     outside = np.hypot(sheet.xy[..., 0], sheet.xy[..., 1]) >= 20e-3
     assert outside.any() and z.min() < -3.9e-3

@@ -28,7 +28,7 @@ def test_what_follows_a_snapshot_follows_it_again():
                 world.data.qpos,
                 world.data.qvel,
                 world.data.sensordata,
-                [world.time, world.step_count, *(s.pressure_gauge for s in world.sensors)],
+                [world.time, world.step_count, *(s.gauge_pressure for s in world.sensors)],
             ]
         )
 

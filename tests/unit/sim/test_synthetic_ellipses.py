@@ -17,7 +17,7 @@ from mjtactile.sensing.image import markers
 from mjtactile.sensing.image.ellipse import axes_from_shape
 from mjtactile.sensing.pose.circles import estimate_poses
 from mjtactile.sim.rendering.renderer import Renderer
-from mjtactile.sim.rendering.synthetic_ellipses import Sighter
+from mjtactile.sim.rendering.synthetic_ellipses import EllipseSampler
 
 DESIGN = load_sensor("dense")
 FLAT = DESIGN.markers.p_SM, np.tile([0.0, 0.0, 1.0], (DESIGN.markers.count, 1))
@@ -47,7 +47,7 @@ def test_a_circle_on_the_axis_is_a_circle_of_f_r_over_z():
     bare = replace(DESIGN.camera, distortion=(0.0,) * 5)
     design = replace(DESIGN, camera=bare, glass=replace(DESIGN.glass, refractive_index=1.0))
     middle = DESIGN.markers.count // 2
-    center, shape = Sighter(design)._true(*FLAT)
+    center, shape = EllipseSampler(design)._true(*FLAT)
     np.testing.assert_allclose(center[middle], [319.5, 239.5], atol=1e-9)
     # px
     np.testing.assert_allclose(shape[middle], [600 * 1.0 / 45, 0.0, 600 * 1.0 / 45], atol=1e-9)
@@ -56,7 +56,7 @@ def test_a_circle_on_the_axis_is_a_circle_of_f_r_over_z():
 def test_exact_ellipses_lead_back_to_the_circles():
     """Through pane and lens and back by the sensing chain's closed form, which is another code."""
     p_SM, n_S = bulged()
-    sighter = Sighter(DESIGN)
+    sighter = EllipseSampler(DESIGN)
     center, shape = sighter._true(p_SM, n_S)
     axes, angle = axes_from_shape(shape)
     found = estimate_poses(
@@ -73,7 +73,7 @@ def test_exact_ellipses_lead_back_to_the_circles():
 
 def test_errors_are_as_large_as_said():
     """Chi-square of five numbers, 81 markers, 40 sightings: 1 +- 0.011 (sd)."""
-    sighter = Sighter(DESIGN, seed=3)
+    sighter = EllipseSampler(DESIGN, seed=3)
     pose = bulged()
     true = np.concatenate(sighter._true(*pose), axis=1)
     spread = drawn_from(sighter, pose)
@@ -100,7 +100,7 @@ def test_errors_are_those_of_the_image_stages(blur):
     10 %."""
     design = replace(DESIGN, camera=replace(DESIGN.camera, blur_px=blur))
     renderer = Renderer(design, seed=1)
-    sighter = Sighter(design, seed=1)
+    sighter = EllipseSampler(design, seed=1)
     pose = bulged()
     true = np.concatenate(sighter._true(*pose), axis=1)
     seen = []
@@ -120,7 +120,7 @@ def test_what_is_outside_of_the_image_or_missing_is_not_seen():
     radius[7] = 0.0
     p_SM = FLAT[0].copy()
     p_SM[0, 0] -= 0.01
-    ellipses = Sighter(DESIGN, radius=radius).sight(p_SM, FLAT[1]).ellipses
+    ellipses = EllipseSampler(DESIGN, radius=radius).sight(p_SM, FLAT[1]).ellipses
     assert len(ellipses) == 79 and (ellipses.status == "ok").all()
 
 

@@ -14,9 +14,9 @@ from mjtactile.runtime.grasp import run_grasp
 from mjtactile.runtime.session import open_session
 from mjtactile.sim.camera import SimCamera
 from mjtactile.sim.effects.catalog import choose
-from mjtactile.sim.sensing_error_model import errors_from, load_errors
+from mjtactile.sim.sensing_error_model import load_errors, parse_error_model
 from mjtactile.sim.sensor.effect_switches import Effect
-from mjtactile.sim.synthetic_touch import Erring
+from mjtactile.sim.synthetic_touch import SensingErrorSampler
 
 DENSE = load_sensor("dense")
 PERIOD = 1 / 30
@@ -38,7 +38,7 @@ def test_errors_have_the_mean_spread_and_memory_that_the_model_says():
     true = np.array([0.1, -0.2, -0.7, 1e-3, 2e-3, 1e-4])
     here = errors.at(0.7)
     rng = np.random.default_rng(0)
-    erring = Erring(errors)
+    erring = SensingErrorSampler(errors)
     erring.begin(rng)
     count = 20000
     felt = np.array([erring.felt(true, PERIOD, rng)[0].copy() for _ in range(count)])
@@ -58,7 +58,7 @@ def test_the_kernel_draws_as_the_formula_does():
     true = np.array([0.1, -0.2, -0.4, 1e-3, 2e-3, 1e-4])
     spread = np.linalg.cholesky(errors.correlation)
     here = errors.at(0.4)
-    erring = Erring(errors)
+    erring = SensingErrorSampler(errors)
     erring.begin(np.random.default_rng(1))
     drawn = np.random.default_rng(1)
     slow = spread @ drawn.standard_normal(6)
@@ -78,7 +78,7 @@ def test_the_kernel_draws_as_the_formula_does():
         wanted = true + errors.gain @ true + gain * true + here.mean + error
         np.testing.assert_allclose(felt, wanted, rtol=1e-11, atol=1e-14)
         np.testing.assert_allclose(
-            cov, np.outer(here.said, here.said) * errors.said_correlation, rtol=1e-11
+            cov, np.outer(here.said, here.said) * errors.reported_correlation, rtol=1e-11
         )
 
 
@@ -88,7 +88,7 @@ def test_between_loads_errors_are_linear_and_beyond_the_last_as_there():
     middle = errors.at((low + high) / 2)
     np.testing.assert_allclose(middle.sd, (errors.sd[2] + errors.sd[3]) / 2, rtol=1e-12)
     np.testing.assert_array_equal(errors.at(99.0).sd, errors.sd[-1])
-    assert errors_from(errors.table()).table() == errors.table()
+    assert parse_error_model(errors.table()).table() == errors.table()
 
 
 def test_a_grasp_with_drawn_touch_is_held_says_its_level_and_is_the_same_again():

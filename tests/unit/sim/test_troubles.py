@@ -14,13 +14,13 @@ from mjtactile.core.config_fields import default_of, entries, from_table
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Image
-from mjtactile.rig.as_built_sensor import SpecimenConfig
-from mjtactile.rig.camera_faults import UNTROUBLED, CameraTroubles
+from mjtactile.rig.as_built_sensor import AsBuiltSensor
+from mjtactile.rig.camera_faults import UNTROUBLED, CameraFaults
 from mjtactile.rig.domain_randomization import CAMERA, load_variation
 from mjtactile.rig.file import load_rig_file, rig_from_table
 from mjtactile.sensing.image.markers import detect
 from mjtactile.sim.camera import SimCamera
-from mjtactile.sim.rendering.image_faults import STEPS, TroubledPicture
+from mjtactile.sim.rendering.image_faults import STEPS, FaultyImage
 from mjtactile.sim.rendering.renderer import Renderer
 from mjtactile.sim.sensor.effect_switches import CAMERA as DRAWN
 from mjtactile.sim.sensor.effect_switches import Effect
@@ -28,13 +28,13 @@ from mjtactile.sim.sensor.effect_switches import Effect
 DESIGN = load_sensor("dense")
 UP = np.tile([0.0, 0.0, 1.0], (DESIGN.markers.count, 1))
 PAGE = Path(__file__).resolve().parents[3] / "docs/how-to/camera_faults.md"
-FIELDS = entries(CameraTroubles)
+FIELDS = entries(CameraFaults)
 PARAMETERS = {"start", "dust_radius", "dust_darkness", "flicker_rate"}
 """Fields that say how, and switch nothing on."""
 STRONG = {
-    "zoom_percent": 1,
-    "knock_px": [3, 2],
-    "turn_deg": 1,
+    "scale_percent": 1,
+    "image_shift_px": [3, 2],
+    "rotation_deg": 1,
     "defocus_px": 1.5,
     "fog_percent": 50,
     "dust_count": 8,
@@ -72,23 +72,21 @@ def pictures():
 
 
 def troubles(**table):
-    return from_table(CameraTroubles, table, "my.toml")
+    return from_table(CameraFaults, table, "my.toml")
 
 
 def shown(pictures, seed=0, **table):
     """The second of the pictures as it arrives after the first."""
-    camera = TroubledPicture(troubles(**table), seed)
+    camera = FaultyImage(troubles(**table), seed)
     return [camera(picture) for picture in pictures][-1].pixels.astype(float)
 
 
 def test_every_field_belongs_to_a_step_and_all_are_off_unless_asked(pictures):
     switches = [name for step in STEPS for name in step.switches]
-    assert sorted([*switches, *PARAMETERS]) == sorted(
-        field.name for field in fields(CameraTroubles)
-    )
+    assert sorted([*switches, *PARAMETERS]) == sorted(field.name for field in fields(CameraFaults))
     assert {FIELDS[name].key for name in switches} == set(STRONG)
-    assert TroubledPicture(UNTROUBLED)(pictures[0]) is pictures[0]
-    assert not TroubledPicture(troubles(dust_px=9, flicker_Hz=50)).are_any
+    assert FaultyImage(UNTROUBLED)(pictures[0]) is pictures[0]
+    assert not FaultyImage(troubles(dust_px=9, flicker_Hz=50)).are_any
 
 
 @pytest.mark.parametrize("key", STRONG)
@@ -100,7 +98,7 @@ def test_each_changes_the_picture_and_is_the_same_again(pictures, key):
 
 
 def test_nothing_happens_before_its_time(pictures):
-    camera = TroubledPicture(troubles(gamma=2, from_s=0.02))
+    camera = FaultyImage(troubles(gamma=2, from_s=0.02))
     first, second = [camera(picture) for picture in pictures]
     assert first is pictures[0] and not np.array_equal(second.pixels, pictures[1].pixels)
 
@@ -109,7 +107,7 @@ def test_a_zoom_and_a_knock_move_the_circles_as_they_say(pictures):
     """About the picture's middle; circles are found to 0.02 px, the resampling adds as much."""
     middle = np.array([319.5, 239.5])
     before = detect(pictures[1]).center_px
-    camera = TroubledPicture(troubles(zoom_percent=1, knock_px=[3, 2]))
+    camera = FaultyImage(troubles(scale_percent=1, image_shift_px=[3, 2]))
     after = detect(camera(pictures[1])).center_px
     wanted = middle + 1.01 * (before - middle) + [3, 2]
     nearest = np.linalg.norm(after[:, None] - wanted, axis=2).min(axis=0)
@@ -122,7 +120,7 @@ def test_levels_follow_their_curves():
     wedge = Image(level.astype(np.uint8), 0.0)
 
     def curve(**table):
-        return TroubledPicture(troubles(**table))(wedge).pixels
+        return FaultyImage(troubles(**table))(wedge).pixels
 
     assert np.array_equal(curve(gamma=1.3), np.rint(255 * (level / 255) ** (1 / 1.3)))
     assert np.array_equal(curve(black_DN=50, white_DN=200), np.clip(level, 50, 200))
@@ -152,10 +150,10 @@ def test_jpeg_is_that_of_the_codec(pictures):
 def test_a_rig_file_and_a_variation_name_them():
     table = {
         **_table("emulated"),
-        "emulator": {"specimen": {"left": {"camera": {"gamma": 1.3, "zoom_percent": 0.3}}}},
+        "emulator": {"specimen": {"left": {"camera": {"gamma": 1.3, "scale_percent": 0.3}}}},
     }
     emulator = rig_from_table(table, Path("my.toml")).emulator
-    assert emulator.specimen("left").camera == CameraTroubles(gamma=1.3, zoom=0.003)
+    assert emulator.specimen("left").camera == CameraFaults(gamma=1.3, zoom=0.003)
     assert emulator.specimen("right").camera == UNTROUBLED
     assert load_rig_file("emulated_specimen").emulator.specimen("left").camera == UNTROUBLED
     table["emulator"]["specimen"]["left"]["camera"] = {"gama": 1.3}
@@ -169,11 +167,11 @@ def test_a_seed_draws_them_for_each_finger():
     drawn = variation.draw(3, fingers=("left", "right"), markers=81)
     left, right = (drawn.specimen(finger).camera for finger in ("left", "right"))
     assert left != right and left.gamma == drawn.values["left.camera.gamma"]
-    assert replace(drawn.specimen("left"), camera=UNTROUBLED) == SpecimenConfig("left")
+    assert replace(drawn.specimen("left"), camera=UNTROUBLED) == AsBuiltSensor("left")
 
 
 def test_troubles_without_pictures_are_refused():
-    own = SpecimenConfig("left", camera=CameraTroubles(gamma=1.3))
+    own = AsBuiltSensor("left", camera=CameraFaults(gamma=1.3))
     with pytest.raises(InputError, match="need images"):
         SimCamera(None, 0, DRAWN - {Effect.IMAGES}, own)  # it is refused before it looks
 
@@ -183,7 +181,7 @@ def test_the_page_has_every_field_with_its_range():
     assert [row[0] for row in rows] == [entry.key for entry in FIELDS.values()]
     for (_, allowed, off, about), (name, entry) in zip(rows, FIELDS.items(), strict=True):
         assert allowed == f"{entry.low:g} to {entry.high:g}", name
-        default = default_of(CameraTroubles, name)
+        default = default_of(CameraFaults, name)
         plain = default[0] if isinstance(default, tuple) else default
         assert off == f"{plain / entry.unit:g}" and about == entry.about, name
 

@@ -85,9 +85,9 @@ def test_the_page_gets_its_model_and_no_other_page_may_read_it(port, headers):
 
 
 def test_a_page_that_looks_is_known_and_a_stranger_is_none(port):
-    local_server.looked_at.clear()
+    local_server.checked_at.clear()
     get(port, "/")
     get(port, "/state", Origin="https://evil.example")
-    assert not local_server.looked_at.is_set()
+    assert not local_server.checked_at.is_set()
     get(port, "/state?sid=1")
-    assert local_server.looked_at.is_set()
+    assert local_server.checked_at.is_set()

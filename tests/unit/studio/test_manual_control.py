@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from mjtactile.core.types import Command, GripperState, Observation, Touch
-from mjtactile.studio.manual_control import ByHand, HandGoal
+from mjtactile.studio.manual_control import ManualControl, ManualGoal
 
 PERIOD = 1 / 30
 
@@ -28,19 +28,19 @@ def run(wish, command, cycles, squeeze=lambda opening: 0.0):
 
 def test_it_goes_to_where_it_is_wished_at_a_hands_speed_and_keeps_the_controllers_notes():
     start = Command(0.06, 0.0, 0.0, "lift", {"settled_time": 0.3})
-    one = HandGoal(0.05, 0.02).command(observe(start))
+    one = ManualGoal(0.05, 0.02).command(observe(start))
     assert one.opening == pytest.approx(0.06 - 0.03 * PERIOD) and one.lift_height == pytest.approx(
         0.04 * PERIOD
     )
     assert one.phase == "lift" and one.memory == start.memory
-    end = run(HandGoal(0.05, 0.02), start, 60)
+    end = run(ManualGoal(0.05, 0.02), start, 60)
     assert (end.opening, end.lift_height) == (0.05, 0.02)
 
 
 def test_it_squeezes_as_hard_as_is_wished():
     """A spring of 160 N/m on each finger from 50 mm on: 0.6 N are felt at 50 mm - 2 x 3.75 mm."""
     end = run(
-        HandGoal(math.nan, 0.0, 0.6),
+        ManualGoal(math.nan, 0.0, 0.6),
         Command(0.06, 4.0),
         600,
         lambda opening: max(0.0, 160 * (0.05 - opening) / 2),
@@ -50,16 +50,16 @@ def test_it_squeezes_as_hard_as_is_wished():
 
 def test_a_force_that_is_not_known_moves_nothing():
     command = Command(0.05, 4.0)
-    assert HandGoal(0.0, 0.0, 0.6).command(observe(command, math.nan)).opening == 0.05
+    assert ManualGoal(0.0, 0.0, 0.6).command(observe(command, math.nan)).opening == 0.05
 
 
 def test_the_controller_is_asked_while_nothing_is_wished():
-    hand = ByHand(
+    hand = ManualControl(
         SimpleNamespace(path=Path("mine.py"), step=lambda observation: Command(0.01, 1.0))
     )
     seen = observe(Command(0.05, 4.0))
     assert hand.path == Path("mine.py") and hand.step(seen).opening == 0.01
-    hand.wish = HandGoal(0.05, 0.0)
+    hand.wish = ManualGoal(0.05, 0.0)
     assert hand.step(seen).opening == 0.05
     hand.wish = None
     assert hand.step(seen).opening == 0.01

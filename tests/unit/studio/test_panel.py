@@ -15,10 +15,10 @@ from mjtactile.core.design import load_sensor
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Ellipses
 from mjtactile.studio import control_window, layout, panel, plots, scene_overlays, surface_colormap
-from mjtactile.studio.control_window import Desk, toggled
+from mjtactile.studio.control_window import ControlWindow, toggled
 from mjtactile.studio.panel import Panel, flagged_text
-from mjtactile.studio.session_bridge import Show
-from mjtactile.studio.snapshot import Felt, Pose
+from mjtactile.studio.session_bridge import SessionBridge
+from mjtactile.studio.snapshot import FingerSnapshot, Pose
 from tests.fake_run import fake_cycle, fake_image, fake_touch
 from tests.unit.studio.fake_gui import FakeGui, FakePlot, FakeViewer
 
@@ -38,7 +38,7 @@ class FakeValve:
         self.asked = []
 
     def state(self):
-        return SimpleNamespace(is_open=True, pressure_gauge=None)
+        return SimpleNamespace(is_open=True, gauge_pressure=None)
 
     def open(self, gauge):
         self.asked.append(gauge)
@@ -57,7 +57,7 @@ def show():
     holes = []
     sensors = [
         SimpleNamespace(
-            pressure_gauge=1000.0, temperature=294.0, puncture=lambda c, k=k: holes.append((k, c))
+            gauge_pressure=1000.0, temperature=294.0, puncture=lambda c, k=k: holes.append((k, c))
         )
         for k in range(2)
     ]
@@ -72,7 +72,7 @@ def show():
     rest = SimpleNamespace(
         state=SimpleNamespace(reference=SimpleNamespace(surface=fake_touch(0.0, 0.0).surface))
     )
-    show = Show(Scenario(seed=4))
+    show = SessionBridge(Scenario(seed=4))
     show.fastest = np.inf
     flags = {"edge": "an edge presses"}
     show.begin(SimpleNamespace(rig=rig, perceptions=[rest, rest], holes=holes, flags=flags))
@@ -124,10 +124,12 @@ def test_a_camera_and_a_membrane_of_each_finger_are_pictured(gui, show):
 def test_the_indentation_is_the_rest_shape_less_what_is_felt_and_is_brightest_where_it_is_deepest():
     touch = fake_touch(0.6, 0.0)
     rest = fake_touch(0.0, 0.0).surface
-    field = surface_colormap.field_of(Felt("left", fake_image(0), touch, rest=rest), "indentation")
+    field = surface_colormap.field_of(
+        FingerSnapshot("left", fake_image(0), touch, rest=rest), "indentation"
+    )
     assert field.values.max() == pytest.approx(0.6 * 0.002)  # as fake_touch presses, in the middle
     picture = surface_colormap.picture(
-        Felt("left", fake_image(0), replace(touch, traction=None), rest=rest),
+        FingerSnapshot("left", fake_image(0), replace(touch, traction=None), rest=rest),
         field,
         0.0012,
         (80, 60),
@@ -138,7 +140,7 @@ def test_the_indentation_is_the_rest_shape_less_what_is_felt_and_is_brightest_wh
 
 def test_the_tractions_over_the_membrane_are_the_force_and_their_middle_is_the_centre_of_pressure():
     touch = fake_touch(0.6, 0.0)
-    field = surface_colormap.field_of(Felt("left", fake_image(0), touch), "traction")
+    field = surface_colormap.field_of(FingerSnapshot("left", fake_image(0), touch), "traction")
     dx = np.diff(field.x)[0]
     dy = np.diff(field.y)[0]
     wx = np.r_[0.5, np.ones(len(field.x) - 2), 0.5] * dx
@@ -151,7 +153,7 @@ def test_the_tractions_over_the_membrane_are_the_force_and_their_middle_is_the_c
 
 def test_the_sheet_in_the_scene_is_the_felt_surface():
     touch = fake_touch(0.6, 0.0)
-    felt = Felt("left", fake_image(0), touch, rest=fake_touch(0.0, 0.0).surface)
+    felt = FingerSnapshot("left", fake_image(0), touch, rest=fake_touch(0.0, 0.0).surface)
     corners, rgb = surface_colormap.sheet(
         felt, surface_colormap.field_of(felt, "indentation"), 0.0012
     )
@@ -199,7 +201,7 @@ def test_geoms_are_those_of_the_touch_and_of_nobody_elses(gui, show):
 
 
 def test_a_triangle_and_an_arrow_are_where_they_belong():
-    brush = scene_overlays.Brush()
+    brush = scene_overlays.GeomPool()
     corners = np.array([[1.0, 2, 3], [2, 2, 3], [1, 4, 5]])
     for _ in range(2):  # the second time with the same geoms
         brush.begin()
@@ -207,8 +209,12 @@ def test_a_triangle_and_an_arrow_are_where_they_belong():
     [geom] = brush.drawn
     unit = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])  # what MuJoCo draws
     np.testing.assert_allclose(geom.pos + unit @ np.asarray(geom.mat).T, corners, atol=1e-6)
-    felt = Felt("left", fake_image(0), fake_touch(0.6, 0.0), pose=Pose(np.zeros(3), np.eye(3)))
-    scene_overlays.draw(brush, [felt], scene_overlays.Look(surface="none", contacts=False))
+    felt = FingerSnapshot(
+        "left", fake_image(0), fake_touch(0.6, 0.0), pose=Pose(np.zeros(3), np.eye(3))
+    )
+    scene_overlays.draw(
+        brush, [felt], scene_overlays.OverlayOptions(surface="none", contacts=False)
+    )
     [arrow] = brush.drawn
     along = np.asarray(arrow.mat)[:, 2]
     # the finger pushes the object away, along its own z
@@ -239,7 +245,7 @@ def test_a_handler_that_raises_is_shown_and_the_next_one_is_called(gui, show, mo
 
 
 def test_the_desk_asks_the_session(gui, show):
-    plugin = Desk(show)
+    plugin = ControlWindow(show)
     session = show.session
 
     def do(label, value=True):
@@ -276,7 +282,7 @@ def test_the_desk_asks_the_session(gui, show):
 
 
 def test_another_run_is_of_another_object_with_other_effects(gui, show):
-    plugin = Desk(show)
+    plugin = ControlWindow(show)
     for label, value in (
         ("object", "vial"),
         ("accuracy", "0.05N"),
@@ -299,7 +305,7 @@ def test_another_run_is_of_another_object_with_other_effects(gui, show):
 
 def test_what_cannot_be_taken_out_is_said(gui, show):
     gui.want("large deflection", False)
-    plugin = Desk(show)
+    plugin = ControlWindow(show)
     build(plugin)
     assert "cannot be taken out" in show.said and plugin._next.effects == "auto"
 

@@ -5,7 +5,7 @@ import pytest
 
 from mjtactile.core.scenario import Scenario
 from mjtactile.recording.reader import load_recording
-from mjtactile.studio.playback import TapePlayer
+from mjtactile.studio.playback import RecordingPlayer
 from tests.fake_run import write_fake_recording
 
 COUNT = 12
@@ -14,7 +14,7 @@ COUNT = 12
 @pytest.fixture
 def tape(tmp_path):
     cycles = write_fake_recording(tmp_path, COUNT)
-    tape = TapePlayer(Scenario(rig=f"replay:{tmp_path}"), load_recording(tmp_path))
+    tape = RecordingPlayer(Scenario(rig=f"replay:{tmp_path}"), load_recording(tmp_path))
     for cycle in cycles:
         tape.add(cycle)
     tape.playing = False

@@ -6,13 +6,13 @@ import pytest
 
 from mjtactile.core.errors import DeviceError, Interrupted, MjtactileError
 from mjtactile.studio import serve
-from mjtactile.studio.session_bridge import Show
+from mjtactile.studio.session_bridge import SessionBridge
 from tests.fake_run import fake_cycle
 
 
 @pytest.mark.parametrize(("error", "ends"), [(Interrupted(), True), (DeviceError("a wire"), False)])
 def test_ctrl_c_ends_it_and_what_fails_in_a_run_is_shown(monkeypatch, error, ends):
-    show = Show()
+    show = SessionBridge()
 
     def fail(*_, **__):
         show.add(fake_cycle(0))
@@ -54,9 +54,9 @@ def test_what_mujocos_window_lacks_is_named(monkeypatch):
 def test_a_grasp_waits_for_its_page(monkeypatch):
     """It is said what for, and Studio's end or a signal ends the waiting."""
     said = []
-    show = Show(say=said.append)
+    show = SessionBridge(say=said.append)
     looked = threading.Event()
-    monkeypatch.setattr(serve, "looked_at", looked)
+    monkeypatch.setattr(serve, "checked_at", looked)
     threading.Timer(0.05, looked.set).start()
     serve._wait_for_page(show)
     assert looked.is_set() and "--no-wait" in said[0]

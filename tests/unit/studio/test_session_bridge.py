@@ -14,8 +14,8 @@ from mjtactile.recording.observer import Observer
 from mjtactile.report.overlay import find_ellipses, followed
 from mjtactile.runtime.controller import load_controller
 from mjtactile.runtime.grasp import run_grasp
-from mjtactile.studio.manual_control import HandGoal
-from mjtactile.studio.session_bridge import RED_BUTTON, RestartAsked, Show
+from mjtactile.studio.manual_control import ManualGoal
+from mjtactile.studio.session_bridge import RED_BUTTON, RestartRequested, SessionBridge
 from mjtactile.studio.snapshot import finger_lines
 from tests.fake_run import fake_cycle
 
@@ -43,7 +43,7 @@ def shown(show, count=1):
 
 
 def test_a_cycle_is_shown_with_what_was_true():
-    show = Show()
+    show = SessionBridge()
     shown(show, 3)
     moment = show.moment()
     assert moment.number == 2 and show.history.rows[-1].true == (0.1, 0.2)
@@ -54,7 +54,7 @@ def test_a_cycle_is_shown_with_what_was_true():
 
 def test_a_doubt_is_said_once_and_stays_beside_the_numbers():
     said = []
-    show = Show(say=said.append)
+    show = SessionBridge(say=said.append)
     session = fake_session()
     session.flags = {"edge": "an edge presses"}
     show.begin(session)
@@ -65,7 +65,7 @@ def test_a_doubt_is_said_once_and_stays_beside_the_numbers():
 
 
 def test_the_plots_show_the_last_seconds_only():
-    show = Show()
+    show = SessionBridge()
     for i in range(0, 3000, 10):  # 100 s
         show.add(fake_cycle(i, 3001))
     rows = show.history.rows
@@ -76,7 +76,7 @@ def test_the_plots_show_the_last_seconds_only():
 
 
 def test_a_pause_holds_the_session_until_it_goes_on():
-    show = Show()
+    show = SessionBridge()
     show.paused = True
     thread = threading.Thread(target=shown, args=(show, 3))
     thread.start()
@@ -95,7 +95,7 @@ def test_a_pause_holds_the_session_until_it_goes_on():
 
 def test_a_signal_ends_a_pause(monkeypatch):
     """Ctrl-C: the loop sets down what is held, for which the world must go on."""
-    show = Show()
+    show = SessionBridge()
     show.paused = True
 
     def check():
@@ -107,7 +107,7 @@ def test_a_signal_ends_a_pause(monkeypatch):
 
 
 def test_what_is_asked_for_is_done_by_the_sessions_thread_and_what_raises_is_said():
-    show = Show()
+    show = SessionBridge()
     done = []
     show.session = fake_session()
     show.ask(lambda session: done.append(threading.current_thread().name))
@@ -121,19 +121,19 @@ def test_what_is_asked_for_is_done_by_the_sessions_thread_and_what_raises_is_sai
 
 @pytest.mark.parametrize("name", ["restart", "closed"])
 def test_another_run_and_a_closed_viewer_end_a_world_that_waits_and_retreat_from_a_real_one(name):
-    show = Show()
+    show = SessionBridge()
     getattr(show, name).set()
-    with pytest.raises(RestartAsked):
+    with pytest.raises(RestartRequested):
         show.add(fake_cycle(0))
     show.session = fake_session(host_timeout=0.25)
     show.add(fake_cycle(0))  # goes on: the supervisor opens the hand first
     assert len(show.session.reasons) == 1
-    with pytest.raises(RestartAsked):  # nothing moves yet
+    with pytest.raises(RestartRequested):  # nothing moves yet
         show.add_reference("flat", [], [])
 
 
 def test_the_red_button_makes_it_safe_and_ends_a_pause():
-    show = Show()
+    show = SessionBridge()
     show.session = fake_session()
     show.paused = True
     show.halt()
@@ -143,7 +143,7 @@ def test_the_red_button_makes_it_safe_and_ends_a_pause():
 
 
 def test_only_a_world_that_waits_may_be_paused():
-    show = Show()
+    show = SessionBridge()
     assert show.may_pause
     show.session = fake_session(host_timeout=0.25)
     assert not show.may_pause
@@ -153,7 +153,7 @@ def test_a_grasp_shows_its_scene_and_obeys():
     """Real physics: the scene's state is the world's, a valve that is opened from outside changes
     the pressure, the hand goes where it is wished to and squeezes as hard, and the red button opens
     it."""
-    show = Show()
+    show = SessionBridge()
     show.fastest = np.inf
     moments = []
 
@@ -168,14 +168,14 @@ def test_a_grasp_shows_its_scene_and_obeys():
         for valve in show.session.rig.valves:
             valve.open(500.0)
 
-    actions = {3: lambda: setattr(show, "wish", HandGoal(0.075, 0.01)), 10: supply, 20: show.halt}
+    actions = {3: lambda: setattr(show, "wish", ManualGoal(0.075, 0.01)), 10: supply, 20: show.halt}
     with pytest.raises(DeviceError, match=f"stopped safely: {RED_BUTTON}"):
         controller = show.take_over(load_controller("gentle"))
         run_grasp(Scenario(), [show, CountingObserver()], controller=controller, workers=0)
     moments = [moment for moment in moments if moment is not None]
     times = [moment.scene[1][0] for moment in moments]  # MuJoCo's state begins with its time
     np.testing.assert_allclose(np.diff(times), 1 / 30, atol=1e-9)
-    pressure = [moment.fingers[0].pressure_gauge for moment in moments]
+    pressure = [moment.fingers[0].gauge_pressure for moment in moments]
     # Pa; an ideal valve
     assert pressure[5] == pytest.approx(1000, abs=20) and pressure[14] == pytest.approx(500, abs=1)
     assert moments[5].fingers[0].temperature == pytest.approx(293.15, abs=5)

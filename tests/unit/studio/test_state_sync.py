@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from mjtactile.studio.state_sync import shown_model
+from mjtactile.studio.state_sync import displayed_model
 
 SCENE = """
 <mujoco><worldbody>
@@ -22,7 +22,7 @@ def test_membranes_are_seen_from_aside_and_the_mouse_moves_what_weighs_grams(tur
     closes = np.array([np.cos(angle), np.sin(angle), 0.0])
     R_WS = np.column_stack([[0, 0, 1], np.cross(closes, [0, 0, 1]), closes])
     felt = [SimpleNamespace(pose=SimpleNamespace(p_WS=np.zeros(3), R_WS=R_WS))]
-    shown = shown_model(model, felt)
+    shown = displayed_model(model, felt)
     camera = mujoco.MjvCamera()
     mujoco.mjv_defaultFreeCamera(shown, camera)
     look = np.radians(camera.azimuth)

@@ -15,7 +15,7 @@ from mujoco.studio import messages, plugin
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from mjtactile.studio.user_scene import OwnFingers
+from mjtactile.studio.user_scene import UserFingers
 from tests.emulated import wait_for
 from tests.fake_run import fake_image, fake_touch
 
@@ -61,7 +61,7 @@ def test_a_plugin_file_puts_sensors_there_and_steps_them_by_the_clock(tips):
         0.05 * 9.81, abs=0.05
     )
     assert felt.rest is not None and felt.body == tips.sensors.fingers[0].sensor.body_id
-    assert felt.pressure_gauge > 1000 and felt.temperature == pytest.approx(293, abs=5)
+    assert felt.gauge_pressure > 1000 and felt.temperature == pytest.approx(293, abs=5)
 
 
 def test_it_heeds_a_pause_and_a_reset(tips):
@@ -87,7 +87,7 @@ def test_fingers_are_shown_anew_when_there_is_a_new_image():
             image=fake_image(number),
             touch=fake_touch(0.1, 0.0),
             rest=None,
-            pressure_gauge=1.0,
+            gauge_pressure=1.0,
             temperature=2.0,
         )
 
@@ -99,7 +99,7 @@ def test_fingers_are_shown_anew_when_there_is_a_new_image():
         flags={"edge": "one presses"},
     )
     fingers = []
-    own = OwnFingers(fingers)
+    own = UserFingers(fingers)
     assert own.moment() is None  # none yet
     fingers.append(finger)
     first = own.moment()

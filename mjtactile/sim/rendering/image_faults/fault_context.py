@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mjtactile.rig.camera_faults import CameraTroubles
+from mjtactile.rig.camera_faults import CameraFaults
 
 Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
-class Shot:
+class FaultContext:
     """One picture at one step: the camera's `seed`, the picture's `number` and `time` s, the step's
     `name`, and of the picture before time, and levels before and after this step (None: there was
     none)."""
@@ -39,9 +39,9 @@ class Shot:
 
 @dataclass(frozen=True)
 class Step:
-    """One trouble: its `name`, the fields of `CameraTroubles` that switch it on, and the function
+    """One trouble: its `name`, the fields of `CameraFaults` that switch it on, and the function
     of levels (H, W) that does it."""
 
     name: str
     switches: tuple[str, ...]
-    apply: Callable[[Floats, CameraTroubles, Shot], Floats]
+    apply: Callable[[Floats, CameraFaults, FaultContext], Floats]

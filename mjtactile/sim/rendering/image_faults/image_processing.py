@@ -5,18 +5,18 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from mjtactile.rig.camera_faults import CameraTroubles
-from mjtactile.sim.rendering.image_faults.fault_context import Floats, Shot, Step
+from mjtactile.rig.camera_faults import CameraFaults
+from mjtactile.sim.rendering.image_faults.fault_context import FaultContext, Floats, Step
 
 _MASK = 1.0  # px, sd of the unsharp mask
 _STUDIO = (16.0, 219.0)  # black, and levels from there to white, of YUYV
 _BROKEN_BYTES = 3
 _HEAD = 700  # bytes of a JPEG before its picture
-_MOST_LINES = 12
+_MAX_LINES = 12
 _QUALITY = 90  # of JPEGs that break where none is asked for
 
 
-def less_noisy(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+def less_noisy(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     """A share of what was shown last: noise falls, and what moves lags."""
     if shot.last is None:
         return pixels
@@ -24,20 +24,20 @@ def less_noisy(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
     return np.asarray(mixed, np.float32)
 
 
-def sharpened(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+def sharpened(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     """What a blur would take is added: edges overshoot."""
     return np.clip(
         pixels + t.sharpening * (pixels - cv2.GaussianBlur(pixels, (0, 0), _MASK)), 0, 255
     )
 
 
-def by_gamma(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+def by_gamma(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     """Level = light^(1/gamma), black and white as they were."""
     light = np.maximum(pixels, 0) / 255
     return np.asarray(255 * light ** np.float32(1 / t.gamma), np.float32)
 
 
-def clipped(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+def clipped(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     """Everything below a level is black, above another one white; between them as it was."""
     inside = (pixels > t.black) & (pixels < t.white)
     return np.where(inside, pixels, np.where(pixels <= t.black, t.black, t.white)).astype(
@@ -45,13 +45,13 @@ def clipped(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
     )
 
 
-def coarse(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+def coarse(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     """So many bits a level."""
     step = 2.0 ** (8 - round(t.bits))
     return np.asarray(np.floor(pixels / step) * step + (step - 1) / 2, np.float32)
 
 
-def studio_range(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+def studio_range(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     """To 219 levels and back."""
     low, span = _STUDIO
     if t.yuyv < 0.5:
@@ -60,7 +60,7 @@ def studio_range(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
     return np.asarray(np.rint((sent - low) * (255 / span)), np.float32)
 
 
-def compressed(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+def compressed(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     """As JPEG and back; a broken one is what the decoder makes of it, or the picture before."""
     eight = np.clip(np.rint(pixels), 0, 255).astype(np.uint8)
     quality = round(t.jpeg) or _QUALITY
@@ -74,7 +74,7 @@ def compressed(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
     return found.astype(np.float32)
 
 
-def torn(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+def torn(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     """From some row on the picture before."""
     rng = shot.own
     if shot.last is None or rng.random() >= t.torn:
@@ -83,14 +83,14 @@ def torn(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
     return np.concatenate([pixels[:row], shot.last[1][row:]])
 
 
-def without_lines(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+def without_lines(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     """Some lines got lost: what is below them moves up, and the last lines are those of the picture
     before."""
     rng = shot.own
     if shot.last is None or rng.random() >= t.lost_lines:
         return pixels
     row = int(rng.uniform(0.2, 0.8) * pixels.shape[0])
-    lines = int(rng.integers(1, _MOST_LINES + 1))
+    lines = int(rng.integers(1, _MAX_LINES + 1))
     return np.concatenate([pixels[:row], pixels[row + lines :], shot.last[1][-lines:]])
 
 

@@ -5,27 +5,27 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from mjtactile.rig.camera_faults import CameraTroubles
-from mjtactile.sim.rendering.image_faults.fault_context import Floats, Shot, Step
+from mjtactile.rig.camera_faults import CameraFaults
+from mjtactile.sim.rendering.image_faults.fault_context import FaultContext, Floats, Step
 
-_MOST_GAIN = 8.0
+_MAX_GAIN = 8.0
 _SMEARS = 3
 _SMEAR_WIDTH = 4.0  # px, sd
 
 
-def exposed(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+def exposed(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     """More light; what is too much is white."""
     return np.clip((1 + t.exposure) * pixels, 0, 255)
 
 
-def exposed_by_itself(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+def exposed_by_itself(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     """The gain that would have given the picture before the wanted mean."""
     seen = pixels if shot.last is None else shot.last[1]
-    gain = np.float32(min(t.auto_exposure / max(float(seen.mean()), 1.0), _MOST_GAIN))
+    gain = np.float32(min(t.auto_exposure / max(float(seen.mean()), 1.0), _MAX_GAIN))
     return np.clip(gain * pixels, 0, 255)
 
 
-def rolling(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+def rolling(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     """The rows above the last are older: between this picture and the one before, to first order
     in the motion between them."""
     if shot.last is None or shot.time <= shot.last[0]:
@@ -36,7 +36,7 @@ def rolling(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
     return (1 - share) * pixels + share * shot.last[1]
 
 
-def smeared(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+def smeared(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     """Light that leaks along columns."""
     columns = shot.fixed.uniform(0.15, 0.85, _SMEARS) * pixels.shape[1]
     u = np.arange(pixels.shape[1])
@@ -44,7 +44,7 @@ def smeared(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
     return np.clip(pixels + np.float32(t.smear) * light.astype(np.float32), 0, 255)
 
 
-def with_hot_pixels(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+def with_hot_pixels(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     """Half of them are white, half black."""
     rng = shot.fixed
     changed = pixels.copy()
@@ -53,7 +53,7 @@ def with_hot_pixels(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
     return changed
 
 
-def with_dead_rows(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+def with_dead_rows(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     """Black."""
     changed = pixels.copy()
     rows = round(t.dead_rows)
@@ -61,7 +61,7 @@ def with_dead_rows(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
     return changed
 
 
-def mosaic(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+def mosaic(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     """Every pixel sees one colour, of which the others are interpolated; the balance is then as it
     should be."""
     share = np.float32(1 - t.bayer)

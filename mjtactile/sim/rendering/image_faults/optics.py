@@ -8,8 +8,8 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from mjtactile.rig.camera_faults import CameraTroubles
-from mjtactile.sim.rendering.image_faults.fault_context import Floats, Shot, Step
+from mjtactile.rig.camera_faults import CameraFaults
+from mjtactile.sim.rendering.image_faults.fault_context import FaultContext, Floats, Step
 
 _FOG_DN = 160.0
 _SPECK_EDGE = 1.5  # px, sd: the pane is out of focus
@@ -22,7 +22,7 @@ _RIDGE_TAKES = 0.25  # of the light
 _BANDS = 2.0  # of mains light from the first row to the last, whatever the rate
 
 
-def placed(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+def placed(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     """Zoom, shift and turn about the picture's middle, by cubic splines: places that are rounded to
     a 32nd of a pixel, as fast resampling does, make circles larger and smaller by their place."""
     from scipy.ndimage import affine_transform  # takes a while to import
@@ -37,29 +37,29 @@ def placed(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
     return _floats(affine_transform(pixels, change, order=3, mode="mirror"))
 
 
-def defocused(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+def defocused(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     """A Gaussian of that sd."""
     return _floats(cv2.GaussianBlur(pixels, (0, 0), t.defocus))
 
 
-def fogged(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+def fogged(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     """Part of the light comes from everywhere."""
     return (1 - t.fog) * pixels + t.fog * _FOG_DN
 
 
-def dusty(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+def dusty(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     """Discs that take light, anywhere but at the very border."""
     key = (round(t.dust), t.dust_radius, int(shot.fixed.integers(2**31)))
     return _floats(pixels * (1 - t.dust_darkness * _specks(pixels.shape, *key)))
 
 
-def scratched(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+def scratched(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     """Straight fine lines, most of the picture long."""
     lines = _lines(pixels.shape, round(t.scratches), int(shot.fixed.integers(2**31)))
     return _floats(pixels * (1 - _SCRATCH_TAKES * lines))
 
 
-def fingerprinted(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+def fingerprinted(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     """Within a fingertip grease blurs, and its ridges take light."""
     tip, ridges = _fingertip(pixels.shape, int(shot.fixed.integers(2**31)))
     greasy = cv2.GaussianBlur(pixels, (0, 0), _GREASE_BLUR)
@@ -67,14 +67,14 @@ def fingerprinted(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
     return (pixels + share * (0.5 * (greasy - pixels))) * (1 - _RIDGE_TAKES * share * ridges)
 
 
-def lit_aside(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+def lit_aside(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     """So much more light at the right border than at the left one."""
     return pixels * np.linspace(1 - t.gradient / 2, 1 + t.gradient / 2, pixels.shape[1]).astype(
         np.float32
     )
 
 
-def flickering(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+def flickering(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     """Light that swings while the rows are read."""
     height = pixels.shape[0]
     phase = t.flicker_rate * shot.time + _BANDS * np.arange(height) / height

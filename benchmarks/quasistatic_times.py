@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile import Film, Obstacle
+from mjtactile import Obstacle, QuasistaticMembrane
 from mjtactile.core.types import Array
 
 AT_ONCE = 64
@@ -25,10 +25,10 @@ def _bowl(numbers: Array) -> Obstacle:
     """A quadric of six numbers: place, two curvatures, and a turn about z."""
     c, s = np.cos(numbers[5]), np.sin(numbers[5])
     turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
-    return Film.obstacle("quadric", (*numbers[3:5], 0.012), numbers[:3], turn)
+    return QuasistaticMembrane.obstacle("quadric", (*numbers[3:5], 0.012), numbers[:3], turn)
 
 
-def _deeper(film: Film) -> list[Obstacle]:
+def _deeper(film: QuasistaticMembrane) -> list[Obstacle]:
     """Balls, each 0.05 mm deeper than the one before."""
     heights = [0.0095 - 5e-5 * k for k in range(_STEPS + 1)]
     return [film.obstacle("sphere", (8e-3,), (0, 0, height)) for height in heights]
@@ -37,7 +37,7 @@ def _deeper(film: Film) -> list[Obstacle]:
 def times(grid: tuple[int, int], quick: bool) -> dict[str, Any]:
     """Best times, us, of a step from the one before, 0.05 mm deeper, and of films at once."""
     bursts = BURSTS_QUICK if quick else BURSTS
-    film = Film("dense", grid, 1000.0)
+    film = QuasistaticMembrane("dense", grid, 1000.0)
     balls = _deeper(film)
     start = film.solve(balls[0])
     best = {trend: np.full(_STEPS, np.inf) for trend in (True, False)}
@@ -66,18 +66,22 @@ def times(grid: tuple[int, int], quick: bool) -> dict[str, Any]:
         for size, threads in ((1, 1), (8, 1), (AT_ONCE, 1), (256, 1), (AT_ONCE, 2))
     }
     return {"grid": list(grid), "step_us": 1e6 * float(np.median(best[True])),
-            "alone_us": 1e6 * float(np.median(best[False])), "most_steps": steps,
+            "alone_us": 1e6 * float(np.median(best[False])), "max_steps": steps,
             "derivatives_us": 1e6 * derived, "by_pose_us": 1e6 * posed, "batch_per_s": rates,
             "ceiling": _ceiling(grid, _SECONDS * bursts / BURSTS)}  # fmt: skip
 
 
-def _rate(film: Film, balls: list[Obstacle], size: int, threads: int, bursts: int) -> float:
+def _rate(
+    film: QuasistaticMembrane, balls: list[Obstacle], size: int, threads: int, bursts: int
+) -> float:
     """Films a second of `size` at once, which are at rest already."""
     solve = _at_rest(film, balls, size, threads)
     return size / min(solve() for _ in range(bursts))
 
 
-def _at_rest(film: Film, balls: list[Obstacle], size: int, threads: int) -> Callable[[], float]:
+def _at_rest(
+    film: QuasistaticMembrane, balls: list[Obstacle], size: int, threads: int
+) -> Callable[[], float]:
     """Times, s, of `size` films at once, each time anew from where they are at rest already."""
     many = [[balls[k % 8]] for k in range(size)]
     batch = film.solve_batch(many)
@@ -112,7 +116,7 @@ def _ceiling(grid: tuple[int, int], seconds: float) -> float:
 def _alone(grid: tuple[int, int], seconds: float, together: Any, found: Any) -> None:
     """In a process of its own: the best rate of a batch in one thread, over some time that begins
     when all are `together`."""
-    film = Film("dense", grid, 1000.0)
+    film = QuasistaticMembrane("dense", grid, 1000.0)
     solve = _at_rest(film, _deeper(film), AT_ONCE, 1)
     together.wait()
     end = time.perf_counter() + seconds

@@ -1,0 +1,79 @@
+"""Names that version 0.2.0 changed: keys of files, options, columns of recordings.
+
+The readers of files and the command line refuse an old name with the new one in the message. A
+recording keeps its old names for ever, so its reader translates them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+KEYS: Mapping[str, str] = {
+    # tasks
+    "to_g": "final_mass_g",
+    "hand_over": "handover",
+    "need_most_N": "required_grip_max_N",
+    "break_share_of_need": "break_force_factor",
+    "break_least_N": "break_force_min_N",
+    "let_go_within_s": "release_within_s",
+    "fall_mm": "drop_max_mm",
+    "bump_N_s": "impact_max_N_s",
+    "upright_deg": "tilt_max_deg",
+    "begin_s": "start_s",
+    "last_s": "duration_s",
+    # sensors
+    "heat_ratio": "polytropic_exponent",
+    "heat_exchange_s": "thermal_time_constant_s",
+    "rim_mm": "wall_mm",
+    "supply_gauge_kPa": "supply_pressure_kPa",
+    "softening_share": "mullins_fraction",
+    "softening_kJ_m3": "mullins_energy_kJ_m3",
+    "ground_mm": "quiet_zone_mm",
+    "step_mm": "wall_setback_mm",
+    "places_mm": "positions_mm",
+    # rigs and ranges of domain randomization
+    "opening_part_mm": "jaw_offset_mm",
+    "hold_s": "host_loss_hold_s",
+    "warming_K_min": "temperature_drift_K_min",
+    "valve_zero_Pa": "pressure_offset_Pa",
+    "knock_px": "image_shift_px",
+    "turn_deg": "rotation_deg",
+    "zoom_percent": "scale_percent",
+}
+"""File key before 0.2.0 to file key now."""
+
+OPTIONS: Mapping[str, str] = {}
+"""Command-line option or command before 0.2.0 to the one now."""
+
+COLUMNS: Mapping[str, str] = {"pressure_gauge": "gauge_pressure"}
+"""Column of a recording before 0.2.0 to column now."""
+
+
+def hint(name: str, renamed: Mapping[str, str] = KEYS) -> str:
+    """Return ": `name` is now ..." for an old name, and nothing for any other."""
+    return f": `{name}` is now `{renamed[name]}`" if name in renamed else ""
+
+
+def old_key(key: str) -> str:
+    """Return the name that a file key had before 0.2.0.
+
+    Seeds of random streams are hashes of it: a seed draws what it drew before.
+    """
+    return next((old for old, new in KEYS.items() if new == key), key)
+
+
+def old_keys(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a nested table with the names from before 0.2.0, for fingerprints of older files."""
+    return {
+        old_key(key): old_keys(value) if isinstance(value, Mapping) else value
+        for key, value in table.items()
+    }
+
+
+def current_row(row: dict[str, Any]) -> dict[str, Any]:
+    """Translate the columns of one line of a recording's log, and the keys of its scenario."""
+    row = {COLUMNS.get(key, key): value for key, value in row.items()}
+    if isinstance(row.get("scenario"), Mapping):
+        row["scenario"] = {KEYS.get(key, key): value for key, value in row["scenario"].items()}
+    return row

@@ -1,0 +1,27 @@
+"""The check of the language counts what it should."""
+
+from tools import check_prose
+
+
+def test_a_private_sentence_raises_the_measures(tmp_path):
+    bad = tmp_path / "bad"
+    bad.mkdir()
+    (bad / "a.py").write_text('"""What is felt, as far as somebody told it."""\nfall_most = 1\n')
+    good = tmp_path / "good"
+    good.mkdir()
+    (good / "a.py").write_text('"""Return the estimated force, N."""\nfall_max = 1\n')
+    page = tmp_path / "page.md"
+    page.write_text("# Title\n\nThe force is estimated. It has a unit.\n\n| a | b |\n")
+    pages = check_prose.read_pages([page])
+    assert pages.paragraphs == ["The force is estimated. It has a unit."]
+    values = check_prose.measure(check_prose.read_code(bad), pages)
+    assert values["docstrings that start with a clause, %"] == 100
+    assert values["identifiers that end in _most or _least"] == 1
+    assert values["'what' per 10 000 words of code text"] > 1000
+    assert values["words to avoid per 10 000 words of code text"] > 3000
+    clean = check_prose.measure(check_prose.read_code(good), pages)
+    assert all(
+        value == 0 for name, value in clean.items() if "sentence" not in name and "para" not in name
+    )
+    assert clean["documentation, longest paragraph, words"] == 8
+    assert clean["documentation sentence, mean words"] == 4

@@ -1,0 +1,195 @@
+"""Measure the prose of the package and of the documentation against limits.
+
+    python tools/check_prose.py              # one row per measure; exit code 1 above a limit
+    python tools/check_prose.py --worst 20   # and the sentences to rewrite first
+
+The limits are the achieved values (CONTRIBUTING, "Style"). Lower them when the text improves.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import inspect
+import io
+import re
+import tokenize
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+LIMITS = {
+    "docstrings that start with a clause, %": 24.0,
+    "docstring sentence, mean words": 16.2,
+    "'what' per 10 000 words of code text": 169.0,
+    "words to avoid per 10 000 words of code text": 152.0,
+    "identifiers that end in _most or _least": 4.0,
+    "documentation sentence, mean words": 23.2,
+    "documentation sentences above 40 words, %": 12.0,
+    "documentation paragraphs above 100 words, %": 11.0,
+    "documentation, longest paragraph, words": 450.0,
+    "words to avoid per 10 000 words of documentation": 162.0,
+}
+WORD = re.compile(r"[A-Za-z][A-Za-z'-]*")
+CLAUSE = re.compile(r"[`\"'(*]*(What|Whether|Of|How|Where|By|Who|Which|When|As|m|N|s|Pa)\b")
+AVOID = re.compile(
+    r"\b(felt|feels?|told|tells?|said|says?|foretold|foretell|doubt(s|ed)?|believe[sd]?|beside|anew"
+    r"|begun|somebody|nobody|whoever|things?|knock(ed|s)?|wish(ed)?|happenings?|troubles|pane"
+    r"|what is|of which|as far as|at all|for good|no more than|let go|gives? up|given up)\b",
+    re.IGNORECASE,
+)
+"""Words and phrases with a standard replacement in the table of CONTRIBUTING."""
+_HEADING = re.compile(r"\s*(Args|Returns|Raises|Attributes|Yields|Notes?|Examples?)\s*:?\s*$")
+_LIST_ITEM = re.compile(r"\s*([-*+]|\d+\.) ")
+_NOT_PROSE = re.compile(r"\s*(#|\||[-=]{3,}\s*$)")
+
+
+@dataclass
+class Text:
+    """Sentences and comments found, each with the place it comes from."""
+
+    first: list[tuple[str, str]] = field(default_factory=list)
+    """The first sentence of each docstring."""
+    sentences: list[tuple[str, str]] = field(default_factory=list)
+    comments: list[str] = field(default_factory=list)
+    paragraphs: list[str] = field(default_factory=list)
+    extreme_names: set[str] = field(default_factory=set)
+    """Identifiers that end in _most or _least."""
+
+
+def words(text: str) -> int:
+    """Count words."""
+    return len(WORD.findall(text))
+
+
+def split_sentences(text: str) -> list[str]:
+    """Split plain text into sentences of three words or more."""
+    parts: list[str] = []
+    for paragraph in re.split(r"\n\s*\n", text):
+        # an entry of a list ("name: ...", "- ...") begins a sentence
+        entries = re.sub(r"\n\s*(?=[-*] |[\w`*, ]{1,40}: )", ". \n", paragraph)
+        flat = " ".join(entries.split())
+        parts += re.split(r"(?<=[.!?])[`\"')*]*\s+(?=[A-Z`\"(*])", flat)
+    return [part for part in parts if words(part) >= 3]
+
+
+def read_code(folder: Path) -> Text:
+    """Collect docstrings, comments and identifiers of every Python file in a folder."""
+    text = Text()
+    for path in sorted(folder.rglob("*.py")):
+        source = path.read_text(encoding="utf-8")
+        for line, docstring in _docstrings(ast.parse(source)):
+            found = [(f"{path}:{line}", each) for each in split_sentences(_prose(docstring))]
+            text.sentences += found
+            text.first += found[:1]
+        for token in tokenize.generate_tokens(io.StringIO(source).readline):
+            if token.type == tokenize.COMMENT:
+                text.comments.append(token.string.lstrip("# "))
+            elif token.type == tokenize.NAME and re.search(r"(_|^)(most|least)$", token.string):
+                text.extreme_names.add(token.string)
+    return text
+
+
+def _docstrings(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """Yield line and text of every string that stands alone: docstrings, also of attributes."""
+    for node in ast.walk(tree):
+        for item in body if isinstance(body := getattr(node, "body", None), list) else []:
+            value = item.value if isinstance(item, ast.Expr) else None
+            if isinstance(value, ast.Constant) and isinstance(value.value, str):
+                yield item.lineno, inspect.cleandoc(value.value)
+
+
+def _prose(docstring: str) -> str:
+    """Remove code and section headings."""
+    lines = re.sub(r"```.*?```", "\n\n", docstring, flags=re.DOTALL).split("\n")
+    return "\n".join("" if _HEADING.match(line) or ">>>" in line else line for line in lines)
+
+
+def read_pages(paths: Sequence[Path]) -> Text:
+    """Collect paragraphs and sentences of Markdown pages, without code, tables and headings."""
+    text = Text()
+    for path in paths:
+        page = re.sub(r"```.*?```|\$\$.*?\$\$", "\n\n", path.read_text("utf-8"), flags=re.DOTALL)
+        page = re.sub(r"<!--.*?-->", "", page, flags=re.DOTALL)
+        page = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", page)
+        found = [each for block in re.split(r"\n\s*\n", page) for each in _paragraphs(block)]
+        text.paragraphs += found
+        text.sentences += [(str(path), part) for each in found for part in split_sentences(each)]
+    return text
+
+
+def _paragraphs(block: str) -> Iterator[str]:
+    """Yield the paragraphs and list items between two blank lines."""
+    lines: list[str] = []
+    for line in [*block.split("\n"), "#"]:
+        if _LIST_ITEM.match(line) or _NOT_PROSE.match(line):
+            if words(" ".join(lines)) >= 3:
+                yield " ".join(lines)
+            lines = [line.strip()] if _LIST_ITEM.match(line) else []
+        else:
+            lines.append(line.strip())
+
+
+def measure(code: Text, pages: Text) -> dict[str, float]:
+    """Return the value of each measure in `LIMITS`."""
+    prose = "\n".join([*(each for _, each in code.sentences), *code.comments])
+    documents = "\n".join(pages.paragraphs)
+    long = [words(each) for _, each in pages.sentences]
+    sizes = [words(each) for each in pages.paragraphs]
+    clauses = [bool(CLAUSE.match(each)) for _, each in code.first]
+    values = (
+        100 * _mean(clauses),
+        _mean([words(each) for _, each in code.sentences]),
+        _rate(re.compile(r"\bwhat\b", re.IGNORECASE), prose),
+        _rate(AVOID, prose),
+        len(code.extreme_names),
+        _mean(long),
+        100 * _mean([size > 40 for size in long]),
+        100 * _mean([size > 100 for size in sizes]),
+        max(sizes, default=0),
+        _rate(AVOID, documents),
+    )
+    return dict(zip(LIMITS, map(float, values), strict=True))
+
+
+def _mean(values: Sequence[float]) -> float:
+    return sum(values) / max(len(values), 1)
+
+
+def _rate(pattern: re.Pattern[str], text: str) -> float:
+    """Return occurrences per 10 000 words."""
+    return 1e4 * len(pattern.findall(text)) / max(words(text), 1)
+
+
+def worst(code: Text, pages: Text, count: int) -> list[tuple[str, str]]:
+    """Return the sentences with most words to avoid, clause starts and excess length."""
+
+    def score(sentence: str) -> float:
+        excess = max(words(sentence) - 25, 0) / 10
+        return len(AVOID.findall(sentence)) + excess + 2 * bool(CLAUSE.match(sentence))
+
+    return sorted([*code.sentences, *pages.sentences], key=lambda row: -score(row[1]))[:count]
+
+
+def main() -> int:
+    """Print the measures and return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else None)
+    parser.add_argument("--worst", type=int, default=0, metavar="N", help="print N sentences")
+    options = parser.parse_args()
+    root = Path(__file__).parents[1]
+    pages = [path for path in (root / "docs").rglob("*.md") if "decisions" not in path.parts]
+    pages = [root / "README.md", root / "CONTRIBUTING.md", *sorted(pages)]
+    code, documents = read_code(root / "mjtactile"), read_pages(pages)
+    values = measure(code, documents)
+    above = [name for name, value in values.items() if value > LIMITS[name] + 0.05]
+    if above or options.worst:
+        for name, value in values.items():
+            mark = "  above its limit" if name in above else ""
+            print(f"{name:52} {value:7.1f}   at most {LIMITS[name]:g}{mark}")
+    for place, sentence in worst(code, documents, options.worst):
+        print(f"\n{place}\n    {sentence}")
+    return 1 if above else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
