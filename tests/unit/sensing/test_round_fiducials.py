@@ -25,7 +25,7 @@ def write(folder, radius_mm, quiet_zone_mm=0.45):
     path = folder / "round.toml"
     path.write_text(
         f"{text}\n[fiducials]\nsurface = 'rim'\nradius_mm = 0.8\npositions_mm = {places}\n"
-        f"quiet_zone_mm = {quiet_zone_mm}\nlip_mm = 1.0\nstep_mm = 3.2\n"
+        f"quiet_zone_mm = {quiet_zone_mm}\nlip_mm = 1.0\nwall_setback_mm = 3.2\n"
     )
     return str(path)
 
