@@ -4,7 +4,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help venv grasp bench film docs first test test-all slow lint types contracts pytest sanitize wheels lock clean
+.PHONY: help venv grasp bench quasistatic docs first test test-all slow lint types contracts pytest sanitize wheels lock clean
 
 # The first of these that is Python 3.11 or newer; override with `make PYTHON=/path/to/python`.
 PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11 python; do \
@@ -26,8 +26,8 @@ grasp: $(VENV)/.run-ready  ## grasp an egg in simulation; results in runs/grasp,
 bench: $(VENV)/.run-ready  ## measure the grasp and the perception; results in bench-results, docs/, README.md
 	$(BIN)/mjtactile bench grasp --out bench-results --readme docs/validation/benchmarks.md $(ARGS)
 	$(BIN)/mjtactile bench perception --out bench-results --readme docs/validation/benchmarks.md $(ARGS)
-	$(BIN)/mjtactile bench numbers --out bench-results --readme docs/validation/results.md
-	$(BIN)/mjtactile bench headline --out bench-results --readme README.md
+	$(BIN)/mjtactile bench summary-page --out bench-results --readme docs/validation/results.md
+	$(BIN)/mjtactile bench readme-table --out bench-results --readme README.md
 
 film: $(VENV)/.test-ready  ## the film that opens the README: an egg grasp, docs/images/grasp.webp
 	rm -rf runs/film && $(BIN)/mjtactile grasp --out runs/film --video docs/images/grasp.webp $(ARGS)

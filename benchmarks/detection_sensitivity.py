@@ -1,5 +1,6 @@
-"""`mjtactile bench seen`: what half and twice of those tried numbers do that the images of `bench
-settings` do not come near: photographs, and what is said where markers fit no shape.
+"""`mjtactile bench detection-sensitivity`: what half and twice of those tried numbers do that the
+images of `bench settings` do not come near: photographs, and what is said where markers fit no
+shape.
 
 A large ball under a small and under a large force, after which markers fit no shape, as of a sheet
 that tears; and pictures for `locate` as cameras make them, sharpened and compressed, flat and bent,
@@ -65,7 +66,7 @@ def torn(force: float) -> PressHistory:
 def pictures(
     presses: Sequence[PressHistory], bent: PressHistory
 ) -> list[tuple[Image, PressHistory]]:
-    """Those of `bench settings`, and more of `bent`: processed, and small."""
+    """Those of `bench setting-sensitivity`, and more of `bent`: processed, and small."""
     flat, pressed = bent.flat[0].pixels, bent.images[4].pixels
     more = [_processed(bent.images[0].pixels), _processed(pressed)]
     more += [_small(one) for one in (flat, pressed, _processed(pressed))]

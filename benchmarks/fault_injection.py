@@ -1,5 +1,5 @@
-"""`mjtactile bench attacks`: everything bad that the tests do to this project, counted by what must
-come of it.
+"""`mjtactile bench fault-injection`: everything bad that the tests do to this project, counted by
+what must come of it.
 
 An attack is one case of a test: a file with one thing wrong, a byte changed on a wire, a signal
 while something is held. The tests judge it; here they are run again and counted, so that the table

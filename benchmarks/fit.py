@@ -93,7 +93,7 @@ def specimen(nominal: SensorDesign, seed: int) -> SensorDesign:
         leds,
         membrane_dn=min(off(leds.membrane_dn), 235.0),
         marker_dn=off(leds.marker_dn),
-        falloff=off(leds.falloff),
+        vignetting=off(leds.vignetting),
     )
     return replace(nominal, membrane=sheet, chamber=chamber, camera=camera, leds=leds)
 
@@ -238,7 +238,7 @@ def scores(result: FitResult, nominal: SensorDesign, true: SensorDesign) -> list
         ("noise, DN", "camera.noise_DN", true.camera.noise_dn, found.camera.noise_dn, 1.0),
         ("membrane, DN", "leds.membrane_DN", true.leds.membrane_dn, found.leds.membrane_dn, 1.0),
         ("markers, DN", "leds.marker_DN", true.leds.marker_dn, found.leds.marker_dn, 1.0),
-        ("falloff", "leds.falloff", true.leds.falloff, found.leds.falloff, 1.0),
+        ("vignetting", "leds.vignetting", true.leds.vignetting, found.leds.vignetting, 1.0),
     ]
     return [
         {

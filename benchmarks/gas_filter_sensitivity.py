@@ -1,8 +1,9 @@
-"""`mjtactile bench gauge`: what the tried numbers of the gas's filter are worth: the same readings
-of a pressure gauge followed with each of them at half and at twice.
+"""`mjtactile bench gas-filter-sensitivity`: what the tried numbers of the gas's filter are worth:
+the same readings of a pressure gauge followed with each of them at half and at twice.
 
 The chamber is a closed form: a dent while nothing else happens, a leak, a hole, warmth, and a valve
-that opens onto another pressure. The gauge has white noise; volumes are as images would show them.
+that opens onto another pressure. The gauge has white noise; volumes are as images would show
+them.
 """
 
 from __future__ import annotations

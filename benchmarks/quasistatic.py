@@ -1,4 +1,5 @@
-"""`mjtactile bench film`: the film against an independent sheet, against itself, and the clock.
+"""`mjtactile bench quasistatic`: the film against an independent sheet, against itself, and the
+clock.
 
 References (film_reference.json) are an independent solver's, in the same rubber and gas; no number
 of the film was chosen on them. That solver's faces are sets of its own nodes, 0.5 mm apart, and as

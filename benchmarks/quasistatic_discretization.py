@@ -1,5 +1,5 @@
-"""Of `bench film`: bodies that are narrow for a grid, at random places, against a finer film, and
-whether what a state says of its own force (`MembraneSolution.doubt`) holds."""
+"""Of `bench quasistatic`: bodies that are narrow for a grid, at random places, against a finer
+film, and whether what a state says of its own force (`MembraneSolution.doubt`) holds."""
 
 from __future__ import annotations
 

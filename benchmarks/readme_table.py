@@ -1,4 +1,4 @@
-"""`mjtactile bench headline`: the few numbers that the README shows. See
+"""`mjtactile bench readme-table`: the few numbers that the README shows. See
 `benchmarks.results_tables`."""
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""`mjtactile bench numbers` and `bench headline`: the numbers of docs/validation/results.md and of
-the README, taken from the pages that the other benchmarks wrote.
+"""`mjtactile bench summary-page` and `bench readme-table`: the numbers of
+docs/validation/results.md and of the README, taken from the pages that the other benchmarks wrote.
 
 They measure nothing: a number may stand on several pages, and comes from one.
 """

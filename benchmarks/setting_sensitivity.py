@@ -1,10 +1,10 @@
-"""`mjtactile bench settings`: what the sensing chain's tried numbers are worth: the same images
-felt with each of them at half and at twice. Numbers that were derived, or fitted by another
+"""`mjtactile bench setting-sensitivity`: what the sensing chain's tried numbers are worth: the same
+images felt with each of them at half and at twice. Numbers that were derived, or fitted by another
 benchmark, are not among them.
 
-Touch: presses, drags and lifts of a ball on both shipped layouts, recorded once,
-references too, so that a change is the setting's alone. Pictures: what `locate` looks at, sharp,
-black and white, half in glare, small, of a camera with a gamma, blurred and noisy.
+Touch: presses, drags and lifts of a ball on both shipped layouts, recorded once, references too, so
+that a change is the setting's alone. Pictures: what `locate` looks at, sharp, black and white, half
+in glare, small, of a camera with a gamma, blurred and noisy.
 """
 
 from __future__ import annotations
@@ -191,9 +191,9 @@ def _look(image: Image, press: RecordedPress, settings: Settings) -> Circles:
 
 
 def touch_change(before: TouchResult, now: TouchResult) -> dict[str, float]:
-    """How far felt force goes (rms, N; NaN where it was or is not known), by how much its error
-    bar changes (median ratio), how many markers fewer or more are seen (mean), and of how many
-    images something else is said, or an area that is 5 % off."""
+    """How far felt force goes (rms, N; NaN where it was or is not known), by how much its error bar
+    changes (median ratio), how many markers fewer or more are seen (mean), and of how many images
+    something else is said, or an area that is 5 % off."""
     known = np.isfinite(before.force) & np.isfinite(now.force)
     off = now.force[known] - before.force[known]
     area_off = np.abs(now.area - before.area) > SIMILAR_AREA * np.maximum(before.area, now.area)

@@ -1,4 +1,4 @@
-"""`mjtactile bench cheap`: episodes without images against episodes with them.
+"""`mjtactile bench no-images`: episodes without images against episodes with them.
 
 Markers: the same membranes seen by the image stages and by `--effects -images`, with references
 taken in the same way; errors of their places by mean, spread, outliers and dropouts. Grasps: the
@@ -162,7 +162,12 @@ def _pairs(count: int, say: Say) -> Iterator[dict[str, Any]]:
         for way, effects in (("images", "auto"), ("none", "-images"))[:: 1 if k % 2 else -1]:
             begin = time.process_time()
             line = run_episode(
-                Episode(k, Scenario(object=pair["object"], seed=k, effects=effects, vary="default"))
+                Episode(
+                    k,
+                    Scenario(
+                        object=pair["object"], seed=k, effects=effects, randomization="default"
+                    ),
+                )
             )
             pair[way] = {
                 key: line[key]
@@ -233,12 +238,12 @@ def table(result: dict[str, Any]) -> str:
     g = result["grasps"]
     low, high = (100 * value for value in g["held_interval"]["none"])
     lines += [
-        "",
-        f"The same {g['pairs']} episodes both ways (`gentle`; {', '.join(OBJECTS)}; `--vary "
-        f"default`): the same outcome in {g['same_outcome']}; held {g['held']['images']} with "
+        f"The same {g['pairs']} episodes both ways (`gentle`; {', '.join(OBJECTS)}; "
+        f"`--randomization default`): the same outcome in {g['same_outcome']}; held "
+        f"{g['held']['images']} with "
         f"images, {g['held']['none']} without (95 %: {low:.0f}-{high:.0f} %). The true held force "
         f"differs by {g['force_mN']:+.2f} +- {g['force_interval_mN']:.2f} mN in the mean (95 %), "
         f"{g['force_sd_mN']:.1f} mN from episode to episode. Episodes in an hour of one core: "
-        f"{g['an_hour']['images']:.0f} with images, {g['an_hour']['none']:.0f} without.",
+        f"{g['an_hour']['images']:.0f} with images, {g['an_hour']['none']:.0f} without."
     ]
     return "\n".join(lines) + "\n"

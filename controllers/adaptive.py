@@ -1,17 +1,18 @@
-"""As hard as needed: grip as lightly as the load lets, and learn load and friction in the hand.
+"""Adaptive grasp: grip as lightly as the load permits; estimate load and friction during the grasp.
 
-- **Load.** A finger feels along its membrane what it carries. The grip follows the largest shear of
-  the last second, and what may be pushed carries that as well, from any side.
+- **Load.** The shear force on a finger is the load that it carries. The grip follows the largest
+  shear of the last second, plus a specified push from any direction.
 - **Friction.** Coulomb: a finger holds as long as shear < mu * normal force. Close over the table
-  it loosens until the shear goes with the grip: there mu is. Later a hold at a ratio shows that mu
-  is at least that, and a slip what it is: unless the shear does not grow with the grip.
-- **Margin.** The grip is MARGIN times what load and friction ask for. While nothing slips the
-  belief in friction grows slowly, so that the grip loosens. The jaws go at once to where a larger
-  grip is, by a stiffness that is measured; what is left after DELAY is regulated.
-- **The table and other hands.** Shear that goes, and comes again from the other side, is the
-  table: let go. Shear that changes otherwise, and stays so, is somebody who pulls.
+  the controller reduces the grip until shear decreases with it: that ratio is mu. Later, a stable
+  hold at a ratio is a lower bound of mu. A slip gives mu itself, unless shear does not grow with
+  the grip.
+- **Margin.** The grip is MARGIN times the force that load and friction require. Without slip the
+  estimate of friction grows slowly, so that the grip loosens. For a larger grip the jaws move
+  immediately, by the measured stiffness. The error that remains after DELAY is regulated.
+- **Table and external pull.** Shear that vanishes, and returns with the opposite sign, is support
+  by the table: release. Any other lasting change of shear is an external pull.
 
-`step` is pure: its memory is `Command.memory`. It knows no clock, nor which way is down.
+`step` is pure: its memory is `Command.memory`. It uses no clock and no direction of gravity.
 """
 
 from dataclasses import replace
@@ -30,25 +31,29 @@ from mjtactile.grasp_estimation import (
 )
 from mjtactile.types import Command, Observation
 
-MAX_FORCE, MIN_FORCE = 2.2, 0.18  # N on each finger that it asks for; it closes to the least
-MIN_TEST_FORCE = 0.10  # N, the least while friction is tried, close over the table
-TOUCH_FORCE, MAX_PUSH = 0.08, 0.5  # N: well over the noise; to push it until both fingers touch
-SERVO_FORCE_LIMIT = 5.0  # N: the most that the servo may push, whatever is felt
-MARGIN = 1.3  # grip over what load and friction ask for
+MAX_FORCE, MIN_FORCE = 2.2, 0.18  # grip force limits per finger, N; the first grip uses the minimum
+MIN_TEST_FORCE = 0.10  # minimum force, N, of the friction test close over the table
+# touch threshold, N, well above noise; maximum push, N, until both fingers touch
+TOUCH_FORCE, MAX_PUSH = 0.08, 0.5
+SERVO_FORCE_LIMIT = 5.0  # maximum force of the servo, N, at any measured force
+MARGIN = 1.3  # grip force over the force required by load and friction
 FRICTION_FIRST = 0.6  # then it is tried, close over the table
-SLIP_WAIT, GRIP_WAIT = 0.3, 1.0  # s that the hand waits after a slip, and for its grip
-DELAY, SETTLING = 0.12, 0.3  # s to a command's force in an image; in which an error goes
-CLOSING_SPEED, OPENING_SPEED = 0.020, 0.060  # m/s, as all speeds
+SLIP_WAIT, GRIP_WAIT = 0.3, 1.0  # waiting times of the lift after a slip and for the grip, s
+# delay from a command to its force in an image, s; time scale of force errors, s
+DELAY, SETTLING = 0.12, 0.3
+CLOSING_SPEED, OPENING_SPEED = 0.020, 0.060  # all speeds in m/s
 LIFT_SPEED, WEIGH_SPEED, PLACE_SPEED = 0.030, 0.003, 0.010
-WEIGH_HEIGHT = 0.003  # m, over which it lifts slowly: the load comes on by itself
+WEIGH_HEIGHT = 0.003  # height of the slow first lift, m, during which the load builds up
 TIGHTEN_SPEED, LOOSEN_SPEED = 0.015, 0.003  # faster where it must hold than to spare
-FORCE_TOLERANCE = 0.06  # N around the target that counts as settled
-SETTLE_TIME, GRIP_TIMEOUT, STOP_TIME = 0.25, 6.0, 0.3  # s; the last: the jaws get no further
-MAX_BLIND_TIME, LOST_TIME = 0.5, 0.3  # s without a usable image, or a touch, before giving up
-TABLE_FORCE = 0.03  # N, upward, over all fingers, beside half of the weight: it stands
-SEARCH = 0.030  # m below where it shall be set down that the table is looked for
-PULL_FORCE, PULL_TIME = 0.20, 0.09  # N over all fingers, s: who pulls; a bump is shorter
-RELEASE_OPENING = 0.012  # m to open beyond the grip before the run ends
+FORCE_TOLERANCE = 0.06  # tolerance around the target for a settled force, N
+SETTLE_TIME, GRIP_TIMEOUT, STOP_TIME = 0.25, 6.0, 0.3  # times in s; STOP_TIME: jaws stopped
+MAX_BLIND_TIME, LOST_TIME = 0.5, 0.3  # maximum times without a usable image and without touch, s
+# upward force over all fingers, N, in addition to half of the weight: object stands
+TABLE_FORCE = 0.03
+SEARCH = 0.030  # search range for the table below the specified place height, m
+# pull over all fingers, N, and its duration, s; a bump is shorter
+PULL_FORCE, PULL_TIME = 0.20, 0.09
+RELEASE_OPENING = 0.012  # opening beyond the grip at the end of a run, m
 CLOCKS = ("phase", "settled", "blind", "lost", "stuck", "pull", "behind")
 MEMORY_KEYS = {
     LoadEstimator: "load",
@@ -77,7 +82,7 @@ def step(observation: Observation) -> Command:
     memory = {**START, **observation.command.memory}
     memory["phase_time"] += period
     command = replace(observation.command, force_limit=SERVO_FORCE_LIMIT, memory=memory)
-    if not all(isfinite(force) for force in felt):  # unknown is not zero: stand still, then give up
+    if not all(isfinite(force) for force in felt):  # an unknown force is not zero: stop, then abort
         command = _remember(command, blind_time=memory["blind_time"] + period)
         blind = next(touch for touch in observation.touch if not isfinite(touch.force_normal))
         if command.memory["blind_time"] > MAX_BLIND_TIME:
@@ -124,8 +129,8 @@ def grip_as_needed(observation: Observation, command: Command) -> Command:
     frames = _kept(FrameLoadEstimator, command).after(
         touch, observation.gripper.effort, observation.period
     )
-    worst, least = hypot(load.worst, observation.told.push / len(touch)), MIN_FORCE
-    if trial.is_on:  # what is tried must be in use: nothing to spare
+    worst, least = hypot(load.worst, observation.goal.push / len(touch)), MIN_FORCE
+    if trial.is_on:  # the tested friction must be fully used: no margin
         worst, least = trial.grip * load.most, MIN_TEST_FORCE
     target = max(least, min(MARGIN * worst / belief.friction, MAX_FORCE, frames.most))
     found = {"load": vars(load), "belief": vars(belief), "frames": vars(frames)}
@@ -133,8 +138,12 @@ def grip_as_needed(observation: Observation, command: Command) -> Command:
 
 
 def _regulated(observation: Observation, command: Command, felt: list[float]) -> Command:
-    """Close at once by what a larger target takes, or open by what is tried; then move the opening
-    so that the mean felt force goes to the target of a delay ago, within reach of the real one."""
+    """Move the opening so that the mean measured force reaches the target.
+
+    A larger target (or a tested smaller one) changes the opening immediately. The remaining error
+    is regulated relative to the target one delay ago. The command stays close to the actual
+    opening.
+    """
     memory = command.memory
     force = sum(felt) / len(felt)
     spring = _kept(GripStiffnessEstimator, command).after(
@@ -153,7 +162,7 @@ def _regulated(observation: Observation, command: Command, felt: list[float]) ->
 
 
 def _approach(observation: Observation, command: Command, felt: list[float]) -> Command:
-    """Close at a steady speed until either finger feels something, slower until both do."""
+    """Close at a constant speed until either finger measures a force, slower until both do."""
     if min(felt) > TOUCH_FORCE or max(felt) > MAX_PUSH:
         return _go(command, "regulate")
     gets_on = command.opening < command.memory["narrowest"] - 1e-4  # as the rig allows
@@ -194,8 +203,8 @@ def _lift(observation: Observation, command: Command, felt: list[float]) -> Comm
     if not is_low and not _kept(FrictionProbe, command).over:
         return _try_friction(observation, command)
     if _kept(FrictionEstimator, command).since_slip < SLIP_WAIT or 0.0 < behind_time < GRIP_WAIT:
-        return command  # grip first, as far as the jaws can
-    goal, load = observation.told.lift_height, _kept(LoadEstimator, command)
+        return command  # grip first, within the jaws' limits
+    goal, load = observation.goal.lift_height, _kept(LoadEstimator, command)
     if not load.down and not is_low:
         command = _remember(command, load=vars(load.hanging(observation.touch)))
     if observation.gripper.lift_height > goal - 0.001:
@@ -215,26 +224,26 @@ def _try_friction(now: Observation, command: Command) -> Command:
 
 
 def _hold(observation: Observation, command: Command, felt: list[float]) -> Command:
-    """Hold; let go where somebody who was announced pulls for longer than a bump lasts."""
+    """Hold; release for an announced handover when a pull lasts longer than a bump."""
     command = _regulated(observation, command, felt)
     now = _kept(LoadEstimator, command).vector(observation.touch)
     held = np.asarray(command.memory.get("held", now))
     pulls = float(np.linalg.norm(now - held)) > PULL_FORCE
-    if observation.told.handover and pulls:
+    if observation.goal.handover and pulls:
         pull_time = command.memory["pull_time"] + observation.period
         command = _remember(command, pull_time=pull_time)
         return _release_now(command) if pull_time > PULL_TIME else command
     follow = min(1.0, 2.0 * observation.period)  # in half a second
     command = _remember(command, held=(held + follow * (now - held)).tolist(), pull_time=0.0)
-    over = command.memory["phase_time"] >= observation.told.hold_time
+    over = command.memory["phase_time"] >= observation.goal.hold_time
     return _go(command, "lower") if over else command
 
 
 def _lower(observation: Observation, command: Command, felt: list[float]) -> Command:
     """Down until the table takes the load over, a little below where it should be at most."""
     command = _regulated(observation, command, felt)
-    goal = max(0.0, observation.told.place_height - SEARCH)
-    above = command.lift_height - observation.told.place_height
+    goal = max(0.0, observation.goal.place_height - SEARCH)
+    above = command.lift_height - observation.goal.place_height
     speed = PLACE_SPEED if above < SEARCH else LIFT_SPEED
     height = max(goal, command.lift_height - speed * observation.period)
     carried = float(_kept(LoadEstimator, command).vector(observation.touch)[0])

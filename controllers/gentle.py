@@ -1,10 +1,9 @@
-"""Gentle grasp: close until something is felt, regulate the felt force, lift, hold, put down, let
-go.
+"""Gentle grasp: close until touch, regulate the measured force, lift, hold, place, release.
 
-`step` is pure: what it must remember it writes into `Command.memory` and finds again in
-`Observation.command.memory`. It knows no clock, simulator or device, so the same file drives the
-simulated, the emulated and the real gripper. Copy it to make your own: any file with a function
-`step(observation) -> command` will do.
+`step` is pure: it writes its memory into `Command.memory` and reads it back from
+`Observation.command.memory`. It uses no clock, simulator or device, so the same file drives the
+simulated, the emulated and the real gripper. Copy it to make your own controller: any file with a
+function `step(observation) -> command` works.
 """
 
 from dataclasses import replace
@@ -13,32 +12,34 @@ from math import isfinite
 from mjtactile.grasp_estimation import shear, support
 from mjtactile.types import Command, Observation
 
-# N on each finger: enough friction for 60 g at a coefficient of 0.5, well below what an egg stands
+# target force per finger, N: enough friction for 60 g at a coefficient of 0.5, well below the
+# strength of an egg
 TARGET_FORCE = 0.6
-TOUCH_FORCE = 0.08  # N: several times the noise of the estimate
-SERVO_FORCE_LIMIT = 4.0  # N: the most that the servo may push, whatever is felt
-# m/s while nothing is felt: 0.8 mm a cycle at 30 Hz, about 0.1 N past the first touch
+TOUCH_FORCE = 0.08  # touch threshold, N: several times the noise of the estimate
+SERVO_FORCE_LIMIT = 4.0  # maximum force of the servo, N, at any measured force
+# closing speed before touch, m/s: 0.8 mm per cycle at 30 Hz, about 0.1 N past the first touch
 CLOSING_SPEED = 0.025
 OPENING_SPEED = 0.040
-# m/s of opening for each N of error: with 160 N/m of grip, settles in 0.2 s, six times the delay
+# opening speed per force error, m/s per N: settles in 0.2 s at a grip stiffness of 160 N/m, six
+# times the delay
 REGULATION_GAIN = 0.03
 REGULATION_SPEED_MAX = 0.010
 LIFT_SPEED = 0.040
-# s more than lowering takes: then what is held stands already, tilted, and keeps the hand up
+# extra time for lowering, s: then the object already stands, tilted, and supports the gripper
 LOWER_TIME_SPARE = 1.0
 SETTLE_TIME = 0.4
 GRIP_TIMEOUT = 6.0
-FORCE_TOLERANCE = 0.08  # N around the target that counts as settled
-BLIND_TIME_MAX = 0.5  # s without a usable image before giving up
-# s without a touch, or m slipped through every finger: the object stays behind
+FORCE_TOLERANCE = 0.08  # tolerance around the target for a settled force, N
+BLIND_TIME_MAX = 0.5  # maximum time without a usable image, s
+# limits for a lost object: time without touch, s, or slip distance at every finger, m
 LOST_TIME = 0.3
 LOST_SLIP = 0.005
-# m that the jaws lag behind: something stands between them where no membrane feels it
+# lag of the jaws, m, that indicates an object between them outside the membranes
 BLOCKED = 0.015
-STOP_TIME = 0.3  # s that the rig lets the jaws close no further: they are at their own stop
-# N on each finger that something pushes up with while the hand goes down: what is held stands
+STOP_TIME = 0.3  # time, s, without further closing by the rig: the jaws are at their stop
+# upward force per finger during lowering, N, that indicates a standing object
 TABLE_FORCE = 0.1
-RELEASE_OPENING = 0.012  # m to open beyond the grip before the run ends
+RELEASE_OPENING = 0.012  # opening beyond the grip at the end of a run, m
 
 
 def step(observation: Observation) -> Command:
@@ -63,7 +64,7 @@ def step(observation: Observation) -> Command:
     if not known:  # unknown is not zero: stand still, then open gently
         return _blind(observation, command)
     if command.phase in ("lift", "hold", "lower") and _is_lost(observation, memory["lost_time"]):
-        # here, not down onto what fell
+        # release at this height, not down onto the fallen object
         command = replace(command, reason="what was gripped stayed behind")
         return _remember(_go(command, "release"), grip_opening=command.opening, lost=1.0)
     return _PHASES[command.phase](observation, command, felt)
@@ -93,16 +94,16 @@ def _blind(observation: Observation, command: Command) -> Command:
 
 
 def _is_lost(observation: Observation, lost_time: float) -> bool:
-    """Whether what was gripped is no longer held: too heavy, too slippery."""
+    """Return True if the grasped object is no longer held: too heavy, too slippery."""
     slips = [touch.slip.distance if touch.slip is not None else 0.0 for touch in observation.touch]
     return lost_time > LOST_TIME or min(slips) > LOST_SLIP
 
 
 def _approach(observation: Observation, command: Command, felt: list[float]) -> Command:
-    """Close at a steady speed until either finger feels something."""
+    """Close at a constant speed until either finger measures a force."""
     if max(felt) > TOUCH_FORCE:
         return _go(command, "close")
-    # what was sent is what the rig allows
+    # the last command is already limited by the rig
     gets_on = command.opening < command.memory.get("narrowest", 1.0) - 1e-4
     stuck_time = 0.0 if gets_on else command.memory["stuck_time"] + observation.period
     narrowest = command.opening if gets_on else command.memory["narrowest"]
@@ -128,8 +129,10 @@ def _close(observation: Observation, command: Command, felt: list[float]) -> Com
 
 
 def _regulated(observation: Observation, command: Command, felt: list[float]) -> Command:
-    """Move the opening so that the mean felt force goes to the target; stay within reach of the
-    real opening."""
+    """Move the opening so that the mean measured force reaches the target.
+
+    The command stays close to the actual opening.
+    """
     error = TARGET_FORCE - sum(felt) / len(felt)
     speed = max(-REGULATION_SPEED_MAX, min(REGULATION_SPEED_MAX, REGULATION_GAIN * error))
     opening = command.opening - speed * observation.period
@@ -152,12 +155,12 @@ def _regulate(observation: Observation, command: Command, felt: list[float]) -> 
 def _lift(observation: Observation, command: Command, felt: list[float]) -> Command:
     command = _regulated(observation, command, felt)
     height = min(
-        observation.told.lift_height, command.lift_height + LIFT_SPEED * observation.period
+        observation.goal.lift_height, command.lift_height + LIFT_SPEED * observation.period
     )
     command = replace(command, lift_height=height)
     return (
         _go(command, "hold")
-        if observation.gripper.lift_height > observation.told.lift_height - 0.001
+        if observation.gripper.lift_height > observation.goal.lift_height - 0.001
         else command
     )
 
@@ -167,21 +170,22 @@ def _hold(observation: Observation, command: Command, felt: list[float]) -> Comm
     command = _remember(command, held=shear(observation.touch).tolist())
     return (
         _go(command, "lower")
-        if command.memory["phase_time"] >= observation.told.hold_time
+        if command.memory["phase_time"] >= observation.goal.hold_time
         else command
     )
 
 
 def _lower(observation: Observation, command: Command, felt: list[float]) -> Command:
     command = _regulated(observation, command, felt)
-    goal = observation.told.place_height
+    goal = observation.goal.place_height
     height = max(goal, command.lift_height - LIFT_SPEED * observation.period)
     command = replace(command, lift_height=height)
-    # what slid down in the grip stands before the hand is down: no further, onto its edge
+    # an object that slid down in the grip stands before the gripper is down: stop here, or it is
+    # pressed onto its edge
     held = command.memory.get("held", shear(observation.touch))
     if support(observation.touch, held) > TABLE_FORCE:
         return _remember(_go(command, "release"), grip_opening=command.opening)
-    time_max = (observation.told.lift_height - goal) / LIFT_SPEED + LOWER_TIME_SPARE
+    time_max = (observation.goal.lift_height - goal) / LIFT_SPEED + LOWER_TIME_SPARE
     if height == goal and (
         observation.gripper.lift_height < goal + 0.001 or command.memory["phase_time"] > time_max
     ):

@@ -1,8 +1,8 @@
-"""Probe: press to a small force, hold the jaws still, let go, wait, and touch once more to see what
-stayed.
+"""Probe: load the object with a small force, hold the jaws, release, wait, and touch again to
+measure the remaining indentation.
 
-Pure like `gentle.py`: what it must remember is in `Command.memory`. What the object is made of is
-judged from what was felt meanwhile (`mjtactile probe`); this file only moves.
+It is pure like `gentle.py`: its memory is in `Command.memory`. `mjtactile probe` estimates the
+material from the measurements; this file only moves the jaws.
 """
 
 from dataclasses import replace
@@ -10,23 +10,23 @@ from math import isfinite
 
 from mjtactile.types import Command, Observation
 
-PROBE_FORCE = 0.9  # N on each finger: a strawberry bruises at 1.2
-# N of the second touch: enough to see the surface, too little to press it further
+PROBE_FORCE = 0.9  # force per finger, N: a strawberry bruises at 1.2
+# force of the second touch, N: enough to measure the surface, too little to indent it further
 SECOND_FORCE = 0.35
-TOUCH_FORCE = 0.08  # N: several times the noise of the estimate
-SERVO_FORCE_LIMIT = 4.0  # N: the most that the servo may push, whatever is felt
-# m/s of opening; slow against the relaxation that is looked for
+TOUCH_FORCE = 0.08  # touch threshold, N: several times the noise of the estimate
+SERVO_FORCE_LIMIT = 4.0  # maximum force of the servo, N, at any measured force
+# opening speeds, m/s; slow relative to the measured relaxation
 APPROACH_SPEED = 0.025
 PRESS_SPEED = 0.003
 OPENING_SPEED = 0.015
-CLEAR_TIME_MAX = 4.0  # s of opening and waiting, after which what is still felt is no touch
-# s with the jaws still; s without touch before the second look
+CLEAR_TIME_MAX = 4.0  # time of opening and waiting, s, after which a force is not a touch
+# times with the jaws still and, before the second touch, without contact, s
 HOLD_TIME = 2.0
 REST_TIME = 1.5
-PRESS_TRAVEL_MAX = 0.010  # m to close after the first touch: what gives way that far is held there
-CLEARANCE = 0.003  # m to open beyond the first touch
-PHASE_TIME_MAX = 8.0  # s in one phase before giving up
-BLIND_TIME_MAX = 0.5  # s without a usable image before giving up
+PRESS_TRAVEL_MAX = 0.010  # maximum closing after the first touch, m; softer objects are held there
+CLEARANCE = 0.003  # opening beyond the first touch, m
+PHASE_TIME_MAX = 8.0  # maximum time in one phase before an abort, s
+BLIND_TIME_MAX = 0.5  # maximum time without a usable image, s
 
 
 def step(observation: Observation) -> Command:
@@ -41,7 +41,7 @@ def step(observation: Observation) -> Command:
     memory["phase_time"] += observation.period
     command = replace(observation.command, force_limit=SERVO_FORCE_LIMIT, memory=memory)
     felt = [touch.force_normal for touch in observation.touch]
-    if not all(isfinite(force) for force in felt):  # unknown is not zero: stand still, then give up
+    if not all(isfinite(force) for force in felt):  # an unknown force is not zero: stop, then abort
         memory["blind_time"] += observation.period
         command = replace(command, memory=memory)
         return _go(command, "abort") if memory["blind_time"] > BLIND_TIME_MAX else command
@@ -57,7 +57,7 @@ def _go(command: Command, phase: str, **values: float) -> Command:
 
 
 def _approach(observation: Observation, command: Command, felt: list[float]) -> Command:
-    """Close until either finger feels something; slowly where the first press found the object."""
+    """Close until either finger measures a force; slowly near the position of the first touch."""
     if max(felt) > TOUCH_FORCE:
         if command.memory["presses"]:
             return _go(command, "close")
@@ -69,7 +69,7 @@ def _approach(observation: Observation, command: Command, felt: list[float]) -> 
 
 
 def _close(observation: Observation, command: Command, felt: list[float]) -> Command:
-    """Press at a steady speed up to the force, or as far as it may go."""
+    """Close at a constant speed up to the force, or to the travel limit."""
     second = command.memory["presses"] > 0
     enough = sum(felt) / len(felt) >= (SECOND_FORCE if second else PROBE_FORCE)
     if (
@@ -82,7 +82,7 @@ def _close(observation: Observation, command: Command, felt: list[float]) -> Com
 
 
 def _hold(observation: Observation, command: Command, felt: list[float]) -> Command:
-    """Keep the jaws still: what the force and the object do now is the object's own doing."""
+    """Keep the jaws still, so that changes of force and shape are due to the object alone."""
     return _go(command, "release") if command.memory["phase_time"] >= HOLD_TIME else command
 
 

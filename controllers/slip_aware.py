@@ -1,10 +1,9 @@
-"""Slip-aware grasp: grip as gently as the object lets, and harder as soon as it slips or is about
-to.
+"""Slip-aware grasp: grip as lightly as the object permits; tighten at slip or incipient slip.
 
-Closes to a quarter of a newton, then lifts; the force that each finger should feel grows with what
-is said of slip, within a limit, and never shrinks while the object is held. The hand waits while it
-grips harder. `step` is pure: what it must remember it writes into `Command.memory` and finds again
-in `Observation.command.memory`.
+It closes to a quarter of a newton, then lifts. The target force per finger grows with the reported
+slip, up to a limit. It never decreases while the object is held. The lift waits while the grip
+tightens. `step` is pure: it writes its memory into `Command.memory` and reads it back from
+`Observation.command.memory`.
 """
 
 from dataclasses import replace
@@ -13,35 +12,35 @@ from math import isfinite
 from mjtactile.grasp_estimation import shear, support
 from mjtactile.types import Command, Observation
 
-# N on each finger: what it begins with, and what it never asks for more of
+# initial and maximum target force per finger, N
 FIRST_FORCE = 0.25
 FORCE_MAX = 1.6
-# of the force felt, and N: how much harder it grips at a slip
+# increase of the target at a slip: fraction of the measured force, and constant, N
 SLIPPING_FRACTION = 0.3
 SLIPPING_STEP = 0.1
-SLIP_PAUSE = 0.15  # s until a slip that goes on counts again: what the grip needs to follow
-INCIPIENT_RATE = 0.6  # N/s while slip is about to begin
-KICK = 0.001  # m that the jaws close at once at a slip: about 0.15 N of two soft membranes
-TOUCH_FORCE = 0.08  # N: several times the noise of the estimate
-SERVO_FORCE_LIMIT = 4.0  # N: the most that the servo may push, whatever is felt
-# m/s
+SLIP_PAUSE = 0.15  # time, s, until a lasting slip counts again: response time of the grip
+INCIPIENT_RATE = 0.6  # rate of the target during incipient slip, N/s
+KICK = 0.001  # immediate closing at a slip, m: about 0.15 N for two soft membranes
+TOUCH_FORCE = 0.08  # touch threshold, N: several times the noise of the estimate
+SERVO_FORCE_LIMIT = 4.0  # maximum force of the servo, N, at any measured force
+# speeds, m/s
 CLOSING_SPEED = 0.020
 OPENING_SPEED = 0.040
-# m/s for each N of error, as in gentle.py; m/s
+# gain, m/s per N of force error, as in gentle.py; speed limit, m/s
 REGULATION_GAIN = 0.03
 REGULATION_SPEED_MAX = 0.010
-# m/s: slow, so that slip is said before much of it
+# lift speed, m/s: slow, so that slip is detected early
 LIFT_SPEED = 0.025
-# s more than lowering takes: then what is held stands already, tilted, and keeps the hand up
+# extra time for lowering, s: then the object already stands, tilted, and supports the gripper
 LOWER_TIME_SPARE = 1.0
 SETTLE_TIME = 0.4
 GRIP_TIMEOUT = 6.0
-FORCE_TOLERANCE = 0.06  # N around the target that counts as settled
-BLIND_TIME_MAX = 0.5  # s without a usable image before giving up
-LOST_TIME = 0.3  # s without a touch: the object stays behind
-RELEASE_OPENING = 0.012  # m to open beyond the grip before the run ends
-STOP_TIME = 0.3  # s that the rig lets the jaws close no further: they are at their own stop
-# N on each finger that something pushes up with while the hand goes down: what is held stands
+FORCE_TOLERANCE = 0.06  # tolerance around the target for a settled force, N
+BLIND_TIME_MAX = 0.5  # maximum time without a usable image, s
+LOST_TIME = 0.3  # time without touch, s, after which the object counts as lost
+RELEASE_OPENING = 0.012  # opening beyond the grip at the end of a run, m
+STOP_TIME = 0.3  # time, s, without further closing by the rig: the jaws are at their stop
+# upward force per finger during lowering, N, that indicates a standing object
 TABLE_FORCE = 0.1
 START = {
     "phase_time": 0.0,
@@ -64,7 +63,7 @@ def step(observation: Observation) -> Command:
     memory["phase_time"] += period
     memory["since_slip"] += period
     command = replace(observation.command, force_limit=SERVO_FORCE_LIMIT, memory=memory)
-    if not all(isfinite(force) for force in felt):  # unknown is not zero: stand still, then give up
+    if not all(isfinite(force) for force in felt):  # an unknown force is not zero: stop, then abort
         command = _remember(command, blind_time=memory["blind_time"] + period)
         blind = next(touch for touch in observation.touch if not isfinite(touch.force_normal))
         if command.memory["blind_time"] > BLIND_TIME_MAX:
@@ -94,7 +93,8 @@ def _remember(command: Command, **values) -> Command:
 
 
 def _grip_as_needed(observation: Observation, command: Command, felt: list[float]) -> Command:
-    """Raise the target for what any finger says of slip; at a slip also close at once."""
+    """Raise the target force if any finger reports slip or incipient slip; at slip also close
+    immediately."""
     memory = command.memory
     states = [
         touch.slip.state if touch.slip is not None else "unknown" for touch in observation.touch
@@ -106,7 +106,7 @@ def _grip_as_needed(observation: Observation, command: Command, felt: list[float
         kick = KICK if target > memory["target"] else 0.0
         command = replace(command, opening=command.opening - kick)
         return _remember(command, target=target, since_slip=0.0, slips=memory["slips"] + 1)
-    # it has what it asked for, and needs more
+    # the target force is reached but insufficient
     if "incipient" in states and max(felt) > memory["target"] - FORCE_TOLERANCE:
         return _remember(
             command, target=min(FORCE_MAX, memory["target"] + INCIPIENT_RATE * observation.period)
@@ -115,8 +115,10 @@ def _grip_as_needed(observation: Observation, command: Command, felt: list[float
 
 
 def _regulated(observation: Observation, command: Command, felt: list[float]) -> Command:
-    """Move the opening so that the mean felt force goes to the target; stay within reach of the
-    real opening."""
+    """Move the opening so that the mean measured force reaches the target.
+
+    The command stays close to the actual opening.
+    """
     error = command.memory["target"] - sum(felt) / len(felt)
     speed = max(-REGULATION_SPEED_MAX, min(REGULATION_SPEED_MAX, REGULATION_GAIN * error))
     actual = observation.gripper.opening
@@ -125,10 +127,10 @@ def _regulated(observation: Observation, command: Command, felt: list[float]) ->
 
 
 def _approach(observation: Observation, command: Command, felt: list[float]) -> Command:
-    """Close at a steady speed until either finger feels something, slower until both do."""
+    """Close at a constant speed until either finger measures a force, slower until both do."""
     if min(felt) > TOUCH_FORCE or max(felt) > command.memory["target"]:
         return _go(command, "regulate")
-    # what was sent is what the rig allows
+    # the last command is already limited by the rig
     gets_on = command.opening < command.memory["narrowest"] - 1e-4
     stuck_time = 0.0 if gets_on else command.memory["stuck_time"] + observation.period
     narrowest = min(command.opening, command.memory["narrowest"])
@@ -162,12 +164,12 @@ def _lift(observation: Observation, command: Command, felt: list[float]) -> Comm
         or sum(felt) / len(felt) < command.memory["target"] - FORCE_TOLERANCE
     ):
         return command  # grip first
-    if observation.gripper.lift_height > observation.told.lift_height - 0.001:
+    if observation.gripper.lift_height > observation.goal.lift_height - 0.001:
         return _go(command, "hold")
     return replace(
         command,
         lift_height=min(
-            observation.told.lift_height, command.lift_height + LIFT_SPEED * observation.period
+            observation.goal.lift_height, command.lift_height + LIFT_SPEED * observation.period
         ),
     )
 
@@ -177,21 +179,22 @@ def _hold(observation: Observation, command: Command, felt: list[float]) -> Comm
     command = _remember(command, held=shear(observation.touch).tolist())
     return (
         _go(command, "lower")
-        if command.memory["phase_time"] >= observation.told.hold_time
+        if command.memory["phase_time"] >= observation.goal.hold_time
         else command
     )
 
 
 def _lower(observation: Observation, command: Command, felt: list[float]) -> Command:
     command = _regulated(observation, command, felt)
-    goal = observation.told.place_height
+    goal = observation.goal.place_height
     height = max(goal, command.lift_height - LIFT_SPEED * observation.period)
     command = replace(command, lift_height=height)
-    # what slid down in the grip stands before the hand is down: no further, onto its edge
+    # an object that slid down in the grip stands before the gripper is down: stop here, or it is
+    # pressed onto its edge
     held = command.memory.get("held", shear(observation.touch))
     if support(observation.touch, held) > TABLE_FORCE:
         return _remember(_go(command, "release"), grip_opening=command.opening)
-    time_max = (observation.told.lift_height - goal) / LIFT_SPEED + LOWER_TIME_SPARE
+    time_max = (observation.goal.lift_height - goal) / LIFT_SPEED + LOWER_TIME_SPARE
     if height == goal and (
         observation.gripper.lift_height < goal + 0.001 or command.memory["phase_time"] > time_max
     ):

@@ -1,12 +1,12 @@
-"""A gripper without touch, to compare with: close until the servo's current says so, lift, hold,
-put down, let go.
+"""A gripper without touch, for comparison: close up to a servo current, lift, hold, place, release.
 
-It looks at no sensor. A current is noisy, so that it is averaged over `AVERAGE_TIME`, and the jaws
-close slowly enough for what comes in that time, at 160 N/m of grip, to be some 0.1 N; and it moves
-the jaws, too, so that what that takes is measured before they meet anything. `EFFORT` is the force
-at a jaw as the servo believes it, and what `gentle` grips with, so that the two differ in what they
-feel and not in how firmly they mean to hold. In simulation that belief is right up to noise; a real
-servo's gears keep a part of its torque to themselves, which is not in these numbers.
+It reads no tactile sensor. The current is noisy and therefore averaged over `AVERAGE_TIME`. The
+jaws close slowly: the force grows by some 0.1 N in that time at a grip stiffness of 160 N/m. The
+current also moves the jaws; that part is measured before they touch the object. `EFFORT` is the
+force at a jaw estimated from the servo current. It equals the grip force of `gentle`, so that the
+two controllers differ in sensing and not in the intended grip. In simulation that estimate is
+correct up to noise. A real servo's gears absorb a part of its torque, which is not in these
+numbers.
 """
 
 from dataclasses import replace
@@ -14,28 +14,28 @@ from math import isfinite
 
 from mjtactile.types import Command, Observation
 
-EFFORT = 0.6  # N on each finger
-# s; in the second nothing is met
+EFFORT = 0.6  # force per finger, N
+# averaging time and initial time without contact, s
 AVERAGE_TIME = 0.1
 FREE_TIME = 0.5
-# m/s
+# speeds, m/s
 CLOSING_SPEED = 0.010
 OPENING_SPEED = 0.040
 LIFT_SPEED = 0.040
-SETTLE_TIME = 0.4  # s
-# s more than lowering takes: then what is held stands already, tilted, and keeps the hand up
+SETTLE_TIME = 0.4  # settling time, s
+# extra time for lowering, s: then the object already stands, tilted, and supports the gripper
 LOWER_TIME_SPARE = 1.0
-# m beyond the grip, s
+# opening beyond the grip, m, and time limit of the release, s
 RELEASE_OPENING = 0.012
 RELEASE_TIME = 2.0
-STOP_TIME = 0.3  # s that the rig lets the jaws close no further: they are at their own stop
+STOP_TIME = 0.3  # time, s, without further closing by the rig: the jaws are at their stop
 
 
 def step(observation: Observation) -> Command:
     """One control cycle."""
     last = observation.command
     gripper = observation.gripper
-    told = observation.told
+    goal = observation.goal
     period = observation.period
     time = last.memory.get("phase_time", 0.0) + period
     effort = last.memory.get("effort", 0.0)
@@ -50,17 +50,17 @@ def step(observation: Observation) -> Command:
         return _go(command, "lift") if time >= SETTLE_TIME else command
     if last.phase == "lift":
         command = replace(
-            command, lift_height=min(told.lift_height, last.lift_height + LIFT_SPEED * period)
+            command, lift_height=min(goal.lift_height, last.lift_height + LIFT_SPEED * period)
         )
-        is_up = gripper.lift_height > told.lift_height - 0.001
+        is_up = gripper.lift_height > goal.lift_height - 0.001
         return _go(command, "hold") if is_up else command
     if last.phase == "hold":
-        return _go(command, "lower") if time >= told.hold_time else command
+        return _go(command, "lower") if time >= goal.hold_time else command
     if last.phase == "lower":
-        goal = told.place_height
-        command = replace(command, lift_height=max(goal, last.lift_height - LIFT_SPEED * period))
-        time_max = (told.lift_height - goal) / LIFT_SPEED + LOWER_TIME_SPARE
-        stands = gripper.lift_height < goal + 0.001 or time > time_max
+        height = goal.place_height
+        command = replace(command, lift_height=max(height, last.lift_height - LIFT_SPEED * period))
+        time_max = (goal.lift_height - height) / LIFT_SPEED + LOWER_TIME_SPARE
+        stands = gripper.lift_height < height + 0.001 or time > time_max
         return _go(command, "release", grip=command.opening) if stands else command
     if last.phase == "release":
         goal = last.memory["grip"] + RELEASE_OPENING
@@ -77,7 +77,7 @@ def _approach(observation: Observation, command: Command, time: float, effort: f
         command = replace(command, memory={**command.memory, "free": effort})
     elif effort - command.memory.get("free", 0.0) >= EFFORT:
         return _go(command, "regulate", opening=opening)
-    # what was sent is what the rig allows
+    # the last command is already limited by the rig
     gets_on = command.opening < command.memory.get("narrowest", 1.0) - 1e-4
     narrowest = command.opening if gets_on else command.memory["narrowest"]
     stuck = 0.0 if gets_on else command.memory["stuck"] + observation.period

@@ -3,7 +3,7 @@
     python examples/learn_to_grasp.py policy.npz 600     # seconds
     MJTACTILE_POLICY=policy.npz mjtactile evaluate --controller policy --objects random
 
-Touch is drawn meanwhile (`-sheet,-chain`); the second line judges with everything simulated.
+Touch is drawn meanwhile (`-mesh,-pipeline`); the second line judges with everything simulated.
 """
 
 import os
@@ -25,7 +25,12 @@ DECISIONS = 32  # of each environment between two updates: about a grasp
 
 def make():
     """Another random thing each time; the generator's seeds are far from those of `evaluate`."""
-    how = {"effects": "-sheet,-chain", "vary": "default", "reward": "progress", "time_limit": 12.0}
+    how = {
+        "effects": "-mesh,-pipeline",
+        "randomization": "default",
+        "reward": "progress",
+        "time_limit": 12.0,
+    }
     return ActionRepeatScaling(
         gymnasium.make("mjtactile.gym:mjtactile/Grasp-v0", object="random", **how)
     )

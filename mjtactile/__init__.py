@@ -1,9 +1,8 @@
-"""mjtactile: a vision-based membrane touch sensor for MuJoCo, and a gripper that holds fragile
-things with it.
+"""mjtactile: a vision-based membrane touch sensor for MuJoCo, and a gripper for fragile objects.
 
-What a user needs is here and, for MuJoCo Studio, in `mjtactile.studio`; nothing else is public.
-Names are imported when they are first used: a rig without a simulator needs no mujoco, and one
-without a camera no OpenCV.
+The public API consists of this package and, for MuJoCo Studio, `mjtactile.studio`. Names are
+imported on first use: a rig without a simulator needs no mujoco, and one without a camera no
+OpenCV.
 """
 
 from importlib import import_module
@@ -134,7 +133,7 @@ def __getattr__(name: str) -> Any:
     if not platform_support.is_supported():
         raise ImportError(platform_support.REFUSAL)
     value = getattr(import_module(_HOME[name]), name)
-    globals()[name] = value  # the next time it is found at once
+    globals()[name] = value  # cached: later accesses skip `__getattr__`
     return value
 
 

@@ -19,6 +19,7 @@ from typing import Any, NoReturn
 from mjtactile.commands import COMMANDS, arguments
 from mjtactile.core import platform_support, signals
 from mjtactile.core.errors import MjtactileError
+from mjtactile.core.renamed import option_hint
 
 DESCRIPTION = """\
 A vision-based membrane touch sensor for MuJoCo, and a two-finger gripper that holds
@@ -53,8 +54,8 @@ class _Parser(argparse.ArgumentParser):
     """Reports a usage error in one line and where to read on; takes values with a leading minus."""
 
     def _parse_optional(self, arg_string: str) -> Any:
-        """Every option here has two dashes: a word with one is a value (`--at -3.2,1.7`, `--effects
-        -latency`)."""
+        """Every option here has two dashes: a word with one is a value (`--position-mm -3.2,1.7`,
+        `--effects -latency`)."""
         is_value = (
             arg_string.startswith("-")
             and not arg_string.startswith("--")
@@ -63,7 +64,7 @@ class _Parser(argparse.ArgumentParser):
         return None if is_value else super()._parse_optional(arg_string)
 
     def error(self, message: str) -> NoReturn:
-        raise _UsageError(f"{message} (see {self.prog} --help)")
+        raise _UsageError(f"{message}{option_hint(message)} (see {self.prog} --help)")
 
 
 class _Version(argparse.Action):
@@ -81,7 +82,8 @@ class _UsageError(MjtactileError):
 
 
 def build_parser(*wanted: str) -> argparse.ArgumentParser:
-    """With the options of the `wanted` commands; what the others need is not imported."""
+    """Build the parser with the options of the `wanted` commands; the other commands are not
+    imported."""
     parser = _Parser(
         prog="mjtactile",
         description=DESCRIPTION,
@@ -122,8 +124,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(argv: list[str]) -> int:
     # The matrices here are small: a second BLAS thread only waits for the first (the sensing chain
-    # is 2-4 times slower), and OpenCV's spins beside the simulated world for a twentieth of the
-    # loop's time.
+    # is 2-4 times slower). OpenCV's thread would spin next to the simulated world for a twentieth
+    # of the loop's time.
     for name in (
         "OPENBLAS_NUM_THREADS",
         "OMP_NUM_THREADS",
@@ -153,8 +155,10 @@ def _main(argv: list[str]) -> int:
 
 
 def _quieten_libraries(*, debug: bool) -> None:
-    """What OpenCV, FFmpeg and MuJoCo print of their own ends as one line of ours: an error, or a
-    doubt of the run."""
+    """Suppress output that OpenCV, FFmpeg and MuJoCo print themselves.
+
+    mjtactile reports such problems as one line: an error, or a flag of the run.
+    """
     # a file of 2 MB may hold a thousand times as many pixels (core/image_decoding.py)
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 26))
     if not debug:
@@ -176,7 +180,7 @@ def _fail(error: BaseException, argv: Sequence[str]) -> int:
         text = f"{error.filename or 'the output'}: cannot be written: {error.strerror}"
     else:
         text = f"internal error: {type(error).__name__}: {text} (--debug shows where)"
-    with contextlib.suppress(OSError):  # nobody is there to be told
+    with contextlib.suppress(OSError):  # stderr or stdout is closed
         if "--debug" in argv:
             traceback.print_exception(error)
         print(f"mjtactile: {text}", file=sys.stderr)
@@ -192,8 +196,8 @@ def _fail(error: BaseException, argv: Sequence[str]) -> int:
 
 
 def _open_streams() -> None:
-    """Give a process that was started without stdin, stdout or stderr /dev/null: else a device
-    could get their numbers, and what is written to stderr."""
+    """Open /dev/null for a missing stdin, stdout or stderr. Otherwise a device could get one of
+    these descriptors and receive the text written to stderr."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(number)
@@ -203,8 +207,8 @@ def _open_streams() -> None:
 
 
 def _flush_streams() -> None:
-    """Write what is still buffered; where that fails, Python must not try again at its end and
-    change the exit code."""
+    """Flush the output buffers. After a failure, redirect to /dev/null: Python's own flush at exit
+    would change the exit code."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()

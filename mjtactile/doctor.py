@@ -1,4 +1,4 @@
-"""Whoever knows a rig looks at it: the devices' own doctor, or the simulator's."""
+"""Entry point of the rig checks: the doctor of the devices, or that of the simulator."""
 
 from __future__ import annotations
 
@@ -14,10 +14,12 @@ from mjtactile.sensing.pipeline import SensingPipeline
 
 
 def examine_rig(name: str | None, *, sensor: str = "dense", fix: bool = False) -> list[Finding]:
-    """What is found of the rig `name`, or of what is plugged in (None); `sensor` where the rig file
-    does not say it. `fix`: mend what software can. Raises InputError for a bad rig file.
+    """Return the findings for the rig `name`, or for the connected devices (None).
 
-    A simulated rig has no devices to look for, and real devices need no simulator.
+    `sensor` applies if the rig file has none. `fix`: correct problems that software can correct.
+    Raises InputError for an invalid rig file.
+
+    A simulated rig has no devices to check, and real devices need no simulator.
     """
     rig = None if name is None else read_rig_file(name)
     if isinstance(rig, SimRigFile):
@@ -30,8 +32,8 @@ def examine_rig(name: str | None, *, sensor: str = "dense", fix: bool = False) -
 
 
 def fiducial_findings(what: str, design: SensorDesign, image: Image) -> Iterator[Finding]:
-    """Whether a picture of the camera `what` shows the circles that do not move of the sensor
-    before it, and where they stand; nothing of a sensor that has none."""
+    """Check that an image of the camera `what` shows the sensor's fiducials at their expected
+    positions. No findings for a sensor without fiducials."""
     if design.fiducials is None:
         return
     chain = SensingPipeline(design)

@@ -1,4 +1,4 @@
-"""The values that a controller gets and gives back: what a controller file imports. All of them:
+"""Input and output values of a controller, for import by controller files: all of
 `mjtactile.core.types`."""
 
 from mjtactile.core.policy import command_from_action, policy_observation

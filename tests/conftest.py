@@ -12,7 +12,7 @@ import pytest
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Emulated devices, their watchdogs and whoever talks to them: tests share their computer with each
 # other, and a rented one may stand still for half a second. Before anything imports mjtactile.
-os.environ.setdefault("MJTACTILE_SLOW", "3")
+os.environ.setdefault("MJTACTILE_TIME_SCALE", "3")
 # Where no bytecode may be written each process compiles what it imports: half a second for each
 # `mjtactile` that a test starts, and all tests anew in each worker. Before there are workers.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)

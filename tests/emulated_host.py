@@ -61,7 +61,7 @@ def shipped_with(controller: str, **constants: float) -> str:
 def controller_text(hold: float = 60.0) -> str:
     """The shipped controller, quicker, holding for `hold` s."""
     text = shipped_with("gentle", CLOSING_SPEED=0.045, SETTLE_TIME=0.1)
-    return text.replace("observation.told.hold_time", f"{hold}")
+    return text.replace("observation.goal.hold_time", f"{hold}")
 
 
 class Host:

@@ -17,7 +17,7 @@ class ReferenceMembrane:
     """Rectangle `length` x `width` m clamped on its rim; equi-biaxial pre-stretch; sealed gas
     behind it.
 
-    `law` is "neo-Hookean", W = mu/2 (I1 - 3 - 2 ln J) + L/2 (ln J)^2 in plane stress, or "StVK".
+    `transmission` is "neo-Hookean", W = mu/2 (I1 - 3 - 2 ln J) + L/2 (ln J)^2 in plane stress, or "StVK".
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""`mjtactile bench levels`: the levels without a mesh, as `bench accuracy` measures meshes.
+"""`mjtactile bench meshless`: the levels without a mesh, as `bench accuracy` measures meshes.
 
 The same presses of spheres against the same finest mesh, the same egg held; for drawn touch the
 error of what is felt, in place of the force's own. Then episodes of `gentle`, the same seeds with
@@ -34,7 +34,7 @@ from mjtactile.sim.synthetic_touch import SyntheticTouchSource
 STEP = 1 / 480  # s: what a rig takes for films
 FIRST_SEED = 9400  # nothing was fitted or tuned on these
 PAIRS, PAIRS_QUICK = 12, 1
-FILM, DRAWN = "-sheet", "-sheet,-chain"
+FILM, DRAWN = "-mesh", "-mesh,-pipeline"
 _DRAWS = 400
 _WITHOUT = PHYSICS - {Effect.SHEET}
 
@@ -145,7 +145,9 @@ def _outcomes(seed: int, number: int, count: int, say: Say) -> dict[str, str]:
     ended = {}
     for effects in ("auto", FILM, DRAWN):
         say(f"levels: episode {number + 1} of {count}, {effects}")
-        scenario = Scenario(object=f"random:{seed}", seed=seed, effects=effects, vary="default")
+        scenario = Scenario(
+            object=f"random:{seed}", seed=seed, effects=effects, randomization="default"
+        )
         ended[effects] = run_episode(Episode(number, scenario))["outcome"]
     return ended
 

@@ -1,4 +1,4 @@
-"""Camera troubles of `mjtactile bench trust`, each near the strength that its name says."""
+"""Camera troubles of `mjtactile bench camera-faults`, each near the strength that its name says."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`mjtactile bench trust`: one egg grasp felt again with its images changed, as cameras do.
+"""`mjtactile bench camera-faults`: one egg grasp felt again with its images changed, as cameras do.
 
 Each trouble at a strength of its own seed, from the references on ("always"), after them alone
 ("run"), or in them alone; felt against true normal force of one finger, with the chamber's pressure

@@ -1,1 +1,1 @@
-"""`mjtactile bench first_day`: what a stranger reaches in an afternoon; see `run`."""
+"""`mjtactile bench commissioning`: what a stranger reaches in an afternoon; see `run`."""

@@ -279,7 +279,7 @@ class Day:
         recording = self.folder / "after" / str(SEEDS[0])
         page = self.folder / "shadow"
         code = main(
-            ["compare-sim", str(recording), "--until-s", "6", "--out", str(page), "--workers", "2"]
+            ["compare-sim", str(recording), "--end-s", "6", "--out", str(page), "--workers", "2"]
         )
         if code not in (0, 1):
             raise MjtactileError(f"shadow: exit code {code}")

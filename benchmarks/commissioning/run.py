@@ -1,10 +1,10 @@
-"""`mjtactile bench first_day`: a rehearsal of the first day with a rig, on an emulated one that has
-a real one's troubles all at once (models/rigs/emulated_first_day.toml).
+"""`mjtactile bench commissioning`: a rehearsal of the first day with a rig, on an emulated one that
+has a real one's troubles all at once (models/rigs/emulated_first_day.toml).
 
-Each step is the command that a user types, in this process, with a person at the terminal who
-reads the instruments (`person`). True forces are read from the emulated world only to say what is
-felt less true. The presses that `fit` needs are made on a simulated stage, with the left finger's
-sheet and a camera that is as its file says.
+Each step is the command that a user types, in this process, with a person at the terminal who reads
+the instruments (`person`). True forces are read from the emulated world only to say what is felt
+less true. The presses that `fit` needs are made on a simulated stage, with the left finger's sheet
+and a camera that is as its file says.
 """
 
 from __future__ import annotations

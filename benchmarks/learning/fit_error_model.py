@@ -1,5 +1,5 @@
-"""`mjtactile bench drawn`: what a sensor's chain errs by in grasps, fitted, for `--effects
--sheet,-chain`; and how far what is drawn with it is from that, on other seeds.
+"""`mjtactile bench error-model`: what a sensor's chain errs by in grasps, fitted, for `--effects
+-mesh,-pipeline`; and how far what is drawn with it is from that, on other seeds.
 
 Random things are gripped with forces that wander from 0.05 to 2.2 N, and lifted, with images and
 the whole chain over films; what was felt of each image is compared with what the film bore. The
@@ -64,8 +64,8 @@ def run(
         "stamp": stamp(),
     }
     checks = {}
-    for name, vary in WORLDS.items():
-        grasps = list(_grasps(sensor, vary, count, say))
+    for name, randomization in WORLDS.items():
+        grasps = list(_grasps(sensor, randomization, count, say))
         fitted, judged = grasps[::2], grasps[1::2]
         checks[name] = check(fit(joined(fitted)), joined(judged)) | {"grasps": len(grasps)}
         table[name] = fit(joined(grasps)).table()
@@ -75,11 +75,15 @@ def run(
     return {"sensor": design.name, "file": table, "checks": checks}
 
 
-def _grasps(sensor: str, vary: str, count: int, say: Say) -> Iterator[Rows]:
+def _grasps(sensor: str, randomization: str, count: int, say: Say) -> Iterator[Rows]:
     for seed in range(FIRST_SEED, FIRST_SEED + count):
-        say(f"drawn: --vary {vary}, grasp {seed - FIRST_SEED + 1} of {count}")
+        say(f"drawn: --randomization {randomization}, grasp {seed - FIRST_SEED + 1} of {count}")
         scenario = Scenario(
-            object=f"random:{seed}", seed=seed, sensor=sensor, vary=vary, effects="-sheet,-images"
+            object=f"random:{seed}",
+            seed=seed,
+            sensor=sensor,
+            randomization=randomization,
+            effects="-mesh,-images",
         )
         try:
             yield squeeze(scenario)
@@ -364,7 +368,7 @@ def _memory(z: Array, rows: Rows) -> float:
 def table(result: dict[str, Any]) -> str:
     """The check as Markdown."""
     grasps = " and ".join(str(one["grasps"]) for one in result["checks"].values())
-    words = {"errors": "as its file says", "varied": "`--vary default`"}
+    words = {"errors": "as its file says", "varied": "`--randomization default`"}
     lines = [
         f"`{result['sensor']}`, {grasps} grasps, of which every other one was fitted to and those "
         "between are in the table. Normal force: rms error of the chain / as drawn. Ratios: errors "

@@ -25,7 +25,7 @@ from mjtactile.runtime.progress import Progress
 CHECKOUT = Path(__file__).parents[2]
 LEARNER = CHECKOUT / "examples" / "learn_to_grasp.py"
 PAGE = CHECKOUT / "docs" / "how-to" / "train.md"
-LEVELS = {"-sheet,-chain": "drawn, as it learned", "auto": "everything simulated"}
+LEVELS = {"-mesh,-pipeline": "drawn, as it learned", "auto": "everything simulated"}
 SECONDS, SECONDS_QUICK = 600, 40
 EPISODES, EPISODES_QUICK = 24, 2
 DECISIONS = 2048  # of the ten lines: of one update of the learner, which makes no fewer

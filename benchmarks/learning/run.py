@@ -29,12 +29,12 @@ from mjtactile.runtime.progress import Progress
 LEVELS = {
     "everything": "auto",
     "without images": "-images",
-    "without the sheet's mesh": "-sheet",
-    "without mesh and images": "-sheet,-images",
-    "without mesh, touch drawn": "-sheet,-chain",
+    "without the sheet's mesh": "-mesh",
+    "without mesh and images": "-mesh,-images",
+    "without mesh, touch drawn": "-mesh,-pipeline",
 }
-PAIRED = ("auto", "-sheet", "-sheet,-chain")
-DRAWN = "-sheet,-chain"
+PAIRED = ("auto", "-mesh", "-mesh,-pipeline")
+DRAWN = "-mesh,-pipeline"
 PAIRS, PAIRS_QUICK = 100, 1
 EPISODES, EPISODES_QUICK = 4, 1
 TOGETHER = 8
@@ -137,7 +137,9 @@ def _pair(seed: int, number: int, count: int, say: Say) -> dict[str, Any]:
     row: dict[str, Any] = {"seed": seed}
     for effects in PAIRED:
         say(f"learning: episode {number + 1} of {count}, {effects}")
-        scenario = Scenario(object=f"random:{seed}", seed=seed, effects=effects, vary="default")
+        scenario = Scenario(
+            object=f"random:{seed}", seed=seed, effects=effects, randomization="default"
+        )
         begin = time.process_time()
         line = run_episode(Episode(number, scenario))
         row[effects] = {
@@ -150,7 +152,7 @@ def _pair(seed: int, number: int, count: int, say: Say) -> dict[str, Any]:
 
 def _sums(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Of each cheap level against the dear one, and of the drawn one against the film's."""
-    against = [("-sheet", "auto"), (DRAWN, "auto"), (DRAWN, "-sheet")]
+    against = [("-mesh", "auto"), (DRAWN, "auto"), (DRAWN, "-mesh")]
     return {
         "count": len(rows),
         "compared": [
@@ -204,7 +206,7 @@ _MANY = """
 import sys
 from pathlib import Path
 import gymnasium, mjtactile.gym
-envs = gymnasium.make_vec(mjtactile.gym.ID, num_envs=int(sys.argv[1]), effects="-sheet,-chain")
+envs = gymnasium.make_vec(mjtactile.gym.ID, num_envs=int(sys.argv[1]), effects="-mesh,-pipeline")
 envs.reset(seed=0)
 status = Path("/proc/self/status").read_text().split()
 print(float(status[status.index("VmHWM:") + 1]) / 1024)
@@ -242,8 +244,8 @@ def table(result: dict[str, Any]) -> str:
         f"{result['memory_MB']['one']:.0f} MB, with {result['memory_MB']['count']} "
         f"{result['memory_MB']['many']:.0f} MB.",
         "",
-        f"{result['pairs']['count']} episodes of random things (`gentle`, `--vary default`, seeds "
-        f"from {FIRST_SEED} on) at three levels:",
+        f"{result['pairs']['count']} episodes of random objects (`gentle`, "
+        f"`--randomization default`, seeds from {FIRST_SEED} on) at three levels:",
         "",
         "| level | against | the same outcome | held force, mN (95 %) | episodes an hour of one "
         "core |",

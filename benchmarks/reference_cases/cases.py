@@ -1,5 +1,5 @@
-"""Cases of `mjtactile bench truth`: a TOML file each, with a sensor, one motion, and a reference
-with its source.
+"""Cases of `mjtactile bench references`: a TOML file each, with a sensor, one motion, and a
+reference with its source.
 
     about = "a ball on the middle"          what it is, in a line
     sensor = "dense"                        a shipped name, or FILE.toml beside the case

@@ -1,4 +1,4 @@
-"""The picture of `mjtactile bench truth`: every case in a box of its own."""
+"""The picture of `mjtactile bench references`: every case in a box of its own."""
 
 from __future__ import annotations
 

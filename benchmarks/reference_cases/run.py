@@ -1,5 +1,5 @@
-"""`mjtactile bench truth`: the simulation, and what is felt, against references from outside of the
-project, on one page."""
+"""`mjtactile bench references`: the simulation, and what is felt, against references from outside
+of the project, on one page."""
 
 from __future__ import annotations
 
@@ -70,7 +70,8 @@ def _verdict(row: dict[str, Any]) -> str:
 
 def table(result: dict[str, Any]) -> str:
     """Markdown: in each case the number of each kind that is worst against what is asked; then
-    where references come from."""
+    where references come from.
+    """
     lines = [
         f"{result['met']} of {result['numbers']} numbers are as good as asked. Each row shows the "
         "one that is worst against what is asked.",

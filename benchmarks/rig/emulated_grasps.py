@@ -2,7 +2,7 @@
 grasps on the emulated gripper, through servos, valves and cameras? Eggs and vials in turn, by the
 truth of the emulated world, which only this program sees.
 
-`MJTACTILE_SLOW=4` is for a computer that does not keep up with real time.
+`MJTACTILE_TIME_SCALE=4` is for a computer that does not keep up with real time.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 bad bytes, grasps.
 
 The host and the emulator share this computer's processors: with other work beside them the numbers
-are worse, and the load average is kept with them; `MJTACTILE_SLOW=4` is for a computer that does
-not keep up. Each part is written when it is done; `resume` goes on with what is missing.
+are worse, and the load average is kept with them; `MJTACTILE_TIME_SCALE=4` is for a computer that
+does not keep up. Each part is written when it is done; `resume` goes on with what is missing.
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
 def _ball(rng: np.random.Generator, name: str, at: tuple[float, float]) -> Case:
     radius = _log_uniform(rng, 3e-3, 40e-3)
     geoms = f'<geom type="sphere" size="{radius}"/>'
-    family = "smooth" if 1 / radius < SHARP else "tip"
+    family = "smooth" if 1 / radius < SHARP else "point"
     return Case(family, name, geoms, at, radius=radius, curvatures=(1 / radius, 1 / radius))
 
 
@@ -89,7 +89,7 @@ def _standing(rng: np.random.Generator, name: str, at: tuple[float, float]) -> C
     radius = float(rng.uniform(2.5e-3, 7e-3))
     tilt, about = float(rng.uniform(0, 4)), float(rng.uniform(0, 2 * np.pi))
     geoms = f'<geom type="cylinder" size="{radius} 0.015" {_tilted(tilt, about)}/>'
-    return Case("face", name, geoms, at, radius=radius, extra={"tilt_deg": tilt})
+    return Case("flat", name, geoms, at, radius=radius, extra={"tilt_deg": tilt})
 
 
 def _round_rim(rng: np.random.Generator, name: str, at: tuple[float, float]) -> Case:
@@ -101,7 +101,7 @@ def _round_rim(rng: np.random.Generator, name: str, at: tuple[float, float]) -> 
     profile.append((radius, 0.02))
     points = [(r * np.cos(t), r * np.sin(t), z) for r, z in profile for t in turn]
     return Case(
-        "face",
+        "flat",
         name,
         _MESH,
         at,
@@ -117,7 +117,7 @@ def _block(rng: np.random.Generator, name: str, at: tuple[float, float]) -> Case
     tilt = rng.uniform(-3, 3, 2)
     turn = f'euler="{tilt[0]} {tilt[1]} {np.degrees(angle)}"'
     geoms = f'<geom type="box" size="{half[0]} {half[1]} 0.01" {turn}/>'
-    return Case("face", name, geoms, at, extra={"tilt_deg": float(np.hypot(*tilt))})
+    return Case("flat", name, geoms, at, extra={"tilt_deg": float(np.hypot(*tilt))})
 
 
 def _wedge(rng: np.random.Generator, name: str, at: tuple[float, float]) -> Case:
@@ -143,7 +143,7 @@ def _corner(rng: np.random.Generator, name: str, at: tuple[float, float]) -> Cas
     reach = 0.01 * np.tan(half_angle)
     ring = np.column_stack([reach * np.cos(turn), reach * np.sin(turn), np.full(sides, 0.01)])
     return Case(
-        "tip",
+        "point",
         name,
         _MESH,
         at,
@@ -162,7 +162,7 @@ def _two_balls(rng: np.random.Generator, name: str, at: tuple[float, float]) -> 
         f'<geom type="sphere" size="{r}" pos="{s * way[0]} {s * way[1]} {-z}"/>'
         for s, r, z in zip((-1, 1), radius, low, strict=True)
     )
-    return Case("several", name, geoms, (at[0] / 4, at[1] / 4), direction=angle)
+    return Case("multiple", name, geoms, (at[0] / 4, at[1] / 4), direction=angle)
 
 
 def _tilted(degrees: float, about: float) -> str:

@@ -1,5 +1,5 @@
-"""`mjtactile bench bodies`: what the tried numbers of shapes are worth: the same presses told with
-each of them at half and at twice.
+"""`mjtactile bench shape-sensitivity`: what the tried numbers of shapes are worth: the same presses
+told with each of them at half and at twice.
 
 A ball, an ellipsoid, a block, and two close balls of which one touches later, pressed in steps and
 held; touches are recorded once, so that a change is the setting's alone.
@@ -60,7 +60,7 @@ class ShapeEstimate:
 
 def cases() -> list[Case]:
     """The bodies that are pressed."""
-    close = Case("several", "two close balls", _CLOSE, (0.5e-3, 0.5e-3))
+    close = Case("multiple", "two close balls", _CLOSE, (0.5e-3, 0.5e-3))
     return [*map(draw, DRAWN), close]
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 _LIGHT, _FIRM, _END = 0.06, 0.2, 0.3  # N
-_SHARP = {"edge": "edges", "tip": "corners", "several": "two balls"}
+_SHARP = {"edge": "edges", "point": "corners", "multiple": "two balls"}
 _SMALL, _LARGE = 4.2, 30.0  # mm, of balls whose radius is asked for
 
 Row = dict[str, Any]
@@ -30,14 +30,14 @@ def summary(rows: Iterable[Row]) -> dict[str, Any]:
     sharp = [row for row in presses if row["family"] in _SHARP]
     smooth = [row for row in presses if row["family"] == "smooth"]
     wedges = [row for row in presses if row["name"] == "wedge" and row["force_true_N"] >= _FIRM]
-    two = [row for row in presses if row["family"] == "several" and row["force_true_N"] >= _FIRM]
+    two = [row for row in presses if row["family"] == "multiple" and row["force_true_N"] >= _FIRM]
     ends = _ends(presses)
     return {
         "press": _told(presses),
         "image": _told([row for row in listed if row["looked"] == "image"]),
         "nodal": {key: _errors(some, "area_nodal") for key, some in _broad(presses).items()},
         "kind_end": [_share(row["kind"] == row["family"] for row in ends), len(ends)],
-        "several": [_share(row["kind"] == "several" for row in two), len(two)],
+        "multiple": [_share(row["kind"] == "multiple" for row in two), len(two)],
         "edge_off_mm": _median(row["edge_off_mm"] for row in wedges),
         "edge_turn_deg": _median(row["edge_turn_deg"] for row in wedges),
         "force_smooth": _mean_and_worst(smooth, "force_N"),
@@ -87,12 +87,12 @@ def _told(rows: list[Row]) -> dict[str, Any]:
 
 def _broad(rows: list[Row]) -> dict[str, list[Row]]:
     """Those that have an area to speak of, by how firmly they are pressed."""
-    broad = [row for row in rows if row["family"] in ("smooth", "face")]
+    broad = [row for row in rows if row["family"] in ("smooth", "flat")]
     firm = [row for row in broad if row["force_true_N"] >= _FIRM]
     return {
         "firm": firm,
         "smooth": [row for row in firm if row["family"] == "smooth"],
-        "face": [row for row in firm if row["family"] == "face"],
+        "flat": [row for row in firm if row["family"] == "flat"],
         "light": [row for row in broad if _LIGHT <= row["force_true_N"] < _FIRM],
     }
 
@@ -156,7 +156,7 @@ def table(result: dict[str, Any]) -> str:
         ("---", "---", "---", "---"),
         ("area from 0.2 N on, smooth and faces, error: median / 90 % within", *areas("firm")),
         ("of smooth bodies", *areas("smooth")),
-        ("of faces", *areas("face")),
+        ("of faces", *areas("flat")),
         ("area, 0.06 to 0.2 N", *areas("light")),
         ("68 % interval of the area has the true one, from 0.2 N on", *shares("coverage")),
         ("68 % interval of curvatures, the same", *shares("coverage_curvature")),
@@ -169,7 +169,7 @@ def table(result: dict[str, Any]) -> str:
         ("kind right at the end of a press to 0.3 N", _part(s["kind_end"]), "", "none"),
         ("kind right, images of 0.3 N or more", *shares("kind")),
         ("said to be unknown, of these", *shares("unknown")),
-        ("two balls at once, said to be several", _part(s["several"]), "", "none"),
+        ("two balls at once, said to be several", _part(s["multiple"]), "", "none"),
         ("a wedge's edge: off across it, mm, median", _number(s["edge_off_mm"]), "", "none"),
         ("a wedge's edge: turned, deg, median", _number(s["edge_turn_deg"]), "", "none"),
         (

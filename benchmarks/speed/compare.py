@@ -30,7 +30,7 @@ def compare(other: Path, *, quick: bool, say: Say) -> dict[str, Any]:
     """Both, `ROUNDS` times in turns; of each number the median. Raises InputError where `other` is
     no checkout that runs."""
     if not (other / "mjtactile" / "__init__.py").exists():
-        raise InputError("no checkout of mjtactile", source=other, field="--against")
+        raise InputError("no checkout of mjtactile", source=other, field="--baseline")
     rounds: list[dict[str, Any]] = []
     for k in range(1 if quick else ROUNDS):
         rounds.append(
@@ -68,7 +68,7 @@ def _probe(home: Path, rate: float, kind: str) -> dict[str, Any]:
         )
     if done.returncode:
         raise InputError(
-            f"does not run: {done.stderr.strip().splitlines()[-1]}", source=home, field="--against"
+            f"does not run: {done.stderr.strip().splitlines()[-1]}", source=home, field="--baseline"
         )
     return json.loads(done.stdout)
 

@@ -44,7 +44,7 @@ FORCE_FLOOR = 0.005
 PENETRATION = 0.10  # m per m of indentation
 _NUMERICAL = ("not finite", "MuJoCo warned")
 _ACCOUNTED = {
-    "force": {"penetration", "speed", "unsettled", "feature", "edge", "solver"},
+    "force": {"penetration", "speed", "unsettled", "small_feature", "sharp_edge", "solver"},
     "settled": {"unsettled", "solver"},
     "penetration": {"penetration", "solver"},
     "energy": {"unsettled", "solver"},

@@ -37,7 +37,8 @@ SEED = 70_000
 EPISODES = 200
 HARSH = ("weigh", "pour", "bump")
 HARSH_CONTROLLERS = (CONTROLLERS[0], CONTROLLERS[-1])
-"""Tasks that are also done in worlds of `--vary harsh`, and by whom: a quarter as many episodes."""
+"""Tasks that are also done in worlds of `--randomization harsh`, and by whom: a quarter as many
+episodes."""
 QUICK = 3
 _TURN = 10  # episodes of a task before the next one's turn
 _WEIGHED_FROM = 0.02  # kg
@@ -98,13 +99,19 @@ def run(
 
 
 def suite_of(level: str, *, harsh: bool = False) -> Suite:
-    """The tasks at one level, in `--vary default`'s worlds or in harsh ones."""
+    """The tasks at one level, in `--randomization default`'s worlds or in harsh ones."""
     name = NAME if level == MESH else f"{NAME}-{level}"
-    vary = "harsh" if harsh else "default"
+    randomization = "harsh" if harsh else "default"
     tasks = HARSH if harsh else TASKS
     effects = LEVELS[level].effects
     return new_suite(
-        name, tasks, objects=OBJECTS, seed=SEED, develop=DEVELOP, vary=vary, effects=effects
+        name,
+        tasks,
+        objects=OBJECTS,
+        seed=SEED,
+        develop=DEVELOP,
+        randomization=randomization,
+        effects=effects,
     )
 
 

@@ -25,10 +25,10 @@ LEVELS = {
         "-images", "the whole membrane, and the whole sensing chain on markers with drawn errors"
     ),
     "film": Level(
-        "-sheet,-images", "a film in place of the mesh, and the whole sensing chain on its markers"
+        "-mesh,-images", "a film in place of the mesh, and the whole sensing chain on its markers"
     ),
     "drawn": Level(
-        "-sheet,-chain", "a film in place of the mesh, and touch drawn with the chain's errors"
+        "-mesh,-pipeline", "a film in place of the mesh, and touch drawn with the chain's errors"
     ),
 }
 

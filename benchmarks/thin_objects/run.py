@@ -1,5 +1,6 @@
-"""`mjtactile bench thin`: thin things and small faces at random places and speeds, against the
-film on a grid of 81 x 61 nodes (`bench film` says how good that is; wires: 61 x 46 or 41 x 31)."""
+"""`mjtactile bench thin-objects`: thin things and small faces at random places and speeds, against
+the film on a grid of 81 x 61 nodes (`bench quasistatic` says how good that is; wires: 61 x 46 or 41
+x 31)."""
 
 from __future__ import annotations
 

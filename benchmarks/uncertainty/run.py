@@ -1,5 +1,5 @@
-"""`mjtactile bench bars`: 10^4 images of random scenes: felt wrenches against true ones, in their
-own standard deviations.
+"""`mjtactile bench uncertainty`: 10^4 images of random scenes: felt wrenches against true ones, in
+their own standard deviations.
 
 Presses, drags, taps, holds, near the frame, shaken, of three layouts at two resolutions and three
 meshes. Seeds below FIRST_SEED were used in tuning and are not among them. Each scene's rows are

@@ -1,5 +1,5 @@
-"""Random scenes of `mjtactile bench bars`, each drawn from its seed: which sensor, what touches it,
-where, and how it moves."""
+"""Random scenes of `mjtactile bench uncertainty`, each drawn from its seed: which sensor, what
+touches it, where, and how it moves."""
 
 from __future__ import annotations
 

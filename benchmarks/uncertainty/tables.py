@@ -1,4 +1,4 @@
-"""Numbers and tables of `mjtactile bench bars`."""
+"""Numbers and tables of `mjtactile bench uncertainty`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ COMPONENTS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 LEAST = 0.02
 NOTHING = 1e-3
 FAR = 5.0  # standard deviations that none may be off
-COARSE = ("edge", "feature")
+COARSE = ("sharp_edge", "small_feature")
 """What it says of itself where the mesh is too coarse for what touches: the true force is that of
 vertices."""
 UNSURE = ("penetration", "wrinkles")

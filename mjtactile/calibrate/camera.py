@@ -1,10 +1,9 @@
-"""Intrinsics of a camera from pictures of a ChArUco board, with what tells a good calibration from
-a bad one.
+"""Camera intrinsics from images of a ChArUco board, with checks of the calibration quality.
 
-The fit is OpenCV's (pinhole and plumb_bob, pixel centres at integers as in
-docs/reference/conventions.md). What is added: views that do not belong are left out, the camera is
-checked on views that it was not fitted to, and a result that the pictures cannot support (no tilt,
-corners of the picture never seen, few views) is refused with the reason.
+OpenCV fits the model (pinhole and plumb_bob, pixel centers at integers as in
+docs/reference/conventions.md). This module adds three checks. Outlier views are dropped. The camera
+is tested on views that were not used in the fit. A result with insufficient data (no tilt, image
+corners not covered, few views) is refused with the reason.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ RMS_MAX_PX = 0.5
 HOLDOUT_MAX_PX = 0.7
 # of the focal length: forces go with the depth, and that with the focal length
 FOCAL_SD_MAX = 0.005
-# a board seen squarely tells focal length from distance only by perspective
+# minimum tilt: a frontal board separates focal length from distance only by perspective
 TILT_MIN_DEG = 15.0
 TILTED_MIN = 3
 COVERAGE_MIN = 0.6  # of the picture's 8 x 6 cells: elsewhere the distortion is a guess
@@ -90,7 +89,7 @@ class BoardView:
 
 
 class Finder(Protocol):
-    """What finds a target's points in a picture, and knows where they are on the target."""
+    """Detector of a calibration target, with the positions of its points on the target."""
 
     def find(self, name: str, gray: NDArray[np.uint8]) -> BoardView | None: ...
 
@@ -120,12 +119,13 @@ class BoardFinder:
 
 @dataclass(frozen=True, eq=False)
 class CameraCalibration:
-    """`K` (3, 3), `distortion` (5,) plumb_bob, `sd` (9,) of fx, fy, cx, cy, k1, k2, p1, p2, k3;
-    residuals in px.
+    """Fitted camera: `K` (3, 3), `distortion` (5,) plumb_bob, and `sd` (9,) of fx, fy, cx, cy, k1,
+    k2, p1, p2, k3. Residuals are in px.
 
-    `view_rms` by picture, `dropped` pictures that did not belong, `holdout_px` rms in pictures that
-    were not fitted, `coverage` share of the picture where corners were, `tilts` deg of the board in
-    each view; `reasons` to refuse it.
+    `view_rms` is the residual of each image. `dropped` lists the outlier images. `holdout_px` is
+    the rms in images that were not fitted. `coverage` is the fraction of the image that contained
+    corners. `tilts` are the board's tilts in each view, deg. `reasons` lists why the calibration is
+    refused.
     """
 
     size: tuple[int, int]
@@ -146,7 +146,7 @@ def calibrate_camera(
 ) -> CameraCalibration:
     """Fit a camera of `size` (width, height) px. `k3`: fit the sixth-order term too (wide lenses).
 
-    Raises InputError when there are too few views to fit anything at all.
+    Raises InputError for fewer than three views.
     """
     if len(views) < 3:
         raise InputError(
@@ -305,7 +305,7 @@ def camera_info(c: CameraCalibration, name: str) -> dict[str, Any]:
 
 
 def lens_part(c: CameraCalibration, stamp: CalibrationMetadata) -> LensCalibration:
-    """What a finger's calibration keeps of it."""
+    """Return the lens part of a finger's calibration."""
     return LensCalibration(
         *c.size,
         float(c.K[0, 0]),
@@ -318,7 +318,7 @@ def lens_part(c: CameraCalibration, stamp: CalibrationMetadata) -> LensCalibrati
 
 
 def report(c: CameraCalibration) -> dict[str, Any]:
-    """Residuals and what they rest on."""
+    """Return the residuals and the data that they are based on."""
     names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
     return {
         "views": len(c.view_rms),

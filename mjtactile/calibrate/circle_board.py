@@ -1,14 +1,13 @@
-"""A flat board of equal circles on a square grid as a target for `calibrate.camera`: any number of
-them, some may be missing.
+"""Flat board of equal circles on a square grid, a target for `calibrate.camera`. The number of
+circles is arbitrary, and some may be missing.
 
-A camera's intrinsics need no more of a board than that its circles stand on a square grid: each
-picture has a pose of its own, so that which circle is called (0, 0), and how far apart they are,
-does not matter. Circles are therefore numbered from one in the middle outwards, from neighbour to
-neighbour.
+Intrinsics only require that the circles lie on a square grid. Each image has its own board pose, so
+the choice of circle (0, 0) and the grid pitch do not matter. Circles are therefore numbered from a
+central circle outwards, from neighbor to neighbor.
 
-The centre of a circle's image, which is an ellipse's, is not the image of the circle's centre (off
-by f r^2 sin(t) cos(t)/Z^2 at a tilt t). The difference is computed from the camera and the board's
-pose, taken off, and both are fitted again.
+The center of a circle's image (an ellipse) is not the image of the circle's center. The offset is f
+r^2 sin(t) cos(t)/Z^2 at a tilt t. It is computed from the camera and the board pose and subtracted;
+then both are fitted again.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ def live_camera(rig_file: RigFile, finger: str) -> Iterator[OpenCvCamera]:
 
 @contextlib.contextmanager
 def live_gripper(rig_file: RigFile) -> Iterator[DynamixelGripper]:
-    """The jaws and what lifts them."""
+    """Connect the gripper and its lift."""
     gripper = DynamixelGripper(
         rig_file.bus, rig_file.gripper, rig_file.lift, source=str(rig_file.path)
     )

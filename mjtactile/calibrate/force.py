@@ -19,19 +19,20 @@ from mjtactile.core.types import Array, Image
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
 LOADS_MIN = 4
-FORCE_MIN = 0.2  # N; the largest load, below it noise is what would be calibrated
-SCALE_OFF_MAX = 0.25  # the sensor file's thickness and modulus explain no more than that
+FORCE_MIN = 0.2  # Minimum of the largest load, N; below it, noise dominates
+SCALE_OFF_MAX = 0.25  # tolerance of the sensor file's thickness and modulus
 RMS_FRACTION = 0.10  # of the largest load
 # dF = c dA is no better than that for a sealed membrane (tests/physics/test_paper_force.py)
 AREA_RMS_FRACTION = 0.30
-GRAVITY = 9.80665  # m/s^2, standard
+GRAVITY = 9.80665  # standard gravity, m/s^2
 
 
 @dataclass(frozen=True, eq=False)
 class ForceCalibration:
-    """`area` the paper's c with its rms residual (None: the area does not follow the load); the
-    load is `scale` times what the inverse finite elements feel plus `offset` N, `rms` N left;
-    tables of each load's true and felt force, N, and area change, m^2; `reasons` to refuse it."""
+    """Force calibration: `area` is the paper's c with its rms residual (None: area and load do not
+    correlate). The load is `scale` times the force of the inverse FEM plus `offset` N, with `rms` N
+    residual. Arrays hold each load's ground truth and measured force, N, and area change, m^2.
+    `reasons` lists why the calibration is refused."""
 
     area: AreaCalibration | None
     scale: float
@@ -67,9 +68,11 @@ def ready_perception(
     rest: Sequence[Image],
     reading: float | None,
 ) -> StatefulPipeline:
-    """Perception with references from these pictures, at what its pressure sensor says, Pa (None:
-    there is none), without the scale that is to be found. Raises DeviceError when they do not agree
-    with the sensor file."""
+    """Return a perception pipeline with references from these images, without a force scale.
+
+    `reading` is the pressure sensor's value in the rest images, Pa (None: no sensor). Raises
+    DeviceError when the images do not agree with the sensor file.
+    """
     perception = StatefulPipeline.of(design, replace(calibration, force=None))
     perception.measure_flat_reference(flat)
     perception.measure_rest_reference(
@@ -92,17 +95,17 @@ def feel(perception: StatefulPipeline, images: Sequence[Image]) -> tuple[float, 
     ]
     if not good:
         raise InputError(f"cannot be used: {touches[0].status if touches else 'no image'}")
-    # The raw wrench: what the pipeline reports below its threshold of touch is zero, which would
-    # bend the line.
+    # Use the raw wrench: below its touch threshold the pipeline reports zero, which would bias the
+    # line.
     force = float(np.mean([-t.traction.wrench[2] for t in good if t.traction is not None]))
     return force, float(np.mean([t.surface.area for t in good if t.surface is not None]))
 
 
 def calibrate_force(true: Array, felt: Array, area: Array, area_rest: float) -> ForceCalibration:
-    """From known normal loads N, the forces felt N and membrane areas m^2, and the area with no
-    load.
+    """Fit the force scale and the paper's area constant to known loads.
 
-    Raises InputError for too few loads.
+    Inputs are the known normal loads, N, the measured forces, N, the membrane areas, m^2, and the
+    area without load. Raises InputError for too few loads.
     """
     if len(true) < LOADS_MIN or len(np.unique(true)) < 3:
         raise InputError(
@@ -135,8 +138,11 @@ def calibrate_force(true: Array, felt: Array, area: Array, area_rest: float) -> 
 
 
 def force_part(c: ForceCalibration, stamp: CalibrationMetadata) -> ForceScale:
-    """What a finger's calibration keeps of it: the slope. At rest a sensor feels nothing; the
-    offset is what held the load cell, or its zero."""
+    """Return the force part of a finger's calibration, which stores only the slope.
+
+    A sensor without load reports zero. The offset comes from the load cell's support or its
+    zero.
+    """
     return ForceScale(c.scale, c.scale_sd, float(np.max(c.true)), stamp)
 
 

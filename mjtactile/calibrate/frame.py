@@ -1,5 +1,4 @@
-"""Where the camera sits in the frame, how large the markers are, and how the membrane rests: from
-its own pictures."""
+"""Calibration of camera pose, marker sizes and membrane rest state from the sensor's own images."""
 
 from __future__ import annotations
 
@@ -29,11 +28,11 @@ def calibrate_frame(
     *,
     sealed: bool = True,
 ) -> tuple[FrameCalibration | None, dict[str, Any], list[str]]:
-    """The part (None where nothing could be measured), what to tell of it, and the reasons to
-    refuse it.
+    """Calibrate the frame part; return it (None: not measurable), a report, and reasons to refuse
+    it.
 
-    `flat` and `rest` (may be empty) are images of the membrane with the valve open, and inflated to
-    `gauge_pressure` Pa.
+    `flat` are images of the membrane with the valve open. `rest` (may be empty) are images of the
+    membrane inflated to `gauge_pressure` Pa.
     """
     perception = StatefulPipeline.of(design, calibration)
     try:

@@ -1,10 +1,10 @@
-"""A gripper against a caliper and a load cell: zero and scale of the opening, backlash, current to
-force.
+"""Calibration of a gripper with a caliper and a load cell: zero and scale of the opening, backlash,
+and current to force.
 
-Model of the opening: what a caliper measures is offset + scale * reported - backlash / 2 *
-direction, with direction +1 while opening and -1 while closing: the jaws lag behind the servo by
-half the play either way. Model of the force on each finger: load cell = friction offset + factor *
-reported, the factor correcting the torque per ampere of the data sheet.
+Opening model: caliper reading = offset + scale * reported - backlash / 2 * direction. Direction is
++1 while opening and -1 while closing: the jaws lag the servo by half the play in both directions.
+Force model per finger: load cell = friction offset + factor * reported. The factor corrects the
+data sheet's torque per ampere.
 """
 
 from __future__ import annotations
@@ -25,16 +25,18 @@ from mjtactile.rig.gripper_calibration import gripper_fingerprint
 
 DIRECTIONS = ("closing", "opening")
 SCALE_OFF_MAX = 0.03  # more is a wrong pinion radius or a wrong law, which a number should not hide
-OPENING_RMS_MAX = 2e-4  # m; a caliper reads 0.02 mm, a servo's tick is 0.02 to 0.03 mm
-BACKLASH_MAX = 1e-3  # m; the membrane is pressed by 1 to 3 mm
+OPENING_RMS_MAX = 2e-4  # maximum rms, m; a caliper reads 0.02 mm, a servo's tick is 0.02 to 0.03 mm
+BACKLASH_MAX = 1e-3  # maximum, m; the membrane is indented by 1 to 3 mm
 FACTOR_RANGE = (0.5, 1.5)  # data sheets are stall values, good to 20 %; friction takes more
 FORCE_RMS_FRACTION = 0.10  # of the largest force
 
 
 @dataclass(frozen=True)
 class OpeningCalibration:
-    """`offset` m, `scale`, `backlash` m with their standard deviations, `rms` m of what is left;
-    `reasons` to refuse it."""
+    """Opening parameters: `offset` m, `scale` and `backlash` m with standard deviations.
+
+    `rms` is the residual, m. `reasons` lists why the calibration is refused.
+    """
 
     offset: float
     offset_sd: float
@@ -78,10 +80,9 @@ class GripperForceCalibration:
 def calibrate_opening(
     reported: Array, direction: Sequence[str], measured: Array
 ) -> OpeningCalibration:
-    """From openings m as the servos report them, the direction they were reached in, and a
-    caliper's readings m.
+    """Fit the opening model to servo openings, m, their directions, and caliper readings, m.
 
-    Raises InputError when the readings cannot tell offset, scale and backlash apart.
+    Raises InputError when the readings cannot separate offset, scale and backlash.
     """
     bad = next((text for text in direction if text not in DIRECTIONS), None)
     if bad is not None:
@@ -119,8 +120,8 @@ def _assess_opening(c: OpeningCalibration) -> list[str]:
         ),
         (
             c.rms <= OPENING_RMS_MAX,
-            f"the caliper is off the fit by {1e3 * c.rms:.2f} mm (rms), at most "
-            f'{1e3 * OPENING_RMS_MAX:g} is good: a slipped reading, or law "rack" for a crank',
+            f"the caliper readings deviate from the fit by {1e3 * c.rms:.2f} mm rms (allowed: "
+            f'{1e3 * OPENING_RMS_MAX:g} mm): a wrong reading, or transmission "rack" for a crank',
         ),
         (
             c.backlash <= BACKLASH_MAX,
@@ -135,7 +136,7 @@ def _assess_opening(c: OpeningCalibration) -> list[str]:
 
 
 def calibrate_force(reported: Array, measured: Array) -> GripperForceCalibration:
-    """From closing forces N as the currents say, and a load cell's readings N. Raises InputError
+    """Fit load cell readings, N, to closing forces computed from the currents, N. Raises InputError
     for fewer than 4."""
     if len(reported) < 4 or np.ptp(reported) < 0.2 * np.max(np.abs(reported)):
         raise InputError("needs at least 4 forces that differ", field="forces")
@@ -172,8 +173,8 @@ def _assess_force(c: GripperForceCalibration, largest: float) -> list[str]:
 def report(
     rig_file: RigFile, opening: OpeningCalibration | None, force: GripperForceCalibration | None
 ) -> dict[str, Any]:
-    """What goes into the gripper's file beside the verdict: what was found, and what it makes of
-    the servos' numbers."""
+    """Return the content of the gripper's file next to the verdict: results and corrected servo
+    values."""
     geometry = JawGeometry(rig_file.gripper, str(rig_file.path))
     return {
         "rig": rig_file.name,
@@ -187,12 +188,12 @@ def report(
 def servo_lines(
     geometry: JawGeometry, opening: OpeningCalibration | None, force: GripperForceCalibration | None
 ) -> list[dict[str, Any]]:
-    """What to write into each `[[gripper.servo]]` of the rig file: id, zero_ticks, mm_per_rad
+    """Return the values for each `[[gripper.servo]]` of the rig file: id, zero_ticks, mm_per_rad
     (racks), torque_Nm_per_A.
 
-    The opening's offset is shared by the servos alike; a servo's zero moves by the angle that makes
-    its share. On a rack the scale goes into the pinion's radius; another law keeps its own, and is
-    right in the middle of the range.
+    The servos share the opening's offset equally; a servo's zero moves by the angle of its part. On
+    a rack the scale corrects the pinion's radius. Another law keeps its parameters and is corrected
+    at the center of the range.
     """
     return [
         _servo_line(jaw, len(geometry.servos), sum(geometry.config.opening) / 2, opening, force)
@@ -209,7 +210,7 @@ def _servo_line(
 ) -> dict[str, Any]:
     line: dict[str, Any] = {"id": jaw.config.id}
     scale = 1.0
-    if opening is not None and jaw.config.law == "rack":
+    if opening is not None and jaw.config.transmission == "rack":
         scale = opening.scale
         share = opening.offset / count
         per_rad = scale * jaw.config.per_rad

@@ -1,8 +1,8 @@
-"""Calibration on live devices: what to do in which order, with prompts for a person who reads a
-caliper or a load cell.
+"""Calibration procedures on live devices, with prompts for the user's caliper or load cell
+readings.
 
-On the emulated rig the emulator's own world is the caliper and the load cell: instruments outside
-the device, which a person would read on a real one.
+On the emulated rig the emulated world provides the caliper and load cell readings. These
+instruments are outside the device; on a real rig a person reads them.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ Ask = Callable[[str], float | None]
 # a view counts when the board rests, and is elsewhere than in all others
 _STILL_PX = 2.0
 _NEW_VIEW_FRACTION = 0.06
-_SPEED = 0.010  # m/s of the opening while calibrating
-_PERIOD = 0.02  # s between two commands
-_REST_TIME = 0.6  # s at each opening
-# s of standing still; s to reach what is between the jaws
+_SPEED = 0.010  # speed of the opening while calibrating, m/s
+_PERIOD = 0.02  # time between two commands, s
+_REST_TIME = 0.6  # settling time at each opening, s
+# stall detection: time without motion, s; time limit for reaching the object, s
 _STALL_TIME = 0.5
 _CLOSE_TIME_MAX = 20.0
-# m of the opening
+# stall detection: motion threshold of the opening, m; lead of the goal over the jaws, m
 _STILL = 1e-4
 _AHEAD_MIN = 8e-3
 _AHEAD_MAX = 30e-3
-_VALVE_STAGES = (1.0, 2.0, 1.0)  # s of venting, step, venting again
-_SAMPLE = 0.01  # s between pressure samples
+_VALVE_STAGES = (1.0, 2.0, 1.0)  # durations of venting, step, venting again, s
+_SAMPLE = 0.01  # time between pressure samples, s
 
 
 # -- camera
@@ -102,7 +102,7 @@ def _is_new(view: BoardView, taken: Sequence[BoardView], width: int) -> bool:
 
 
 def _hint(taken: Sequence[BoardView], shape: tuple[int, ...]) -> str:
-    """Where in the picture no corner was seen yet."""
+    """Name an image corner without detected board corners, as a hint to the user."""
     uv = np.concatenate([view.uv for view in taken])
     names = np.array([["upper left", "upper right"], ["lower left", "lower right"]])
     quarter = np.histogram2d(
@@ -119,8 +119,8 @@ def _hint(taken: Sequence[BoardView], shape: tuple[int, ...]) -> str:
 
 
 def reference_images(rig: Rig, say: Say) -> list[tuple[list[Image], list[Image], float | None]]:
-    """Of each finger: pictures of the flat and of the inflated membrane, and what its pressure
-    sensor says then, Pa."""
+    """Take images of each finger's flat and inflated membrane, with the pressure sensor's reading,
+    Pa."""
     taken = {}
     for reference in take_references(rig.fingers, rig.clock, say):
         taken[reference.stage] = reference
@@ -131,11 +131,11 @@ def reference_images(rig: Rig, say: Say) -> list[tuple[list[Image], list[Image],
 def dropped_images(
     rig: Rig, forces: Sequence[float], load_cell: Ask, say: Say
 ) -> Iterator[tuple[str, float, list[list[Image]]]]:
-    """Squeeze a load cell between the jaws with rising force limits (N): a name, what it shows (N),
-    pictures of each finger.
+    """Squeeze a load cell with rising force limits, N, and yield its readings and images of each
+    finger.
 
-    The jaws open again at the end. Whatever holds the load cell takes a little of the force: the
-    same of each, but of none.
+    Each item is a name, the load cell's reading, N, and the images. The jaws open again at the end.
+    The load cell's support carries a constant part of each force, but none without load.
     """
     gripper: Any = rig.gripper
     for force in sorted(forces):
@@ -183,8 +183,8 @@ def measure_openings(
 def measure_forces(
     gripper: DynamixelGripper, forces: Sequence[float], ask: Ask, say: Say
 ) -> tuple[Array, Array]:
-    """Squeeze what is between the jaws with rising force limits (N) and ask for the load cell's
-    reading: reported N, true N."""
+    """Squeeze the object between the jaws with rising force limits, N. Return the reported forces
+    and the load cell readings, N."""
     rows = []
     for force in sorted(forces):
         say(f"squeezing with up to {force:.2f} N")
@@ -206,9 +206,11 @@ def _pause(gripper: DynamixelGripper, seconds: float):
 
 @contextlib.contextmanager
 def keepalive(*devices: Any) -> Iterator[None]:
-    """Ask grippers or valves for their state while a person reads an instrument, or the pictures
-    are worked on: the servos' watchdog, or the valve board's heartbeat, would take a host that is
-    silent for one that hangs."""
+    """Poll grippers or valves while the user reads an instrument or images are processed.
+
+    Without polling, the servos' watchdog or the valve board's heartbeat would treat the host as
+    hung.
+    """
     done = scaled_clock.Event()
 
     def call() -> None:
@@ -287,7 +289,7 @@ def step_valve(
         say(f"{valve.config.finger}: {stage} for {seconds:g} s")
         if not rows:
             act()
-            scaled_clock.sleep(vent)  # what was in the chamber before is no step
+            scaled_clock.sleep(vent)  # the initial vent must not appear as a step in the samples
         act()
         end = scaled_clock.monotonic() + seconds
         while (now := scaled_clock.monotonic()) < end:
@@ -307,5 +309,5 @@ def step_valve(
 def calibrate_live_valve(
     valve: BoardValve, pressure: float, seal_time: float, say: Say
 ) -> ValveCalibration:
-    """`step_valve` and what it means."""
+    """Run `step_valve` and evaluate its samples."""
     return calibrate_valve(*step_valve(valve, pressure, seal_time, say), pressure)

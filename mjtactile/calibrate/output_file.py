@@ -1,5 +1,5 @@
-"""Where a measured part goes: into the calibration file of a finger, which the rig file names, or a
-file of its own."""
+"""Destination of a measured part: the finger's calibration file named in the rig file, or another
+file."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from mjtactile.rig.sensors import finger_design
 
 @dataclass(frozen=True)
 class OutputFile:
-    """The calibration file `path` of one finger, whose sensor file says `design`."""
+    """Calibration file `path` of one finger with the sensor file's `design`."""
 
     finger: str
     path: Path
     design: SensorDesign
 
     def load(self) -> Calibration:
-        """What is in the file; nothing where it is not there yet. Raises InputError for one of
-        something else."""
+        """Read the file; return an empty calibration if it does not exist. Raises InputError if it
+        belongs to another finger or sensor."""
         if not self.path.exists():
             return Calibration(self.finger, self.design.name)
         calibration = load_calibration(self.path)
@@ -46,9 +46,11 @@ class OutputFile:
 def find_targets(
     rig: str | None, finger: str | None, sensor: str, out: Path | None
 ) -> list[OutputFile]:
-    """The files of the fingers of `rig` (all, or one `finger`), or the one file `out`; `sensor` is
-    for fingers without a sensor file of their own. Raises InputError, which names what the options
-    of `mjtactile calibrate` are called."""
+    """Return the files of the fingers of `rig` (all, or one `finger`), or the single file `out`.
+
+    `sensor` applies to fingers without their own sensor file. Raises InputError, which names the
+    options of `mjtactile calibrate`.
+    """
     if rig is None:
         targets = [_at(out, finger or FINGERS[0], load_sensor(sensor))]
     else:
@@ -76,7 +78,7 @@ def _fingers_of(finger: str | None, rig_file: RigFile) -> list[CameraConfig]:
 
 
 def places(targets: Sequence[OutputFile], rig_file: RigFile) -> list[int]:
-    """Which camera of the rig each target's finger has."""
+    """Return the rig's camera index of each target's finger."""
     return [[camera.finger for camera in rig_file.cameras].index(goal.finger) for goal in targets]
 
 

@@ -1,5 +1,4 @@
-"""What all calibrations share: what a file of theirs says besides its numbers, and where a refused
-one goes."""
+"""Result files of all calibrations: common metadata, and the location of refused results."""
 
 from __future__ import annotations
 
@@ -41,8 +40,10 @@ def stamp(kind: str, reasons: Sequence[str]) -> dict[str, Any]:
 def write(
     path: Path, result: Mapping[str, Any], writer: Callable[[Path, Any], None] = write_json
 ) -> Path:
-    """Write a result; a refused one goes beside `path`, as NAME.refused.SUFFIX, so that a good file
-    is never replaced."""
+    """Write a result to `path`; a refused one to NAME.refused.SUFFIX in the same folder.
+
+    A good file is thus never replaced by a refused one.
+    """
     if result["verdict"] == "refused":
         path = path.with_name(f"{path.stem}.refused{path.suffix}")
     try:
@@ -55,7 +56,7 @@ def write(
 
 
 def write_yaml(path: Path, value: Mapping[str, Any]) -> None:
-    """Write `value` as YAML, at once or not at all."""
+    """Write `value` as YAML atomically."""
     import yaml  # only this function needs it
 
     part = path.with_name(path.name + ".part")
@@ -114,7 +115,7 @@ def _numbers(path: Path, name: str, rows: Sequence[Mapping[str, str | None]]) ->
 
 
 def fit_line(x: Array, y: Array) -> tuple[Array, Array, float]:
-    """Least squares y = a + b x: (a, b), their standard deviations, and the rms of what is left."""
+    """Fit y = a + b x by least squares: (a, b), their standard deviations, and the rms residual."""
     A = np.column_stack([np.ones_like(x), x])
     inverse = np.linalg.inv(A.T @ A)
     coefficients = inverse @ A.T @ y

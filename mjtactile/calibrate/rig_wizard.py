@@ -1,7 +1,6 @@
-"""A rig file for devices that are plugged in, asked for step by step: which port, which camera is
-in which finger, how far, how hard. What is in the file and answers is kept, so that a setup that
-was broken off goes on, and can be done again.
-"""
+"""Interactive setup of a rig file for connected devices: ports, cameras of the fingers, opening
+range and force limits. Values in the file that still work are kept, so an aborted setup can be
+resumed or repeated."""
 
 from __future__ import annotations
 
@@ -32,11 +31,11 @@ _LIMITS = (
     ("gripper", "speed_max_mm_s", "largest speed of the opening, mm/s"),
     ("gripper", "force_max_N", "largest force on each finger, N; no controller can exceed it"),
 )
-# what a servo's lines say of its model alone, whose own values count without them
+# model-specific servo keys: without them, the model's own values apply
 _OF_THE_MODEL = ("torque_Nm_per_A", "position_p_gain")
 _IMAGES = 5
 _ATTEMPTS = 3
-_ASIDE = 0.1  # of the picture's sides: a press that is nearer to its middle is in no corner
+_ASIDE = 0.1  # fraction of the image sides: contacts closer to the center count as no corner
 _CORNER = "upper right corner (seen from outside, the air inlet on the right)"
 _CLEARER = 2.0  # times as much change in the finger's own picture as in any other
 _T = TypeVar("_T")
@@ -51,12 +50,14 @@ def setup(
     ask: Ask,
     say: Say,
 ) -> RigFile:
-    """Make or go on with the rig file `path`, from a copy of `like`; `ports` and `cameras`
-    (streams) are offered, too. `ask` puts a question to the user and returns what they typed; ""
-    takes what the question offers.
+    """Create or complete the rig file `path`, starting from a copy of `like`.
 
-    Raises InputError where something is missing or the answers end; what was found until then is in
-    the file."""
+    `ports` and `cameras` (streams) are additional candidates. `ask` puts a question to the user and
+    returns the typed answer; "" accepts the proposed value.
+
+    Raises InputError where something is missing or the answers end. The results up to then are in
+    the file.
+    """
     if not path.exists():
         path.write_text(like.read_text(encoding="utf-8"), encoding="utf-8")
         say(f"{path}: a copy of {like.stem}")
@@ -69,7 +70,7 @@ def setup(
 
 
 class _Offered:
-    """The serial ports, asked once, when somebody wants to know."""
+    """Serial ports of the computer, scanned once on first use."""
 
     def __init__(self, more: Sequence[str], say: Say):
         self._more = more
@@ -110,7 +111,7 @@ def _bus(rig: RigFile, offered: _Offered, ask: Ask, say: Say) -> Mapping[Place, 
             f"servos {list(port.servos)} answer at {port.path}, and this gripper has {len(wanted)}",
             source=rig.path,
             field="gripper.servo",
-            choices=["connect the others", "begin with another --like"],
+            choices=["connect the others", "begin with another --template"],
         )
     changes: dict[Place, object] = {("bus", 0, "port"): port.path, ("bus", 0, "baud"): port.baud}
     free = sorted(port.servos)
@@ -183,8 +184,10 @@ def _with_source(config: CameraConfig, source: str) -> CameraConfig:
 def _assigned(
     rig: RigFile, cameras: Sequence[CameraConfig], ask: Ask, say: Say
 ) -> list[tuple[str, str | None]]:
-    """The source of each finger's camera, whose picture changes when its membrane is pressed, and
-    how that picture is flipped (None: not at all, or not known)."""
+    """Return each finger's camera source and the flip of its image (None: not flipped, or unknown).
+
+    The camera is identified by the image change when the user presses the finger's membrane.
+    """
     ask("Touch nothing, and press Enter: ")
     flat = {camera.source: _mean_image(camera) for camera in cameras}
     found: dict[str, str | None] = {}
@@ -214,14 +217,14 @@ def _assigned(
 
 
 def flip_of(change: Array) -> str | None:
-    """How a picture is flipped, one of `FLIPS`.
+    """Return the flip of an image, one of `FLIPS`.
 
     Args:
-        change: Of its grey levels (H, W), by a press where x and y of the sensor are largest, which
-            is at the right and at the bottom of an upright picture.
+        change: Change of grey levels (H, W) due to a contact at maximum x and y of the sensor. In
+            an upright image, this is at the lower right.
 
     Returns:
-        None where it changed in no corner.
+        The flip; None if the change is in no corner.
     """
     weight = np.square(change)
     height, width = weight.shape
@@ -238,7 +241,7 @@ def flip_of(change: Array) -> str | None:
 
 
 def _mean_image(config: CameraConfig) -> Array:
-    """What it sees now. Raises DeviceError for one that fails again and again."""
+    """Return the mean of several current images. Raises DeviceError after repeated failures."""
     for attempts_left in reversed(range(_ATTEMPTS)):
         try:
             with contextlib.closing(OpenCvCamera(config)) as camera:
@@ -269,7 +272,7 @@ def _limits(path: Path, ask: Ask, say: Say) -> None:
 
 
 def _choose(what: str, things: Sequence[_T], name: Callable[[_T], str], ask: Ask, say: Say) -> _T:
-    """One of `things`; no question where there is only one."""
+    """Ask the user to choose one of `things`; without a question if there is only one."""
     if len(things) == 1:
         say(f"{what}: {name(things[0])}")
         return things[0]

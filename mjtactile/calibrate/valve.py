@@ -19,7 +19,7 @@ STATES = ("vent", "open", "closed")
 OFFSET_MAX_FRACTION = 0.05  # of the step: the rest state is weighed with this pressure
 ERROR_MAX_FRACTION = 0.10
 NOISE_MAX_FRACTION = 0.05
-RISE_MAX = 1.0  # s; the driver takes a valve for stuck after 1.5 s
+RISE_MAX = 1.0  # maximum, s; the driver reports a stuck valve after 1.5 s
 LEAK_MAX = 0.10  # of the step a minute: the force's zero follows slower changes than this
 # the last quarter of a stage counts as settled; s after sealing that are left out
 _SETTLED = 0.75
@@ -28,10 +28,14 @@ _SEALED_AFTER = 0.5
 
 @dataclass(frozen=True)
 class ValveCalibration:
-    """`offset` Pa that the sensor shows at ambient pressure, `noise_sd` Pa, `step` Pa reached above
-    the offset, `asked` Pa, `rise_time` s from 10 to 90 %, `time_constant` s (63 %), `leak` Pa/s of
-    the sealed chamber (positive: loses) with its `leak_sd`, `fall_time` s from 90 to 10 % when
-    vented (NaN: not recorded)."""
+    """Valve parameters from a step response.
+
+    `offset` Pa is the sensor's reading at ambient pressure, with noise `noise_sd` Pa. `step` Pa is
+    the pressure reached above the offset, `asked` Pa the commanded one. `rise_time` s is from 10 to
+    90 %, `time_constant` s to 63 %. `leak` Pa/s of the sealed chamber (positive: loss) has the
+    standard deviation `leak_sd`. `fall_time` s is from 90 to 10 % when vented (NaN: not
+    recorded).
+    """
 
     asked: float
     offset: float
@@ -59,16 +63,18 @@ class ValveCalibration:
 
 
 def valve_part(c: ValveCalibration, stamp: CalibrationMetadata) -> ValveZero:
-    """What a finger's calibration keeps of it."""
+    """Return the valve part of a finger's calibration."""
     return ValveZero(c.offset, c.noise_sd, stamp)
 
 
 def calibrate_valve(
     time: Array, pressure: Array, state: Sequence[str], asked: float
 ) -> ValveCalibration:
-    """From samples at `time` s of the gauge `pressure` Pa in the stages vent, open (`asked` Pa were
-    set), closed, and perhaps vent again. Raises InputError when a stage is missing or too short to
-    say anything."""
+    """Evaluate samples of the gauge `pressure`, Pa, at `time`, s, of a step response.
+
+    The stages are vent, open (`asked` Pa commanded), closed, and optionally vent again. Raises
+    InputError when a stage is missing or too short.
+    """
     stages = _stages(time, state)
     vent, rise, sealed = (
         _stage(stages, i, name) for i, name in enumerate(("vent", "open", "closed"))
@@ -154,7 +160,8 @@ def _stage(stages: list[tuple[str, Array]], place: int, name: str) -> Array:
 
 
 def _crossing(time: Array, share: Array, level: float) -> float:
-    """When `share` first reaches `level`, linear between samples; NaN when it never does."""
+    """Return the time at which `share` first reaches `level`, by linear interpolation; NaN if
+    never."""
     above = np.flatnonzero(share >= level)
     if len(above) == 0:
         return math.nan

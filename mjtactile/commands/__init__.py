@@ -1,7 +1,7 @@
-"""The commands of the command line: one module each with DESCRIPTION, EPILOG, ARGUMENTS and
-`run`, imported when asked for.
+"""Commands of the command line, one module each with DESCRIPTION, EPILOG, ARGUMENTS and `run`. A
+module is imported only when its command is used.
 
-One that needs no simulator says `SIMULATES = False`.
+A command that needs no simulator sets `SIMULATES = False`.
 """
 
 COMMANDS = {
@@ -39,4 +39,4 @@ COMMANDS = {
     "new": "start your own controller, sensor, object or rig from a commented copy",
     "docs": "the documentation's pages: list them, or print one",
 }
-"""Name to what `mjtactile --help` says of it."""
+"""Command names with their description in `mjtactile --help`."""

@@ -1,7 +1,7 @@
-"""The arguments of a command as a table: a tuple of values that each know how to join a parser.
+"""Command arguments as a table: a tuple of values that each can be added to a parser.
 
-A command's `ARGUMENTS` lists what it takes, in the order of its `--help`. The help of a value ends
-with its default, if it has one and does not speak of it itself.
+A command's `ARGUMENTS` lists its arguments in the order of its `--help`. Each help text ends with
+the default, unless it has none or the text mentions it already.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class Addable(Protocol):
 
 @dataclass(frozen=True)
 class Argument:
-    """One argument: its names, and what argparse is told of it."""
+    """Argument with its names and the settings for argparse."""
 
     names: tuple[str, ...]
     settings: dict[str, Any]
@@ -64,14 +64,14 @@ def positional(name: str, metavar: str, help: str, **settings: Any) -> Argument:
 
 
 def option(names: str, metavar: Any, help: str, default: Any = None, **settings: Any) -> Argument:
-    """`--name VALUE`.
+    """Return the option `--name VALUE`.
 
     Args:
-        names: `--name`, or several with blanks between them.
-        metavar: What its value is called in the help.
-        help: What it is for.
-        default: Its value where it is not given.
-        settings: More of argparse's: type, dest, required, nargs.
+        names: `--name`, or several names separated by blanks.
+        metavar: Name of the value in the help.
+        help: Description of the option.
+        default: Value if the option is not given.
+        settings: Further argparse settings: type, dest, required, nargs.
     """
     told = {"metavar": metavar, "help": _with_default(help, default), "default": default}
     return Argument(tuple(names.split()), told | settings)

@@ -12,178 +12,216 @@ from mjtactile.commands.output import insert_table, output_folder, print_json, s
 from mjtactile.commands.repository_only import of_checkout
 from mjtactile.recording.files import write_json
 
-DESCRIPTION = """\
-Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
-  grasp       egg, strawberry and vial with seeds 0-9: outcome, force error, real-time factor
-              and where the time goes
-  perception  marker accuracy against the Cramer-Rao bound, and speed, next to OpenCV's tools
-  tracking    markers that are followed against a search of every image, a hundred thousand images
-  touch       force, shear, torque, patch, smallest touch and error bars, random indenters
-  bars        error bars of felt wrenches, 10^4 images of random scenes
-  slip        two hundred random slips and holds: how many are detected, how soon, false alarms
-  material    class and modulus of random bodies, probed
-  stability   more than 300 hard cases of the simulation, each judged by physics
-  rig         the emulated rig: loop rate, latency, reaction to every fault, host killed
-  accuracy    work-precision diagrams: error of force and surface against time, every knob
-  levels      the levels without a mesh in the same measures, and whether episodes end alike
-  speed       two membranes holding an object: against the clock, rigid pads, mesh size
-  cheap       episodes without images against episodes with them: markers, forces, time
-  drawn       what a sensor's chain errs by in grasps, for --effects=-sheet,-chain
-  learning    steps, episodes, outcomes and memory at each level of simulation, for learning
-  policy      a policy learned from nothing in ten minutes, judged drawn and in full
-  effects     what each effect costs, and what leaving it out costs
-  film        the film against an independent sheet, its scatter over places, and its time
-  thin        blades, wires, pins and small faces, at random places and speeds: their force
-  shape       what body touches: contact area, kind, radius and edge, from images alone
-  sensors     the shipped marker layouts on one membrane: what more markers tell, and their cost
-  outline     round and elliptic sensors: bulge against theory, presses felt less true
-  explore     whole objects touched twelve times: how far their surface is from the true one
-  fit         sensors that differ from their file, recorded and fitted: each number's error
-  truth       the simulation and what is felt, against references from outside of the project
-  studio      what watching costs: an egg grasp in Studio, a page looking on, against it alone
-  trust       air that is not as it was, and a grasp felt again under fifty camera troubles
-  fiducials   the same with circles that do not move: knocks, zoom, focus, levels; their price
-  attacks     everything bad that the tests do, counted by what must come of it
-  settings    what half and twice of each number of the sensing chain do to what is felt
-  gauge       the same of the filter that follows a pressure gauge
-  seen        the same of photographs, and where markers fit no shape
-  bodies      the same of what body touches
-  relaxation  holds of ten minutes on rubber that relaxes: felt less true, and the price
-  first_day   setup, calibrate, fit, grasp and shadow of an emulated rig with every trouble
-  tasks       what touch buys: tasks that ask for it, with and without, over the same episodes
-  numbers     measures nothing: all numbers on one page, from the pages of the others
-  headline    measures nothing: the few of them that the README shows"""
+BENCHMARKS: dict[str, tuple[str, str]] = {
+    "grasp": (
+        "grasp",
+        "egg, strawberry and vial, seeds 0-9: outcome, force error, real-time factor, profile",
+    ),
+    "perception": (
+        "perception.run",
+        "marker accuracy against the Cramer-Rao bound and OpenCV; time per image",
+    ),
+    "tracking": ("tracking", "tracked markers against a full search, 100 000 images"),
+    "touch": (
+        "touch.run",
+        "force, shear, torque, contact patch and detection threshold, random indenters",
+    ),
+    "uncertainty": (
+        "uncertainty.run",
+        "coverage of the reported standard deviations, 10 000 images of random scenes",
+    ),
+    "slip": ("slip.run", "200 random slips and holds: detection rate, delay, false alarms"),
+    "material": ("material", "material class and modulus of random objects, probed"),
+    "stability": (
+        "stability.run",
+        "more than 300 hard cases of the simulation, each checked by physics",
+    ),
+    "rig": ("rig.run", "emulated rig: loop rate, latency, reaction to every fault, killed host"),
+    "emulated": ("rig.emulated_grasps", "grasps on the emulated rig"),
+    "accuracy": (
+        "accuracy.run",
+        "work-precision diagrams: error of force and surface against time, every setting",
+    ),
+    "meshless": (
+        "accuracy.meshless_levels",
+        "fidelity levels without a mesh: accuracy, and agreement of episode outcomes",
+    ),
+    "speed": (
+        "speed.run",
+        "two membranes that hold an object: real-time factor against mesh size and rigid pads",
+    ),
+    "no-images": (
+        "without_images",
+        "episodes with and without rendered images: markers, forces, time",
+    ),
+    "error-model": (
+        "learning.fit_error_model",
+        "errors of a sensor's pipeline in grasps, for --effects=-mesh,-pipeline",
+    ),
+    "learning": ("learning.run", "steps per second, outcomes and memory of each fidelity level"),
+    "policy": (
+        "learning.policy",
+        "a policy trained from scratch in ten minutes, evaluated at two fidelity levels",
+    ),
+    "effects": ("effects", "cost of each effect, and the error when it is left out"),
+    "quasistatic": (
+        "quasistatic",
+        "quasi-static membrane against an independent solver: error, scatter, time",
+    ),
+    "thin-objects": (
+        "thin_objects.run",
+        "blades, wires, pins and small faces at random positions and speeds: force",
+    ),
+    "shape": ("shape.run", "contact shape from images: area, kind, radius and edge direction"),
+    "sensors": (
+        "sensors",
+        "shipped marker layouts on one membrane: accuracy and cost of more markers",
+    ),
+    "outline": ("outline", "round and elliptic sensors: bulge against theory, force error"),
+    "explore": ("explore", "whole objects touched twelve times: distance of the estimated surface"),
+    "fit": (
+        "fit",
+        "identification of sensors that differ from their file: error of each parameter",
+    ),
+    "design": ("design", "predictions of `design` against simulated sensors"),
+    "references": (
+        "reference_cases.run",
+        "simulation and estimates against independent reference solutions",
+    ),
+    "studio": ("studio.run", "cost of Studio: a grasp with and without a page that shows it"),
+    "camera-faults": (
+        "camera_faults.run",
+        "gas faults, and a grasp replayed under fifty camera faults",
+    ),
+    "fiducials": (
+        "camera_faults.fiducials",
+        "the same with fiducials: shift, zoom, focus, exposure; cost",
+    ),
+    "fault-injection": (
+        "fault_injection",
+        "every malformed input of the tests, counted by the required reaction",
+    ),
+    "setting-sensitivity": (
+        "setting_sensitivity",
+        "estimates with half and twice each setting of the pipeline",
+    ),
+    "gas-filter-sensitivity": (
+        "gas_filter_sensitivity",
+        "the same for the filter of the gauge pressure",
+    ),
+    "detection-sensitivity": (
+        "detection_sensitivity",
+        "the same for marker detection in photographs",
+    ),
+    "shape-sensitivity": ("shape.shape_setting_sensitivity", "the same for the contact shape"),
+    "relaxation": ("relaxation", "holds of ten minutes on relaxing rubber: force error and cost"),
+    "commissioning": (
+        "commissioning.run",
+        "setup, calibration, fit, grasp and comparison of a faulty emulated rig",
+    ),
+    "tasks": (
+        "tasks.run",
+        "benefit of touch: tasks with and without touch, over the same episodes",
+    ),
+    "bubble": ("real.bubble", "recorded data of a real air-filled bubble sensor"),
+    "dots": ("real.dots", "recorded data of a real dot-marker sensor"),
+    "summary-page": ("results_tables", "no measurement: collect all results from the other pages"),
+    "readme-table": ("readme_table", "no measurement: the rows that the README shows"),
+}
+"""Name to module of the folder `benchmarks` and description; each module has
+`run(out, quick) -> dict`, which plots into `out`, and `table(result) -> str` in Markdown."""
+
+DESCRIPTION = "\n".join(
+    [
+        "Measure with fixed seeds; write NAME.json, NAME.md and plots into a folder:",
+        *(f"  {name:24}{about}" for name, (_, about) in BENCHMARKS.items()),
+    ]
+)
 EPILOG = """\
 examples:
   mjtactile bench grasp --quick            one seed instead of ten
   mjtactile bench perception --out results
   mjtactile bench grasp --readme docs/validation/benchmarks.md
-      put the table between that file's bench markers
-  mjtactile bench truth --cases my_cases   a TOML file each; shipped: models/reference_cases
-  mjtactile bench numbers --readme docs/validation/results.md     then take all numbers from there
-  mjtactile bench headline --readme README.md          and the README's
+      insert the table between the bench markers of that page
+  mjtactile bench references --cases my_cases   one TOML file each; shipped: models/reference_cases
+  mjtactile bench summary-page --readme docs/validation/results.md     collect all results
+  mjtactile bench readme-table --readme README.md                 the README's rows
 """
-BENCHMARKS = {
-    "grasp": "grasp",
-    "speed": "speed.run",
-    "accuracy": "accuracy.run",
-    "levels": "accuracy.meshless_levels",
-    "effects": "effects",
-    "perception": "perception.run",
-    "material": "material",
-    "touch": "touch.run",
-    "bars": "uncertainty.run",
-    "slip": "slip.run",
-    "tracking": "tracking",
-    "cheap": "without_images",
-    "rig": "rig.run",
-    "emulated": "rig.emulated_grasps",
-    "stability": "stability.run",
-    "truth": "reference_cases.run",
-    "film": "quasistatic",
-    "drawn": "learning.fit_error_model",
-    "learning": "learning.run",
-    "policy": "learning.policy",
-    "thin": "thin_objects.run",
-    "shape": "shape.run",
-    "sensors": "sensors",
-    "outline": "outline",
-    "explore": "explore",
-    "fit": "fit",
-    "design": "design",
-    "studio": "studio.run",
-    "trust": "camera_faults.run",
-    "fiducials": "camera_faults.fiducials",
-    "attacks": "fault_injection",
-    "settings": "setting_sensitivity",
-    "gauge": "gas_filter_sensitivity",
-    "seen": "detection_sensitivity",
-    "bodies": "shape.shape_setting_sensitivity",
-    "relaxation": "relaxation",
-    "first_day": "commissioning.run",
-    "tasks": "tasks.run",
-    "bubble": "real.bubble",
-    "dots": "real.dots",
-    "numbers": "results_tables",
-    "headline": "readme_table",
-}
-"""Name to module of the checkout's folder `benchmarks`; each has `run(out, quick) -> dict`, which
-draws into `out`, and `table(result) -> str` in Markdown."""
-
 OPTIONS = {
     "resume": (
         "stability",
         "rig",
         "emulated",
-        "bars",
+        "uncertainty",
         "tasks",
-        "attacks",
+        "fault-injection",
         "explore",
-        "trust",
-        "first_day",
+        "camera-faults",
+        "commissioning",
         "outline",
     ),
     "parts": ("rig", "slip", "tasks"),
     "level": ("tasks",),
     "rate": ("slip",),
     "soak": ("rig",),
-    "cases": ("truth",),
+    "cases": ("references",),
     "data": ("bubble", "dots"),
-    "against": ("speed",),
-    "pairs": ("cheap", "learning", "levels"),
+    "baseline": ("speed",),
+    "pairs": ("no-images", "learning", "meshless"),
     "episodes": ("tasks", "slip", "emulated"),
-    "sensor": ("drawn",),
+    "sensor": ("error-model",),
 }
-"""Options that only some have."""
+"""Options that apply to some benchmarks only."""
 
 ARGUMENTS = (
-    arg.positional(
-        "name", "NAME", f"what to measure: {', '.join(BENCHMARKS)}", choices=list(BENCHMARKS)
-    ),
-    arg.flag("--quick", "a small part of it, to see that it works"),
+    arg.positional("name", "NAME", "the benchmark, from the list above", choices=list(BENCHMARKS)),
+    arg.flag("--quick", "run a small part, as a check that the benchmark works"),
     arg.option("--out", "DIR", "folder for the results", Path("bench-results"), type=Path),
     arg.flag(
-        "--resume",
-        "stability, rig, emulated, bars, tasks, attacks, explore, trust, first_day, "
-        "outline: keep what an interrupted run finished",
+        "--resume", f"keep the results of an interrupted run ({', '.join(OPTIONS['resume'])})"
     ),
     arg.option(
         "--parts",
         "A,B,…",
-        "rig: only these of loop, bus, fuzz, killed, stopped, stuck, outcomes, faults, soak; "
-        "slip: of passive, tested; tasks: of adaptive, gentle, slip_aware, touchless, oracle",
+        "only these parts; rig: loop, bus, fuzz, killed, stopped, stuck, outcomes, faults, soak; "
+        "slip: passive, tested; tasks: adaptive, gentle, slip_aware, touchless, oracle",
     ),
     arg.option(
         "--level",
         "NAME",
-        "tasks: mesh (default), film (--effects=-sheet,-images) or drawn (-sheet,-chain), which "
-        "also say how far they agree with what lies of mesh in the same --out",
+        "tasks: fidelity level mesh (default), film (--effects=-mesh,-images) or drawn "
+        "(-mesh,-pipeline); the last two also report agreement with mesh results in --out",
     ),
-    arg.option("--data", "DIR", "bubble, dots: the recordings, which are not in here", type=Path),
-    arg.option("--cases", "DIR", "truth: the cases of this folder", type=Path),
     arg.option(
-        "--against", "DIR", "speed: also compare with another checkout, in turns", type=Path
+        "--data",
+        "DIR",
+        "bubble, dots: folder of the recordings, which are not in the repository",
+        type=Path,
     ),
+    arg.option("--cases", "DIR", "references: read the cases of this folder", type=Path),
+    arg.option("--baseline", "DIR", "speed: also time another checkout, alternating", type=Path),
     arg.option(
         "--soak",
         "HOURS",
-        "rig: also so much of the long run: a grip every 20 s, a fault every 5 min, all of "
-        "it recorded (--parts soak: only that, two hours)",
+        "rig: duration of the long run, with a grasp every 20 s and a fault every 5 min, all "
+        "recorded (--parts soak: only the long run, two hours)",
         type=float,
     ),
-    arg.option("--pairs", "N", "cheap, learning, levels: so many pairs of episodes", type=int),
+    arg.option(
+        "--pairs", "N", "no-images, learning, meshless: number of pairs of episodes", type=int
+    ),
     arg.option(
         "--episodes",
         "N",
-        "tasks, slip: so many of each (default: 200); emulated: so many grasps (default: 20)",
+        "tasks, slip: episodes of each kind (default: 200); emulated: grasps (default: 20)",
         type=int,
     ),
-    arg.option("--rate", "HZ", "slip: of the cameras, 30 or 60 (default: 30)", type=float),
-    arg.option("--sensor", "NAME", "drawn: of this sensor (default: dense)"),
+    arg.option("--rate", "HZ", "slip: camera rate, 30 or 60 (default: 30)", type=float),
+    arg.option("--sensor", "NAME", "error-model: sensor (default: dense)"),
     arg.option(
         "--readme",
         "FILE.md",
-        "also put the table into this file, between <!-- bench:NAME --> and <!-- /bench -->",
+        "also insert the table into this file, between <!-- bench:NAME --> and <!-- /bench -->",
         type=Path,
     ),
 )
@@ -200,7 +238,7 @@ def run(options: argparse.Namespace) -> int:
         if value:
             more[option] = tuple(value.split(",")) if option == "parts" else value
     with output_folder(options.out) as out, stdout_to_stderr():
-        module = of_checkout(BENCHMARKS[options.name])
+        module = of_checkout(BENCHMARKS[options.name][0])
         result = module.run(out, quick=options.quick, **more)
         table = module.table(result)
         write_json(out / f"{options.name}.json", result)

@@ -1,4 +1,4 @@
-"""`mjtactile compare-sim`: a recording beside the simulator that is driven by the same commands."""
+"""`mjtactile compare-sim`: compare a recording with a simulation driven by the same commands."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ EPILOG = f"""\
 examples:
   mjtactile grasp --rig my_gripper.toml --object egg --out runs/real
   mjtactile compare-sim runs/real --out runs/real_shadow
-  mjtactile compare-sim runs/real --rig my_sim_gripper.toml --until-s 4 --out runs/real_shadow
-  mjtactile compare-sim runs/press_3 --json                 a recording of `record --steps`
+  mjtactile compare-sim runs/real --rig my_sim_gripper.toml --end-s 4 --out runs/real_shadow
+  mjtactile compare-sim runs/press_3 --json                 a recording of `record --protocol`
 
 Writes shadow.html (curves, a table of what was tried) and shadow.json. Causes that are tried:
 {", ".join(cause.name for cause in CAUSES)}.
@@ -41,7 +41,7 @@ ARGUMENTS = (
         "--object", "NAME|FILE.xml", "what was grasped (default: as the recording says)", ""
     ),
     arg.option(
-        "--until-s",
+        "--end-s",
         "S",
         "look at the first S seconds alone (default: all)",
         math.inf,
@@ -49,7 +49,7 @@ ARGUMENTS = (
         type=float,
     ),
     arg.repeated(
-        "--cause",
+        "--parameter",
         None,
         "try this one; may be given again (default: all)",
         choices=[cause.name for cause in CAUSES],
@@ -70,7 +70,7 @@ def run(options: argparse.Namespace) -> int:
     from mjtactile.sim_comparison.html_report import numbers, page
 
     if not options.until > 0:
-        raise InputError(f"{options.until:g} is not above 0", field="--until-s")
+        raise InputError(f"{options.until:g} is not above 0", field="--end-s")
     if not 1 <= options.workers <= 64:
         raise InputError(f"{options.workers} is outside 1 to 64", field="--workers")
     progress = Progress(quiet=options.json)
@@ -80,7 +80,7 @@ def run(options: argparse.Namespace) -> int:
             rig=options.rig,
             thing=options.object,
             until=options.until,
-            causes=options.cause,
+            causes=options.parameter,
             workers=options.workers,
             say=progress.message,
         )

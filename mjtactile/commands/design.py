@@ -1,5 +1,5 @@
-"""`mjtactile design`: what a sensor file reaches before it is built, and which file would reach
-what is wanted."""
+"""`mjtactile design`: predict the performance of a sensor file before it is built, or search for
+files that meet requirements."""
 
 from __future__ import annotations
 
@@ -16,36 +16,37 @@ from mjtactile.recording.files import write_json
 from mjtactile.runtime.progress import Progress
 
 DESCRIPTION = """\
-Predict what a sensor file reaches, without building or simulating it: the smallest touch, the
-sd of force, of where it acts and of an edge's place, over the face, the largest force, and what
-more pressure, markers or focal length would buy. With a wish (--feel-mN, --range-N, --edge-mm,
---radius-mm), draw designs around the file, predict each, show those that none is better than,
-and write the best as sensor files.
+Predict the performance of a sensor file without simulating it: detection threshold, standard
+deviations of force, contact position and edge position over the membrane, the maximum force, and
+the benefit of more pressure, markers or focal length. With a requirement (--detect-force-mN,
+--range-N, --edge-mm, --radius-mm), sample designs around the file, predict each, list the
+Pareto-optimal ones and write the best as sensor files.
 
-The film says where markers stand on what presses, the camera's bound how well they are seen, and
-the sensing chain's own covariance what is felt of it."""
+The quasi-static membrane predicts marker positions, the camera's bound their noise, and the
+covariance of the sensing pipeline the uncertainty of the estimates."""
 EPILOG = """\
 examples:
-  mjtactile design --sensor dense                      what does this file reach?
+  mjtactile design --sensor dense                      performance of this file
   mjtactile design --sensor my_sensor.toml --force-N 0.2 --out runs/mine
-  mjtactile design --feel-mN 10 --edge-mm 0.15 --range-N 3 --out runs/wanted
-      what do I need to feel 10 mN and to know where an edge is to 0.15 mm?
-  mjtactile design --sensor paper16 --feel-mN 10 --frame-mm 24,20 --camera-px 320,240
-  mjtactile design --feel-mN 10 --check 3 --out runs/wanted       and three of them simulated
+  mjtactile design --detect-force-mN 10 --edge-mm 0.15 --range-N 3 --out runs/wanted
+      find designs that detect 10 mN and locate an edge to 0.15 mm
+  mjtactile design --sensor paper16 --detect-force-mN 10 --frame-mm 24,20 --camera-px 320,240
+  mjtactile design --detect-force-mN 10 --check 3 --out runs/wanted    also simulate the best three
 
-Read it so: an sd is what the chain would say of itself; two thirds of touches are within it. A
-touch by noise is what pixels alone allow; the chain calls nothing below 20 mN a touch, since
-weather and a warming camera do as much. An edge is rounded by 2.5 mm, goes across the face, and
-presses with --force-N, as does a ball of 4 mm. "-": the film does not carry the force there.
+An sd is the standard deviation that the pipeline would report; it covers 68 % of contacts.
+"touch_by_noise" is the limit of the pixel noise alone. The pipeline reports no contact below
+20 mN, because weather and a warming camera cause as much. The edge has a radius of 2.5 mm, spans
+the membrane and presses with --force-N, as does a ball of 4 mm. "-": the quasi-static membrane
+has no solution for this force.
 
 JSON, of a file: {"sensor", "force_N", "reaches": {"touch_mN", "touch_by_noise_mN", "force_sd_mN",
 "force_noise_mN", "place_sd_mm", "edge_sd_mm", "smallest_radius_mm", "force_most_N"}, "picture":
 {"width_used", "height_used", "longest_lens"}, "face": [{"x_mm", "y_mm", ...}], "changes":
-[{"what", "reaches", "why_not"}]}; of a wish: {"sensor", "force_N", "wish", "begun_from", "tried":
-[{"reaches", "missed", "meets", "on_front", "rows", "columns", ...}], "best": [{"file", ...}],
-"checked": [...]}. More: `mjtactile docs how-to/design`."""
+[{"what", "reaches", "why_not"}]}; of a requirement: {"sensor", "force_N", "wish", "begun_from",
+"tried": [{"reaches", "missed", "meets", "on_front", "rows", "columns", ...}], "best": [{"file",
+...}], "checked": [...]}. More: `mjtactile docs how-to/design`."""
 _WISHES = {
-    "feel_mN": (0.1, 1e4),
+    "detect_force_mN": (0.1, 1e4),
     "range_N": (0.01, 1e3),
     "edge_mm": (1e-3, 10),
     "radius_mm": (0.5, 50),
@@ -64,7 +65,7 @@ ARGUMENTS = (
         "what is wanted (each may be left out)",
         (
             arg.option(
-                "--feel-mN",
+                "--detect-force-mN",
                 "F",
                 "smallest touch that pixels' noise must allow",
                 type=numeric_options.finite,
@@ -165,7 +166,7 @@ def _base_sensor(options: argparse.Namespace) -> SensorDesign:
 
 
 def _wish(options: argparse.Namespace) -> Any:
-    """What is wanted; None: nothing is, it is the file that is asked about."""
+    """Return the requirements; None if none are given, so that the file itself is evaluated."""
     from mjtactile.design_study.design_sweep import Requirements
 
     for name, (low, high) in _WISHES.items():
@@ -184,7 +185,7 @@ def _wish(options: argparse.Namespace) -> Any:
         return None if value is None else 1e-3 * value
 
     return Requirements(
-        touch=metres(options.feel_mN),  # mN to N
+        touch=metres(options.detect_force_mN),  # mN to N
         most=options.range_N,
         edge=metres(options.edge_mm),
         radius=metres(options.radius_mm),

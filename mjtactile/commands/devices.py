@@ -1,4 +1,4 @@
-"""`mjtactile devices`: what is plugged in, under which name, and what answers."""
+"""`mjtactile devices`: list connected devices, their names, and the replies on serial ports."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _description(found: Any) -> str:
-    """What else is known of it, without what it has not."""
+    """Describe further properties of a device, omitting unknown ones."""
     about = getattr(found, "name", "") or getattr(found, "description", "")
     return (
         ", ".join(

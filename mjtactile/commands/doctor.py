@@ -1,5 +1,5 @@
-"""`mjtactile doctor`: look at the devices of a rig, one by one, and say in plain words what is
-wrong and how to mend it."""
+"""`mjtactile doctor`: check the devices of a rig one by one, and report problems with remedies in
+plain words."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""`mjtactile effects`: which effects a scene calls for, why, what each costs, and what leaving it
-out would cost."""
+"""`mjtactile effects`: list the effects that a scene requires, with the reasons, their cost, and
+the cost of leaving them out."""
 
 from __future__ import annotations
 

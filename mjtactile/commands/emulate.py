@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
     from mjtactile import load_rig_file, load_sensor
     from mjtactile.emulator.process import EmulatorProcess
 
-    time_scale.apply(options.slow, options.rig)
+    time_scale.apply(options.time_scale, options.rig)
     rig_file = load_rig_file(options.rig)
     if options.out is not None and not _is_own(options.out):
         require_new(options.out)
@@ -85,7 +85,8 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _is_own(path: Path) -> bool:
-    """Whether an earlier run wrote the file: its ports are gone, and it may be replaced."""
+    """Return True if an earlier run wrote the file. Its ports no longer exist, so it may be
+    replaced."""
     try:
         with path.open(encoding="utf-8") as file:
             return file.readline() == _HEAD

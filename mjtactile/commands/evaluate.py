@@ -21,7 +21,7 @@ Grasp many times, with other seeds, objects and worlds, and say how often a cont
 what it grasps, with 95 % intervals; of several controllers, which is better, and whether
 that is settled.
 
-Every controller meets the same episodes: the same objects with the same seeds. From --vary
+Every controller meets the same episodes: the same objects with the same seeds. From --randomization
 the seed draws how object, sensors and gripper differ from their files, which sensing goes
 by. A controller that raises, hangs, or is stopped by the supervisor has failed; where the
 simulation does, it is an error and counts apart. Each ended episode is a line in
@@ -33,20 +33,20 @@ examples:
       gentle; egg, strawberry and vial in turn
   mjtactile evaluate --controller gentle --controller mine.py --episodes 100 --out runs/eval
   mjtactile evaluate --objects 'egg,random,my/*.xml' --episodes 200 --out runs/eval --resume
-  mjtactile evaluate --vary my_world.toml
+  mjtactile evaluate --randomization my_world.toml
       `mjtactile new variation my_world` writes one
   mjtactile evaluate --episodes 800 --shard 2/8 --out runs/part2  one of eight machines
   mjtactile evaluate --episodes 4000 --backend dask --scheduler tcp://head:8786 --out runs/big
-  mjtactile evaluate --against v1 --controller mine.py --episodes 50 --out runs/mine
+  mjtactile evaluate --suite v1 --controller mine.py --episodes 50 --out runs/mine
       all tasks, against what shipped controllers came to (docs/validation/controller_comparison.md)
-  mjtactile evaluate --against v1 --resume --out runs/mine    compares what is there again
-  mjtactile evaluate --screen 100 --episodes 3000 --objects random --out runs/screened
-      all of them cheaply (--effects=-sheet,-chain); what fails, and 100 of what holds, again in
+  mjtactile evaluate --suite v1 --resume --out runs/mine    compares what is there again
+  mjtactile evaluate --screening-sample 100 --episodes 3000 --objects random --out runs/screened
+      all of them cheaply (--effects=-mesh,-pipeline); what fails, and 100 of what holds, again in
       full, with how often both levels differ
   mjtactile evaluate --merge runs/part1 runs/part2 --out runs/all
 """
 _OBJECTS = "egg,strawberry,vial"
-_DEFAULT = Scenario(vary="default")
+_DEFAULT = Scenario(randomization="default")
 
 
 def _count(text: str) -> int:
@@ -108,15 +108,15 @@ ARGUMENTS = (
         "without images)",
     ),
     arg.option(
-        "--against",
+        "--suite",
         "SUITE",
         "run a suite of tasks with fixed seeds (v1, or FILE.json) and compare with the "
         "results that it comes with; with --resume, what is in the folder",
     ),
     arg.option(
-        "--screen",
+        "--screening-sample",
         "N",
-        "run all episodes with --effects=-sheet,-chain, then its failures and N of what it "
+        "run all episodes with --effects=-mesh,-pipeline, then its failures and N of what it "
         "held again in full; one report of both (screen.md, screen.json)",
         type=_any_count,
     ),
@@ -160,9 +160,9 @@ def run(options: argparse.Namespace) -> int:
 
     if options.partial and not options.merge:
         raise InputError("is for --merge", field="--partial")
-    if options.against is not None:
+    if options.suite is not None:
         return _against(options)
-    if options.screen is not None:
+    if options.screening_sample is not None:
         return _screen(options)
     if options.out is None and options.resume:
         raise InputError("which folder?", field="--resume", choices=["--resume --out DIR"])
@@ -186,14 +186,17 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _screen(options: argparse.Namespace) -> int:
-    """Run all cheaply, and what matters again in full."""
+    """Run all episodes at low fidelity. Repeat the failures and a sample of the successes at full
+    fidelity."""
     from mjtactile.evaluate import two_stage_screening as screens
 
     for name, left in (("merge", None), ("shard", (1, 1)), ("record", False), ("readme", None)):
         if getattr(options, name) != left:
-            raise InputError("does not go with --screen", field=f"--{name}")
+            raise InputError("does not go with --screening-sample", field=f"--{name}")
     if options.out is None:
-        raise InputError("wants a folder", field="--screen", choices=["--screen N --out DIR"])
+        raise InputError(
+            "wants a folder", field="--screening-sample", choices=["--screening-sample N --out DIR"]
+        )
     controllers = options.controller
     options.controller = None
     with stdout_to_stderr():
@@ -202,7 +205,7 @@ def _screen(options: argparse.Namespace) -> int:
         result = screens.screen(
             options.out,
             common,
-            sample=options.screen,
+            sample=options.screening_sample,
             controllers=controllers or [common.controller],
             count=options.episodes,
             objects=objects,
@@ -227,10 +230,10 @@ _FIXED = (
     "seed",
     "accuracy",
     "effects",
-    "vary",
-    "shapes",
+    "randomization",
+    "contact_shapes",
 )
-"""Options that a suite says itself."""
+"""Options that a suite specifies itself."""
 
 
 def _against(options: argparse.Namespace) -> int:
@@ -239,10 +242,10 @@ def _against(options: argparse.Namespace) -> int:
 
     for name in _FIXED:
         if getattr(options, name) is not None:
-            raise InputError(f"the suite {options.against!r} says that itself", field=f"--{name}")
+            raise InputError(f"the suite {options.suite!r} says that itself", field=f"--{name}")
     if options.out is None and options.resume:
         raise InputError("which folder?", field="--resume", choices=["--resume --out DIR"])
-    suite = suites.load_suite(options.against)
+    suite = suites.load_suite(options.suite)
 
     def compare(out: Path) -> dict[str, Any]:
         with stdout_to_stderr():
@@ -297,7 +300,7 @@ def _evaluate(options: argparse.Namespace, out: Path) -> dict[str, Any]:
 
 
 def _running(options: argparse.Namespace) -> Running:
-    """How episodes are run, by the options that all kinds of evaluation have."""
+    """Return the run settings for episodes from the options shared by all kinds of evaluation."""
     from mjtactile.evaluate.pool import Running
     from mjtactile.runtime.progress import Progress
 

@@ -33,15 +33,15 @@ examples:
   mjtactile explore --object my_fruit.xml --touches 20 --accuracy-mm 0.3 --force-N 0.2
   mjtactile explore --object egg --out runs/egg_shape --touches 20 --resume
       goes on where it ended, or was interrupted: touched.jsonl has every touch
-  mjtactile explore --on gripper --object egg --touches 8 --out runs/egg_grip
+  mjtactile explore --setup gripper --object egg --touches 8 --out runs/egg_grip
       the simulated hand grips it where it stands, at other heights and turns
   mjtactile explore --rig my_gripper.toml --touches 4 --out runs/mine
-  mjtactile explore --rig my_gripper.toml --touches 8 --turn-deg 90 --resume --out runs/mine
+  mjtactile explore --rig my_gripper.toml --touches 8 --rotation-deg 90 --resume --out runs/mine
       a real or an emulated hand grips it at up to four heights; then you turn the object
-  mjtactile explore --from runs/egg_shape --from runs/probe --out runs/both
+  mjtactile explore --input runs/egg_shape --input runs/probe --out runs/both
       fuses what was touched before; touches nothing. Recorded grips of any rig of two fingers
       (`probe`, `grasp` or `explore --out`, `record`) count as grips of the same object, turned
-      by --turn-deg; of recorded presses (`record --steps`) each is a place that was touched
+      by --rotation-deg; of recorded presses (`record --protocol`) each is a place that was touched
 
 Places are mm in the holder's frame. The surface is a body (an ellipsoid, a cylinder, a cone's
 stump, a box, or a freer one: the evidence says which) and a Gaussian process of what it leaves
@@ -53,13 +53,13 @@ kept) or the simulation failed.
 _RESULTS = ("explore.json", "explore.html", "explore.png", "surface.ply", "surface.stl")
 _TOUCHED = "touched.jsonl"
 _DEFAULT = Scenario(object="egg")
-_NOT_REQUESTED = ("controller", "effects", "vary", "task", "shapes")
+_NOT_REQUESTED = ("controller", "effects", "randomization", "task", "contact_shapes")
 
 ARGUMENTS = (
     *scenario.arguments(_DEFAULT, leave_out=_NOT_REQUESTED),
     time_scale.ARGUMENT,
     arg.choice(
-        "--on",
+        "--setup",
         ["stage", "gripper"],
         "what holds it: a simulated stage that turns it over one sensor (default), or the "
         "fingers of --rig, two, which grip it where it stands, at other heights and, in a "
@@ -83,7 +83,7 @@ ARGUMENTS = (
         type=numeric_options.finite,
     ),
     arg.repeated(
-        "--from",
+        "--input",
         "RUN",
         "fuse what an earlier exploration touched, or a recorded grip, in place of touching; "
         "may be repeated",
@@ -91,10 +91,10 @@ ARGUMENTS = (
         type=Path,
     ),
     arg.repeated(
-        "--turn-deg",
+        "--rotation-deg",
         "DEG",
         "how far somebody has turned the object about the vertical, counter-clockwise from "
-        "above, since the first grips: of a real or an emulated rig, or of each --from in "
+        "above, since the first grips: of a real or an emulated rig, or of each --input in "
         "turn (default: 0)",
         dest="turns",
         type=numeric_options.finite,
@@ -122,7 +122,7 @@ def _check(options: argparse.Namespace) -> None:
     if options.accuracy_mm < 0:
         raise InputError(f"{options.accuracy_mm:g} is below 0", field="--accuracy-mm")
     if options.sources and options.resume:
-        raise InputError("say either what to fuse or what to go on with", field="--from")
+        raise InputError("say either what to fuse or what to go on with", field="--input")
     if options.resume and (options.out is None or not (options.out / _TOUCHED).is_file()):
         raise InputError(f"needs --out DIR with {_TOUCHED} in it", field="--resume")
 
@@ -131,7 +131,7 @@ def _in(options: argparse.Namespace, out: Path | None) -> int:
     progress = Progress(quiet=options.json)
     with stdout_to_stderr():
         wanted = scenario.scenario_of(options, _DEFAULT)
-        time_scale.apply(options.slow, wanted.rig)
+        time_scale.apply(options.time_scale, wanted.rig)
         _take_a_replay_as_a_source(options, wanted)
         found, summary = (
             _fused(options) if options.sources else _live(options, wanted, out, progress)
@@ -160,7 +160,7 @@ def _fused(options: argparse.Namespace) -> tuple[ExplorationResult, dict[str, An
             yaw = math.radians(turns[number])
             patches += patches_of_recording(load_recording(source), 1000 * (number + 1), yaw)
     if not patches:
-        raise InputError("nothing was touched there", source=options.sources[0], field="--from")
+        raise InputError("nothing was touched there", source=options.sources[0], field="--input")
     if options.out is not None:
         kept = PatchStore(options.out / _TOUCHED)
         for patch in patches:
@@ -170,7 +170,7 @@ def _fused(options: argparse.Namespace) -> tuple[ExplorationResult, dict[str, An
 
 
 def _take_a_replay_as_a_source(options: argparse.Namespace, wanted: Scenario) -> None:
-    """What was recorded is felt again, whoever the hand was."""
+    """Add a replayed recording to the sources, so that its images are evaluated again."""
     from mjtactile.explore.gripper_exploration import recorded_folder
 
     folder = recorded_folder(wanted)
@@ -191,30 +191,31 @@ def _live(
     with signals.deferred() as stop:
         explore = _explorer(on, options, out, lambda: stop.asked)
         found, true = explore(wanted, asked, known=known, say=progress.message, keep=keep)
-        stop.asked = False  # it ended in order, and says so
+        stop.asked = False  # the exploration ended in order and reports so
     names = {"object": Path(wanted.object).stem, "sensor": wanted.design().name}
     return found, {**names, "seed": wanted.seed, **found.summary(), **true}
 
 
 def _holder(options: argparse.Namespace, wanted: Scenario) -> str:
-    """What touches: "stage", "gripper" (simulated) or "hand" (of an emulated or a real rig)."""
+    """Return the carrier of the sensor: "stage", "gripper" (simulated) or "hand" (of an emulated or
+    a real rig)."""
     from mjtactile.explore.gripper_exploration import is_simulated
 
-    if options.on == "stage" and wanted.rig != "sim":
+    if options.setup == "stage" and wanted.rig != "sim":
         raise InputError(
             f"the stage is simulated, and no part of the rig {wanted.rig!r}",
-            field="--on",
-            choices=["--on gripper"],
+            field="--setup",
+            choices=["--setup gripper"],
         )
-    if options.on != "gripper" and wanted.rig == "sim":
+    if options.setup != "gripper" and wanted.rig == "sim":
         on = "stage"
     else:
         on = "gripper" if is_simulated(wanted) else "hand"
     if len(options.turns) > (on == "hand"):
         raise InputError(
             "says how somebody turned the object of a real or an emulated rig, once, or of each "
-            "--from; a simulation turns it by itself",
-            field="--turn-deg",
+            "--input; a simulation turns it by itself",
+            field="--rotation-deg",
         )
     return on
 
@@ -222,7 +223,8 @@ def _holder(options: argparse.Namespace, wanted: Scenario) -> str:
 def _explorer(
     on: str, options: argparse.Namespace, out: Path | None, stopped: Callable[[], bool]
 ) -> Callable[..., tuple[ExplorationResult, dict[str, Any]]]:
-    """What explores, and says how true it is, as far as that is known."""
+    """Return the exploration function, which also returns the errors relative to ground truth, if
+    known."""
     from mjtactile.explore.gripper_exploration import explore_by_gripper
     from mjtactile.explore.simulated import explore_in_gripper, explore_on_stage
 
@@ -248,7 +250,7 @@ def _explorer(
 
 
 def _unused(folder: Path) -> Path:
-    """The folder, or where one is from before, one beside it."""
+    """Return the folder, or if it exists already, one with a number appended."""
     names = [folder, *(folder.with_name(f"{folder.name}_{number}") for number in range(2, 100))]
     return next(name for name in names if not name.exists())
 

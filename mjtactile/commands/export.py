@@ -38,7 +38,7 @@ FORMATS = {
     "rerun": ("live", "rerun"),
     "rosbag2": ("data", "rosbags"),
 }
-"""Format to the extra that brings what it needs, and the modules of that."""
+"""Formats with the pip extra that installs their packages, and the modules of these packages."""
 _WRITTEN = ("meta", "data", "episode_000000", "episode_000000.mcap", "episode_000000.rrd")
 
 ARGUMENTS = (
@@ -108,7 +108,7 @@ def _write(
 
 
 def _need(name: str) -> None:
-    """Raise InputError where what writes a format is not installed."""
+    """Raise InputError if the packages of a format are not installed."""
     import importlib.util
 
     extra, *modules = FORMATS[name]

@@ -1,4 +1,4 @@
-"""`mjtactile fabricate`: from the sensor file to what a bench needs to build the sensor."""
+"""`mjtactile fabricate`: generate the files needed to build the sensor from its sensor file."""
 
 from __future__ import annotations
 

@@ -21,19 +21,19 @@ are. Each number comes with its interval; what the recordings do not tell stays 
 has it, with what to record for it."""
 EPILOG = """\
 examples, of a sensor on a bench (`--rig stage` is a simulated one, for practice):
-  mjtactile record --rig my_gripper.toml --pressure-kPa 0.5 --steps press --indenter sphere:8 \\
+  mjtactile record --rig my_gripper.toml --pressure-kPa 0.5 --protocol press --indenter sphere:8 \\
       --seconds 11 --out runs/press_05
-  mjtactile record --rig my_gripper.toml --pressure-kPa 3 --steps press --indenter sphere:8 \\
+  mjtactile record --rig my_gripper.toml --pressure-kPa 3 --protocol press --indenter sphere:8 \\
       --seconds 11 --out runs/press_3
-  mjtactile record --rig my_gripper.toml --steps drag --indenter sphere:8 --seconds 11 --out \\
+  mjtactile record --rig my_gripper.toml --protocol drag --indenter sphere:8 --seconds 11 --out \\
       runs/drag
-  mjtactile record --rig my_gripper.toml --steps tap --indenter sphere:15 --seconds 17 --out \\
+  mjtactile record --rig my_gripper.toml --protocol tap --indenter sphere:15 --seconds 17 --out \\
       runs/tap
   mjtactile record --rig my_gripper.toml --pressure-kPa 2 --seconds 60 --out runs/still
   mjtactile fit --recording runs/press_05 --recording runs/press_3 --recording runs/drag \\
       --recording runs/tap \\
       --recording runs/still --held-out runs/other --out my_sensor.toml
-  mjtactile fit --recording runs/press_3 --known membrane.thickness_mm=0.31 --out my_sensor.toml
+  mjtactile fit --recording runs/press_3 --fix membrane.thickness_mm=0.31 --out my_sensor.toml
 
 Writes FILE.toml, which loads everywhere a sensor file does, and beside it FILE.fit.json,
 FILE.fit.txt and FILE.fit.png. It sees images, pressures, times, and what the recording says
@@ -69,12 +69,12 @@ ARGUMENTS = (
     ),
     arg.option("--finger", "NAME", "which finger of the recordings", "left"),
     arg.repeated(
-        "--known",
+        "--fix",
         "FIELD=VALUE",
         "measured by hand, such as membrane.thickness_mm=0.31; may be given again",
     ),
     arg.option(
-        "--touch-mm",
+        "--first-contact-sd-mm",
         "D",
         "how well the mark of first touch is known, sd",
         0.05,
@@ -93,8 +93,10 @@ def run(options: argparse.Namespace) -> int:
     if options.out.suffix != ".toml":
         raise InputError("is not NAME.toml", source=options.out, field="--out")
     if not 1e-4 <= options.touch <= 10:
-        raise InputError(f"{options.touch:g} is outside 0.0001 to 10", field="--touch-mm")
-    known = dict(_known(text) for text in options.known)
+        raise InputError(
+            f"{options.touch:g} is outside 0.0001 to 10", field="--first-contact-sd-mm"
+        )
+    known = dict(_known(text) for text in options.fix)
     files = {kind: options.out.with_suffix(f".fit.{kind}") for kind in ("json", "txt", "png")}
     for path in (options.out, *files.values()):
         require_new(path)
@@ -141,6 +143,6 @@ def _known(text: str) -> tuple[str, float]:
         value = math.nan
     if not math.isfinite(value):
         raise InputError(
-            f"{text!r} is not FIELD=NUMBER, such as membrane.thickness_mm=0.31", field="--known"
+            f"{text!r} is not FIELD=NUMBER, such as membrane.thickness_mm=0.31", field="--fix"
         )
     return field.strip(), value

@@ -122,9 +122,9 @@ def run(options: argparse.Namespace) -> int:
 
     _check_video(options.video, options.frames)
     if options.rig is not None:
-        time_scale.apply(options.slow, options.rig)
+        time_scale.apply(options.time_scale, options.rig)
     wanted = scenario.scenario_of(options)
-    time_scale.apply(options.slow, wanted.rig)
+    time_scale.apply(options.time_scale, wanted.rig)
     progress = Progress()  # which looks whether stderr is a terminal
     live = _live_views(options.live, progress)
     if options.out is None:
@@ -133,7 +133,8 @@ def run(options: argparse.Namespace) -> int:
         folder = output_folder(options.out, *_RESULTS, "recording")
     with live as views, folder as out, stdout_to_stderr(), figure_writer_process() as figure:
         summary = _run_and_report(wanted, options, out, progress, views, figure)
-    with contextlib.suppress(BrokenPipeError):  # the exit code says how it went, read or not
+    # the exit code reports the outcome even if stdout is closed
+    with contextlib.suppress(BrokenPipeError):
         if options.json:
             print_json(summary)
         else:
@@ -143,7 +144,7 @@ def run(options: argparse.Namespace) -> int:
 
 @contextlib.contextmanager
 def _live_views(target: str | None, progress: Progress) -> Iterator[list[Observer]]:
-    """What shows the run while it happens, if anything does."""
+    """Provide the live viewers of the run, if any."""
     if target is None:
         yield []
         return
@@ -201,7 +202,7 @@ def _run_and_report(
 
 
 def _film(path: Path, out: Path, recorder: Recorder, progress: Progress) -> None:
-    """Film the run; where that fails, the run stays what it was."""
+    """Write a video of the run; a failure does not change the run's outcome."""
     from mjtactile.report.video import write_video
 
     try:
@@ -238,7 +239,7 @@ def _check_video(path: Path | None, frames: int) -> None:
 def _report_fault(
     error: BaseException, recorder: Recorder, out: Path, wanted: Scenario, figure: FigureWriter
 ) -> None:
-    """Keep what a failed run recorded and say where it is."""
+    """Save the data recorded in a failed run and report its location."""
     stopped = isinstance(error, (Interrupted, KeyboardInterrupt))
     reason = "interrupted" if stopped else " ".join(str(error).split())
     summary = {
@@ -266,8 +267,8 @@ def _report_fault(
 def _write_report(
     out: Path, recorder: Recorder, summary: dict[str, Any], figure: FigureWriter | None
 ) -> None:
-    """Write summary.json, then with a `figure` picture and page; what cannot be written does not
-    change how the run went."""
+    """Write summary.json, and plots and a web page if `figure` is given. A failure to write does
+    not change the run's outcome."""
     from mjtactile.report.summary import write_plots
 
     try:

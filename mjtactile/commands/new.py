@@ -21,21 +21,21 @@ EPILOG = """\
 examples:
   mjtactile new controller firm            firm.py, a copy of `gentle`
   mjtactile new sensor lab/my_sensor       lab/my_sensor.toml, a copy of `dense`
-  mjtactile new sensor my_sensor --like dense_fiducials
-  mjtactile new object plum --like strawberry
-  mjtactile new object thing --like random:7
+  mjtactile new sensor my_sensor --template dense_fiducials
+  mjtactile new object plum --template strawberry
+  mjtactile new object thing --template random:7
   mjtactile new scenario my_scene          what `grasp --scenario my_scene.toml` runs
-  mjtactile new task juggle --like shake   what `grasp --task ./juggle.toml` does
-  mjtactile new variation my_world         what `evaluate --vary my_world.toml` draws from
-  mjtactile new rig my_gripper --like one_xl330_linkage
-  mjtactile new rig my_arm --like sim_arm  my_arm.toml, and the robot in it, my_arm.xml
+  mjtactile new task juggle --template shake   what `grasp --task ./juggle.toml` does
+  mjtactile new variation my_world         what `evaluate --randomization my_world.toml` draws from
+  mjtactile new rig my_gripper --template one_xl330_linkage
+  mjtactile new rig my_arm --template sim_arm  my_arm.toml, and the robot in it, my_arm.xml
 """
 
 
 @dataclass(frozen=True)
 class Kind:
-    """Where such files ship, how they end, which one to copy, the page about them, what to run with
-    one, and the text in it that says its name."""
+    """Kind of file: folder and suffix of the shipped files, the file to copy, its documentation
+    page, the next command to run, and the pattern of its name in the text."""
 
     folder: str
     suffix: str
@@ -74,7 +74,7 @@ KINDS = {
         ".toml",
         "default",
         "how-to/evaluate",
-        "mjtactile evaluate --vary {file}",
+        "mjtactile evaluate --randomization {file}",
     ),
     "rig": Kind(
         "models/rigs",
@@ -92,7 +92,7 @@ ARGUMENTS = (
     arg.positional("kind", "KIND", ", ".join(KINDS), choices=list(KINDS)),
     arg.positional("name", "NAME", "its name, or the path of the file to write", type=Path),
     arg.option(
-        "--like",
+        "--template",
         "SHIPPED",
         "what to copy (default: "
         + ", ".join(f"{kind.like} for a {name}" for name, kind in KINDS.items())
@@ -103,7 +103,7 @@ ARGUMENTS = (
 
 def run(options: argparse.Namespace) -> int:
     kind = KINDS[options.kind]
-    like = options.like or kind.like
+    like = options.template or kind.like
     random = _random(like) if options.kind == "object" else None
     source = Path(like) if random else _shipped(kind, like)
     if options.name.suffix == kind.suffix:
@@ -115,7 +115,7 @@ def run(options: argparse.Namespace) -> int:
         text = re.sub(kind.name, rf'\1"{path.stem}"', text, count=1)
     files = {path: text}
     page = kind.page
-    # its robot comes along, beside it
+    # the rig's robot model is copied into the same folder
     if options.kind == "rig" and (model := re.search(_MODEL, text)):
         robot = path.with_suffix(".xml")
         files[path] = re.sub(_MODEL, rf'\1"{robot.name}"', text, count=1)
@@ -157,7 +157,7 @@ def _shipped(kind: Kind, like: str) -> Path:
     if like not in resources.names(kind.folder, kind.suffix):
         raise InputError(
             f"{like!r} does not ship",
-            field="--like",
+            field="--template",
             choices=[
                 *resources.names(kind.folder, kind.suffix),
                 *(["random:N"] if kind is KINDS["object"] else []),

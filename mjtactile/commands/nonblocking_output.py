@@ -10,18 +10,18 @@ import select
 import threading
 from types import TracebackType
 
-_WAITING_MAX = 1 << 20  # bytes kept for an output that stands still; what comes then is dropped
-_FLUSH_TIME = 0.5  # s that the end waits for an output that stands still
+_WAITING_MAX = 1 << 20  # bytes buffered for a blocked output; further output is dropped
+_FLUSH_TIME = 0.5  # maximum wait for a blocked output on exit, s
 _POLL_MS = 100
 
 
 class Background:
-    """A pipe whose content goes to file descriptor `target`. Enter it to get the descriptor to
+    """Pipe whose content is written to file descriptor `target`. Enter it to get the descriptor to
     write to.
 
-    One thread empties the pipe, so that writing to it neither blocks nor fails, another writes to
-    the target. Whoever wrote last flushes; a target that is gone is replaced by /dev/null, so that
-    later output fails as little.
+    One thread empties the pipe, so that writing to it neither blocks nor fails. A second thread
+    writes to the target. The last writer must flush its own buffer before the exit. A closed target
+    is replaced by /dev/null, so that later output does not fail either.
     """
 
     def __init__(self, target: int):
@@ -58,7 +58,7 @@ class Background:
                 os.close(null)
 
     def _empty(self) -> None:
-        """Take what is written, until the end; a child process may keep the pipe open for
+        """Read from the pipe until the end of output. A child process may keep the pipe open
         longer."""
         poll = select.poll()
         poll.register(self._out, select.POLLIN)
@@ -89,6 +89,6 @@ class Background:
             while data and not self._broken:
                 try:
                     data = data[os.write(self._target, data) :]
-                except OSError:  # nobody is there to be told
+                except OSError:  # the target is closed
                     self._broken = True
         os.close(self._target)

@@ -1,5 +1,4 @@
-"""What the commands share: an output folder that destroys nothing, a stdout that stays clean,
-JSON."""
+"""Output shared by the commands: an output folder without overwriting, a clean stdout, JSON."""
 
 from __future__ import annotations
 
@@ -85,8 +84,7 @@ def new_run_folder(name: str) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def _removed_if_empty(path: Path) -> Iterator[None]:
-    """Remove in the end what was not there in the beginning and holds nothing: `path`, and the
-    folders around it."""
+    """On exit, remove `path` and its parent folders if they were created inside and are empty."""
     made = [folder for folder in (path, *path.parents) if not folder.exists()]
     try:
         yield
@@ -98,8 +96,11 @@ def _removed_if_empty(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def stdout_to_stderr() -> Iterator[None]:
-    """Send everything written to stdout, by Python or by a C library, to stderr meanwhile; in the
-    background, so that a terminal that stands still or a reader that has left holds up nothing."""
+    """Redirect stdout of Python and C libraries to stderr inside the context.
+
+    The output is written in the background, so that a blocked terminal or a closed pipe does not
+    delay the run.
+    """
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
     with Background(2) as entry:
@@ -122,13 +123,13 @@ def print_json(value: Any) -> None:
 
 
 def print_flags(flags: Mapping[str, str]) -> None:
-    """Say beside the numbers what makes a simulation's worse than usual."""
+    """Print the reasons why a simulation's numbers are less accurate than usual."""
     for kind, reason in flags.items():
-        print(f"  doubt ({kind}): {reason}")
+        print(f"  warning ({kind}): {reason}")
 
 
 def insert_table(path: Path, name: str, table: str) -> None:
-    """Replace what stands between the markers of `name` in a Markdown file. Raises InputError when
+    """Replace the text between the markers of `name` in a Markdown file. Raises InputError when
     they are missing."""
     begin = f"<!-- bench:{name} -->"
     end = "<!-- /bench -->"

@@ -11,8 +11,8 @@ from mjtactile.report.figures import new_figure
 
 
 def save(path: Path, draw: Callable[[Any], None], size: tuple[float, float] = (7.0, 4.6)) -> None:
-    """Let `draw` fill a figure of `size` inches and write it to `path`; without matplotlib say so
-    on stderr."""
+    """Plot with `draw` into a figure of `size` inches and write it to `path`. Without matplotlib,
+    print a message to stderr."""
     if (figure := new_figure(path.name, size)) is not None:
         draw(figure)
         figure.savefig(path)

@@ -21,7 +21,7 @@ membrane in steps. Depth counts from first touch. The felt force comes from came
 EPILOG = """\
 examples:
   mjtactile press --indenter cylinder:5 --depth-mm 0:4:1
-  mjtactile press --indenter sphere:8 --at -5,3 --depth-mm 2 --shear-mm 1 --valve open
+  mjtactile press --indenter sphere:8 --position-mm -5,3 --depth-mm 2 --shear-mm 1 --valve open
   mjtactile press --indenter part.stl --tilt-deg 10 --depth-mm 0.5:3:0.5 --out runs/part
 
 JSON: {"sensor": …, "steps": [{"depth_mm", "force_true_N" and "force_estimated_N" ([x, y, z]
@@ -45,7 +45,7 @@ ARGUMENTS = (
         "mm, or FILE.xml: all geoms of an MJCF file, which come down along -z",
         required=True,
     ),
-    arg.option("--at", "X_mm,Y_mm", "where", "0,0", type=numeric_options.pair),
+    arg.option("--position-mm", "X_mm,Y_mm", "where", "0,0", type=numeric_options.pair),
     arg.option(
         "--depth-mm",
         "A[:B:STEP]",
@@ -78,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
     plan = IndentationPlan(
         Indenter.parse(options.indenter),
         [1e-3 * d for d in options.depths],
-        (1e-3 * options.at[0], 1e-3 * options.at[1]),
+        (1e-3 * options.position_mm[0], 1e-3 * options.position_mm[1]),
         math.radians(options.tilt_deg),
         1e-3 * options.shear_mm,
         sealed=options.valve == "closed",
@@ -105,13 +105,14 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace, design: SensorDesign) -> None:
-    """Refuse what cannot be: a place outside of the frame, depths beyond the glass."""
+    """Reject invalid values, such as a position outside of the frame or depths beyond the glass."""
     for value, size, axis in zip(
-        options.at, (design.frame.length, design.frame.width), "xy", strict=True
+        options.position_mm, (design.frame.length, design.frame.width), "xy", strict=True
     ):
         if abs(value) * 1e-3 >= size / 2:
             raise InputError(
-                f"{axis} = {value:g} mm is outside of the frame (+-{500 * size:g} mm)", field="--at"
+                f"{axis} = {value:g} mm is outside of the frame (+-{500 * size:g} mm)",
+                field="--position-mm",
             )
     if max(options.depths) * 1e-3 >= design.chamber.depth:
         raise InputError(
@@ -150,7 +151,7 @@ def _print_table(result: dict[str, Any], out: Path | None) -> None:
 
 
 def _shape_line(shape: dict[str, Any]) -> str:
-    """What touched, in a line."""
+    """Describe the estimated contact shape in one line."""
     if shape["kind"] == "unknown":
         return f"shape unknown: {shape['status']}"
     share = shape["probabilities"][shape["kind"]]
@@ -194,7 +195,7 @@ def _draw(figure: Any, result: dict[str, Any], design: SensorDesign) -> None:
 
 
 def _plot_shape(axes: Any, shape: dict[str, Any], design: SensorDesign) -> None:
-    """Where the body is believed to lie on the sheet, in the sensor's frame."""
+    """Plot the estimated contact outline on the membrane, in frame S."""
     outline = shape["outline_mm"]
     if outline:
         x, y = zip(*[*outline, outline[0]], strict=True)

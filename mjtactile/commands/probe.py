@@ -1,4 +1,4 @@
-"""`mjtactile probe`: squeeze an object gently and say what it is made of."""
+"""`mjtactile probe`: squeeze an object gently and report its material."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ exit codes: 0 a class was named, 1 unknown, 2 bad input, 3 a device or the simul
 _DEFAULT = Scenario(object="sponge", controller="probe")
 
 ARGUMENTS = (
-    *scenario.arguments(_DEFAULT, leave_out=("accuracy", "effects", "vary", "task")),
+    *scenario.arguments(_DEFAULT, leave_out=("accuracy", "effects", "randomization", "task")),
     arg.option("--source", "RECORDING", "judge the images of a recorded run instead", type=Path),
     numeric_options.FRAMES,
     arg.out("write probe.json, probe.png, probe.html and the recording there"),

@@ -114,8 +114,8 @@ def run(options: argparse.Namespace) -> int:
 
 
 def load_perception(design: SensorDesign, path: Path | None) -> StatefulPipeline:
-    """The chain of a sensor, with what its calibration file says, if there is one. Raises
-    InputError for a file of another."""
+    """Return the sensing chain of a sensor, with its calibration file if given. Raises InputError
+    if the file belongs to another sensor."""
     if path is None:
         return StatefulPipeline.of(design)
     calibration = load_calibration(path)
@@ -157,7 +157,7 @@ def _stem(name: str) -> str:
 
 
 def _row(name: str, status: str, touch: Touch | None) -> dict[str, Any]:
-    """A frame of the JSON; null is what is not known."""
+    """Return one frame of the JSON; unknown values are null."""
     surface = None if touch is None else touch.surface
     markers = None if touch is None else touch.markers
     contact = None if touch is None else touch.contact

@@ -1,4 +1,4 @@
-"""`mjtactile record`: watch a rig without moving it, and keep everything it says."""
+"""`mjtactile record`: record all data of a rig without moving it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ First every sensor measures itself (valve open, then inflated and sealed): nothi
 then. Every image is kept losslessly, with its time of capture, pressures, servo states, forces
 felt, versions, and the text of the sensor and rig files.
 
-With --steps somebody (or a stage) presses an indenter in as a protocol says, each move is
+With --protocol somebody (or a stage) presses an indenter in as a protocol says, each move is
 called out when its time has come, and the recording keeps what was done: what `mjtactile
 fit` needs. The rig "stage" is one simulated sensor on a stand under a simulated stage,
 which does it by itself.
@@ -39,12 +39,12 @@ EPILOG = """\
 examples:
   mjtactile record --rig my_gripper.toml --seconds 30 --out runs/manually
   mjtactile record --rig emulated --out runs/idle
-  mjtactile record --rig my_gripper.toml --steps press --indenter sphere:8 --pressure-kPa 0.5 \\
+  mjtactile record --rig my_gripper.toml --protocol press --indenter sphere:8 --pressure-kPa 0.5 \\
       --seconds 11 --out runs/press_05
-  mjtactile record --rig stage --specimen odd.toml --steps press --indenter sphere:8 --seconds \\
+  mjtactile record --rig stage --as-built odd.toml --protocol press --indenter sphere:8 --seconds \\
       11 --out runs/press
   mjtactile record --rig replay:runs/idle --out runs/again           the same numbers again
-  mjtactile record --rig replay:runs/idle --shapes --out runs/shapes
+  mjtactile record --rig replay:runs/idle --contact-shapes --out runs/shapes
       the same images, and what body each touch is of
   mjtactile grasp --rig replay:runs/idle --controller my_controller.py    what would it have wanted?
 
@@ -77,7 +77,7 @@ ARGUMENTS = (
         type=numeric_options.finite,
     ),
     arg.option(
-        "--steps",
+        "--protocol",
         "NAME|FILE.csv",
         "what is done meanwhile: "
         f"{', '.join(resources.names('models/protocols', '.csv'))}, or your own",
@@ -85,17 +85,18 @@ ARGUMENTS = (
     arg.option(
         "--indenter", "SHAPE", "what presses, as `mjtactile press` has it: sphere:8, part.stl, …"
     ),
-    arg.option("--at", "X_mm,Y_mm", "where", "0,0", type=numeric_options.pair),
+    arg.option("--position-mm", "X_mm,Y_mm", "where", "0,0", type=numeric_options.pair),
     arg.option("--finger", "NAME", "on which finger", "left"),
     arg.option(
-        "--specimen",
+        "--as-built",
         "FILE.toml",
         "stage: the sensor that is really there; the recording names only --sensor",
         type=Path,
     ),
     arg.flag("--load-cell", "stage: record what a load cell shows in each hold, too"),
     arg.flag(
-        "--shapes", "say of every touch what body it is of; of a recording, find it in its images"
+        "--contact-shapes",
+        "say of every touch what body it is of; of a recording, find it in its images",
     ),
     time_scale.ARGUMENT,
     arg.option("--seed", "N", "sim and emulated: placement and noise", 0, type=int),
@@ -122,7 +123,7 @@ def run(options: argparse.Namespace) -> int:
 
     if not 0 < options.seconds <= 86400:
         raise InputError(f"{options.seconds:g} is outside 0 to 86400", field="--seconds")
-    time_scale.apply(options.slow, options.rig)
+    time_scale.apply(options.time_scale, options.rig)
     stage = _stage(options)
     design = _at_pressure(load_sensor(options.sensor), options.pressure)
     progress = Progress()
@@ -131,7 +132,7 @@ def run(options: argparse.Namespace) -> int:
         stdout_to_stderr(),
         contextlib.closing(progress),
         contextlib.ExitStack() as later,
-    ):  # what is left when the rig is switched off
+    ):  # remaining work after the rig is switched off
         recording = folder / "recording"
         if options.rig == "stage":
             result = _on_stage(options, design, stage, recording, progress)
@@ -154,25 +155,25 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _stage(options: argparse.Namespace) -> Stage | None:
-    """What will be done, checked."""
+    """Return the stage with its checked protocol; None without one."""
     from mjtactile.recording.stage_protocol import Stage, read_moves
 
-    if (options.specimen or options.load_cell) and options.rig != "stage":
+    if (options.as_built or options.load_cell) and options.rig != "stage":
         raise InputError(
-            "only of the simulated stage", field="--specimen, --load-cell", choices=["--rig stage"]
+            "only of the simulated stage", field="--as-built, --load-cell", choices=["--rig stage"]
         )
-    if options.shapes and options.rig == "stage":
+    if options.contact_shapes and options.rig == "stage":
         raise InputError(
-            "a stage records images and feels nothing; `mjtactile explore --from RUN` finds what "
+            "a stage records images and feels nothing; `mjtactile explore --input RUN` finds what "
             "pressed",
-            field="--shapes",
+            field="--contact-shapes",
         )
-    if (options.steps is None) != (options.indenter is None):
-        raise InputError("goes with the other", field="--steps, --indenter")
-    if options.steps is None:
+    if (options.protocol is None) != (options.indenter is None):
+        raise InputError("goes with the other", field="--protocol, --indenter")
+    if options.protocol is None:
         return None
-    x, y = options.at
-    return Stage(options.indenter, (1e-3 * x, 1e-3 * y), read_moves(options.steps))
+    x, y = options.position_mm
+    return Stage(options.indenter, (1e-3 * x, 1e-3 * y), read_moves(options.protocol))
 
 
 def _at_pressure(design: SensorDesign, pressure_kPa: float | None) -> SensorDesign:
@@ -193,10 +194,10 @@ def _on_stage(
     from mjtactile import load_sensor
     from mjtactile.experiments.motion_stage import NOTHING, record_stage
 
-    if options.specimen is None:
+    if options.as_built is None:
         true = design
     else:
-        true = _at_pressure(load_sensor(options.specimen), options.pressure)
+        true = _at_pressure(load_sensor(options.as_built), options.pressure)
     header = {
         "object": None,
         "sensor": options.sensor,
@@ -236,7 +237,7 @@ def _on_rig(
             rig=options.rig,
             sensor=options.sensor,
             seed=options.seed,
-            shapes=options.shapes,
+            contact_shapes=options.contact_shapes,
         )
     )
     # with the pressure that was asked for, unless the fingers name their own sensor
@@ -262,7 +263,8 @@ def _on_rig(
 
 
 class _Watching(Observer):
-    """Keeps what is felt, and calls moves out when their time has come."""
+    """Observer that stores the estimated forces and announces the protocol's moves at their
+    times."""
 
     def __init__(self, progress: Progress, stage: Stage | None):
         self.forces: list[list[float]] = []

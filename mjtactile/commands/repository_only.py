@@ -1,4 +1,4 @@
-"""What a checkout has and an installed package lacks: the folder `benchmarks`."""
+"""Access to the folder `benchmarks`, which exists in a checkout but not in an installed package."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ _SCENARIO = arg.option(
     "(RUN/summary.json); options on the command line are stronger",
 )
 _SHAPES = arg.flag(
-    "--shapes",
+    "--contact-shapes",
     "say of every touch what body it is of, whatever the controller reads; area and force "
     "are then that body's (docs/reference/effects.md has the price)",
     default=None,
@@ -58,7 +58,7 @@ _VALUES = {
         "auto|+NAME,-NAME",
         "what to simulate: derived from the scene (auto), or effects forced on and off",
     ),
-    "vary": (
+    "randomization": (
         "NAME|FILE.toml",
         "ranges of object, sensor, gas and rig, from which the seed draws the simulated "
         f"world: {_shipped('models/randomization', '.toml')}, none, or your own file",
@@ -68,17 +68,17 @@ _VALUES = {
         f"what is done with it: {_shipped('models/tasks', '.toml')}, or your own file",
     ),
 }
-"""Field of a scenario to what its value is called in the help, and what that says."""
-_FIELDS = (*_VALUES, "shapes")
+"""Fields of a scenario with the name of their value in the help, and its description."""
+_FIELDS = (*_VALUES, "contact_shapes")
 
 
 def arguments(
     default: Scenario | None = None, *, leave_out: Sequence[str] = ()
 ) -> tuple[arg.Argument, ...]:
-    """--scenario, and an option for each field; what is not given stays None.
+    """Return --scenario and an option for each field; options that are not given stay None.
 
     Args:
-        default: Whose values the help names.
+        default: Scenario whose values the help shows as defaults.
         leave_out: Fields that the command has no option for.
     """
     said = (default or Scenario()).to_dict() | {"accuracy": "a mesh of 13 x 11"}
@@ -92,15 +92,15 @@ def arguments(
         for name, (metavar, text) in _VALUES.items()
         if name not in leave_out
     )
-    return _SCENARIO, *options, *(() if "shapes" in leave_out else (_SHAPES,))
+    return _SCENARIO, *options, *(() if "contact_shapes" in leave_out else (_SHAPES,))
 
 
 def scenario_of(options: argparse.Namespace, default: Scenario | None = None) -> Scenario:
-    """The scenario that a command's options say, with the sensor that each finger really has.
+    """Return the scenario given by a command's options, with the resolved sensor of each finger.
 
     Args:
         options: As parsed.
-        default: What holds where neither an option nor --scenario says otherwise.
+        default: Scenario whose values apply if neither an option nor --scenario sets them.
 
     Raises:
         InputError: For a file or a value that is wrong.
@@ -116,5 +116,5 @@ def scenario_of(options: argparse.Namespace, default: Scenario | None = None) ->
 
 
 def stem(scenario: Scenario) -> str:
-    """What a folder of its results is called after."""
+    """Return the name for folders with results of this scenario."""
     return Path(scenario.object).stem

@@ -13,12 +13,12 @@ from mjtactile.core import resources
 DESCRIPTION = """\
 Make the rig file of a new gripper: find the servos, the valve board and the cameras, ask which is
 which ("press the membrane of the left finger"), and for its limits. The file begins as a copy of
---like, whose comments say the rest (how a servo's angle moves its jaw, for one). What is in the
+--template, whose comments say the rest (how a servo's angle moves its jaw, for one). What is in the
 file and answers is kept: stop whenever you like and run it again, it goes on. Nothing moves."""
 EPILOG = """\
 examples:
   mjtactile setup my_gripper.toml
-  mjtactile setup my_gripper.toml --like one_xl330_linkage
+  mjtactile setup my_gripper.toml --template one_xl330_linkage
 afterwards:
   mjtactile doctor --rig my_gripper.toml             until nothing is bad
   mjtactile calibrate camera --help                  and then valve, frame, force, gripper
@@ -28,7 +28,7 @@ SIMULATES = False
 
 ARGUMENTS = (
     arg.positional("file", "FILE.toml", "the rig file to make, or to go on with", type=Path),
-    arg.option("--like", "NAME|FILE.toml", "the rig file that it begins as", "two_xm430"),
+    arg.option("--template", "NAME|FILE.toml", "the rig file that it begins as", "two_xm430"),
     arg.repeated("--port", "PATH", "also look at this port; again for more"),
     arg.repeated("--camera", "URL", "also look at this stream; again for more"),
 )
@@ -50,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
     with stdout_to_stderr():
         rig = setup(
             options.file,
-            like=resources.find(options.like, "models/rigs", ".toml"),
+            like=resources.find(options.template, "models/rigs", ".toml"),
             ports=options.port,
             cameras=options.camera,
             ask=ask,

@@ -38,7 +38,7 @@ def _port(text: str) -> int:
 
 
 ARGUMENTS = (
-    *scenario.arguments(leave_out=("vary",)),
+    *scenario.arguments(leave_out=("randomization",)),
     time_scale.ARGUMENT,
     arg.option("--port", "N", "of the page (default: the first free one from 8080)", 0, type=_port),
     arg.OneOf(
@@ -49,7 +49,7 @@ ARGUMENTS = (
     ),
     arg.flag("--no-browser", "do not open a browser"),
     arg.flag("--no-wait", "begin at once, not when the page is open"),
-    arg.flag("--fast", "as fast as the simulation goes, not by the clock"),
+    arg.flag("--no-realtime", "as fast as the simulation goes, not by the clock"),
 )
 
 
@@ -62,13 +62,13 @@ def run(options: argparse.Namespace) -> int:
         print(text, file=sys.stderr, flush=True)
 
     wanted = scenario.scenario_of(options)
-    time_scale.apply(options.slow, wanted.rig)
+    time_scale.apply(options.time_scale, wanted.rig)
     backend, _, folder = wanted.rig.partition(":")
     if backend == "replay" and folder:
         show = RecordingPlayer(wanted, load_recording(folder), say)
     else:
         show = SessionBridge(wanted, say)
-    show.fastest = float("inf") if options.fast else 1.0
+    show.fastest = float("inf") if options.no_realtime else 1.0
     watch(
         show,
         port=options.port,

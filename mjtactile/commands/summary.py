@@ -72,7 +72,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _summary(folder: Path, recording: Recording) -> dict[str, Any]:
-    """What the run's command said of it, as far as that is there."""
+    """Return the result stored by the run's command, if available."""
     known = {
         key: Path(str(recording.header[key])).stem
         for key in ("object", "sensor")

@@ -1,4 +1,4 @@
-"""`--slow N`: emulated rigs at a part of the speed, for a computer that does not keep up with
+"""`--time-scale N`: emulated rigs at a part of the speed, for a computer that does not keep up with
 them."""
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def _times(text: str) -> float:
 
 
 ARGUMENT = arg.option(
-    "--slow",
+    "--time-scale",
     "N",
     "emulated rig: its world, watchdogs and heartbeats, and this program's time-outs, "
     "run at 1/N of the speed, for a computer that does not keep up (default: 1)",
@@ -37,6 +37,7 @@ def apply(slow: float | None, rig: str) -> None:
         return
     if rig == "sim" or rig.startswith("replay:"):
         raise InputError(
-            f"the rig {rig!r} keeps no clock; only emulated devices can be slow", field="--slow"
+            f"the rig {rig!r} keeps no clock; only emulated devices can be slow",
+            field="--time-scale",
         )
     scaled_clock.set_slow(slow)

@@ -28,7 +28,7 @@ _ZOOM = 3  # of the picture of the tracks
 
 
 def run(options: argparse.Namespace) -> int:
-    """Follow the circles, and write or print what was found."""
+    """Track the circles, and write or print the results."""
     camera, radius = _known(options)
     progress = Progress(quiet=options.json)
     with optional_folder(options.out, "tracks.csv", "tracks.png", "reconstruct.json") as out:
@@ -114,7 +114,8 @@ def _write_csv(path: Path, frames: Sequence[NamedImage], found: Sequence[Tracked
 
 
 def _draw(out: Path, frames: Sequence[NamedImage], found: Sequence[TrackedCircles]) -> None:
-    """Paths of all circles over the last frame, and some frames with what was found in them."""
+    """Plot the paths of all circles over the last frame, and some frames with the detected
+    circles."""
     last = frames[-1].pixels
     assert last is not None
     canvas = cv2.resize(_colour(last), None, fx=_ZOOM, fy=_ZOOM, interpolation=cv2.INTER_CUBIC)

@@ -1,2 +1,2 @@
-"""What everything rests on: values, errors, geometry, optics, sensor designs. Imports nothing of
-the other rooms."""
+"""Common base of all packages: values, errors, geometry, optics, sensor designs. It imports none of
+the other packages."""

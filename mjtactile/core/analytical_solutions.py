@@ -70,8 +70,11 @@ def _between(x: ArrayLike, y: ArrayLike, at: float) -> Array:
 
 
 def _root(function: Callable[[float], float], low: float, high: float) -> float:
-    """Where a `function` that falls from `low` to `high` vanishes, by halving to the last bit:
-    scipy's takes a quarter of a second to import."""
+    """Find the root of a `function` that decreases from `low` to `high`, by bisection to the last
+    bit.
+
+    Importing scipy's solver takes a quarter of a second.
+    """
     while low < (middle := (low + high) / 2) < high:
         if function(middle) > 0:
             low = middle
@@ -155,8 +158,9 @@ def _hookean_height(design: SensorDesign, young: float, gauge_pressure: float) -
     return float(np.sign(gauge_pressure) * height)
 
 
-# C2 of ellipses 1 to 4 times as long as wide (rows), for Poisson's ratios: of a spline sheet
-# without pre-tension on 20 x 14 intervals at p a / E h = 2e-4, whose circle is 0.1 % off Hencky's
+# C2 of ellipses with aspect ratios 1 to 4 (rows), for Poisson's ratios (columns). Computed with a
+# spline membrane without pre-tension on 20 x 14 intervals at p a / E h = 2e-4. Its circle deviates
+# by 0.1 % from Hencky's solution.
 _ELLIPSE_ASPECT = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0)
 _ELLIPSE_POISSON = (0.3, 0.4, 0.45, 0.49)
 _ELLIPSE_C2 = (
@@ -229,9 +233,12 @@ def sphere_on_circle(radius: float, tension: float, sphere: float, force: float)
 
 
 def stvk_height_error(design: SensorDesign, gauge_pressure: float) -> float:
-    """By how much, as a share, a neo-Hookean sheet bulges higher at a gauge pressure, Pa, than a
-    St. Venant-Kirchhoff one of the same modulus, Poisson's ratio and pre-stretch (Eq. M7); NaN
-    where one of the two is unknown."""
+    """Return the relative height difference of a neo-Hookean and a St. Venant-Kirchhoff membrane
+    (Eq. M7).
+
+    Both have the same gauge pressure, Pa, modulus, Poisson's ratio and pre-stretch. The neo-Hookean
+    one bulges higher. NaN if one of the heights is unknown.
+    """
     rubber = _height_by(Law.NEO_HOOKEAN, design, abs(gauge_pressure))
     plain = _height_by(Law.STVK, design, abs(gauge_pressure))
     return rubber / plain - 1 if plain else 0.0

@@ -60,9 +60,12 @@ def interpolating(knots: Array, at: Array) -> tuple[Array, Array]:
 
 
 def _basis(knots: Array, x: Array, derivative: int = 0) -> Array:
-    """Values (N, n) of the n cubic B-splines on `knots` (n + 4,), or of a derivative, at `x` (N,):
-    de Boor's recursion (A Practical Guide to Splines, IX (14) and X (15)). scipy has them, too, but
-    takes a tenth of a second to import."""
+    """Return the values (N, n) at `x` (N,) of the n cubic B-splines on `knots` (n + 4,), or of a
+    derivative.
+
+    The method is de Boor's recursion (A Practical Guide to Splines, IX (14) and X (15)). scipy has
+    it too, but its import takes a tenth of a second.
+    """
     inside = np.clip(np.searchsorted(knots, x, side="right") - 1, _DEGREE, len(knots) - _DEGREE - 2)
     values = np.zeros((len(x), len(knots) - 1))
     values[np.arange(len(x)), inside] = 1.0

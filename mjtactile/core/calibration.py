@@ -1,8 +1,8 @@
-"""`Calibration`: what was measured of one finger's sensor, part by part, and where it stands in for
-the sensor file.
+"""`Calibration`: measured parameters of one finger's sensor, by part, and their use in place of the
+sensor file's values.
 
-One JSON file a finger. Every `mjtactile calibrate` adds its part to it
-(`mjtactile.core.calibration_parts`). A part that was refused is noted with its reasons and replaces
+Each finger has one JSON file. Every `mjtactile calibrate` adds its part
+(`mjtactile.core.calibration_parts`). A refused part is noted with its reasons and replaces
 nothing.
 """
 
@@ -36,8 +36,8 @@ from mjtactile.core.types import PressureReading, ValveState
 FORMAT = "mjtactile-calibration"
 VERSION = 1
 GAUGE_SD = 5.0
-"""Pa, noise of a pressure gauge that nobody measured."""
-_RESOLUTION = 0.5  # Pa, of what a valve board says
+"""Noise of an uncalibrated pressure sensor, Pa."""
+_RESOLUTION = 0.5  # resolution of a valve board's readings, Pa
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Refusal:
 
 @dataclass(frozen=True)
 class PartState:
-    """How one part stands: `state` "good", "missing", "outdated" or "refused", and why, in a
+    """State of one part: `state` "good", "missing", "outdated" or "refused", with an explanatory
     sentence."""
 
     kind: str
@@ -60,15 +60,15 @@ class PartState:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What was measured of one finger's sensor. A part that is None counts as the sensor file says.
+    """Calibration of one finger's sensor. For a part that is None, the sensor file's values apply.
 
     Attributes:
         finger: Name of the finger.
         sensor: Name of its sensor.
         lens: Intrinsics and distortion.
-        frame: The camera against the frame, marker radii, and the rest state.
+        frame: Camera pose in S, marker radii, and the rest state.
         valve: Zero and noise of the pressure sensor.
-        force: True over felt force.
+        force: Ratio of ground truth to estimated force.
         refused: The newest refusal of each part since its last success.
     """
 
@@ -92,7 +92,7 @@ class Calibration:
         return getattr(self, kind)
 
     def with_part(self, part: Part) -> Calibration:
-        """Replace a part; what had been refused of it is forgotten.
+        """Replace a part and delete its refusal.
 
         Args:
             part: The new part.
@@ -116,10 +116,10 @@ class Calibration:
         return replace(self, refused={**self.refused, kind: Refusal(now(), tuple(reasons))})
 
     def used(self, design: SensorDesign) -> Calibration:
-        """Leave out the parts that are outdated: what a sensing chain should go by.
+        """Leave out the outdated parts, for use in a sensing chain.
 
         Args:
-            design: The sensor file as it is now.
+            design: The current sensor file.
 
         Returns:
             A calibration without them.
@@ -128,13 +128,13 @@ class Calibration:
         return replace(self, **dict.fromkeys(old)) if old else self
 
     def states(self, design: SensorDesign) -> list[PartState]:
-        """Say how every part stands.
+        """Return the state of every part.
 
         Args:
-            design: The sensor file as it is now.
+            design: The current sensor file.
 
         Returns:
-            One state a part: good, missing, outdated or refused, and why.
+            One state per part: good, missing, outdated or refused, and the reason.
         """
         return [self._state(kind, design) for kind in KINDS]
 
@@ -172,7 +172,7 @@ class Calibration:
         return PartState(kind, "good", text)
 
     def design(self, design: SensorDesign) -> SensorDesign:
-        """Put what was measured in place of the sensor file's values.
+        """Replace the sensor file's values by the measured ones.
 
         Args:
             design: The sensor file's values.
@@ -185,10 +185,10 @@ class Calibration:
         return replace(design, camera=replace(design.camera, **self.lens.intrinsics))
 
     def pressure(self, reading: float) -> float:
-        """Take the zero of the pressure sensor off a reading.
+        """Subtract the zero of the pressure sensor from a reading.
 
         Args:
-            reading: What the sensor shows, Pa.
+            reading: Reading of the sensor, Pa.
 
         Returns:
             Gauge pressure, Pa.
@@ -245,10 +245,10 @@ class Calibration:
         }
 
     def save(self, path: Path) -> None:
-        """Write the file, whole or not at all.
+        """Write the file atomically.
 
         Args:
-            path: Where to.
+            path: Path of the file.
 
         Raises:
             InputError: It cannot be written.
@@ -279,8 +279,8 @@ def load_calibration(path: Path) -> Calibration:
 
 
 def calibration_from_table(table: Any, source: str) -> Calibration:
-    """What `Calibration.table` wrote; `source` names where it stood. Raises InputError naming the
-    field."""
+    """Read the table written by `Calibration.table`; `source` names its file. Raises InputError
+    naming the field."""
     if (
         not isinstance(table, Mapping)
         or table.get("format") != FORMAT
@@ -310,7 +310,7 @@ def calibration_from_table(table: Any, source: str) -> Calibration:
 
 
 def _part_table(part: Part) -> dict[str, Any]:
-    """What stands in the file for a part: its own keys and those of its stamp."""
+    """Return a part's keys in the file, including those of its stamp."""
     return {**write(part), **write(part.stamp)}
 
 
@@ -321,8 +321,8 @@ def _day(date: str) -> str:
 def pressure_reading(
     valve: ValveState, calibration: Calibration | None = None
 ) -> PressureReading | None:
-    """What the chamber's gauge says where `valve` was asked; None where there is none, or it is
-    silent. `calibration` is the finger's."""
+    """Return the pressure of a chamber from the state of its `valve`, corrected by the finger's
+    `calibration`. None without a pressure sensor or a reading."""
     if valve.gauge_pressure is None or not math.isfinite(valve.gauge_pressure + valve.time):
         return None
     zero = None if calibration is None else calibration.valve

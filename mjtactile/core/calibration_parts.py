@@ -1,7 +1,7 @@
-"""The parts of a finger's calibration: what was measured of its lens, of the camera's place in the
-frame with the markers' sizes, of the pressure sensor's zero, and of the force's scale.
+"""Parts of a finger's calibration: lens, camera pose with marker sizes, zero of the pressure
+sensor, and force scale.
 
-A part says with what sensor file, when and by which versions it was measured, and its residuals.
+Each part records its sensor file, date, software versions and residuals.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ _FAR = 1e9  # no number of a calibration is larger
 
 @dataclass(frozen=True)
 class CalibrationMetadata:
-    """Where a part of a calibration comes from.
+    """Origin of a part of a calibration.
 
     Attributes:
         date: ISO 8601, UTC.
-        fingerprint: Of the sensor file then.
-        versions: Of the software.
-        residuals: What the measurement says of itself.
+        fingerprint: Fingerprint of the sensor file at that time.
+        versions: Software versions.
+        residuals: Residuals and quality measures of the calibration.
     """
 
     date: str = text("date")
@@ -64,21 +64,21 @@ def fingerprint(design: SensorDesign) -> str:
 
 @dataclass(frozen=True)
 class LensCalibration(Pinhole):
-    """The intrinsics of one camera, as measured.
+    """Measured intrinsics of one camera.
 
     Attributes:
         kind: "lens".
         rests_on: Parts that this one was measured with: when one of them is newer, this one is
             outdated.
-        of_sensor: Whether it is outdated when the sensor file has changed.
-        stamp: Where it comes from.
+        of_sensor: True if a change of the sensor file makes it outdated.
+        stamp: Origin of the part.
     """
 
     kind: ClassVar[str] = "lens"
     rests_on: ClassVar[tuple[str, ...]] = ()
     """Parts that this one was measured with: when one of them is newer, this one is outdated."""
     of_sensor: ClassVar[bool] = False
-    """Whether it is outdated when the sensor file has changed."""
+    """True if a change of the sensor file makes it outdated."""
 
     stamp: CalibrationMetadata = field(kw_only=True)
 
@@ -93,7 +93,7 @@ class RestMarkers:
     sealed: bool
 
     def to_table(self) -> dict[str, Any]:
-        """What stands in the file."""
+        """Return the file's table."""
         m = self.markers
         seen = m.fiducials
         return {
@@ -129,7 +129,7 @@ def _fiducials_table(seen: FiducialDetections) -> dict[str, Any]:
 
 
 def _fiducials_seen(section: Section | None) -> FiducialDetections | None:
-    """What stands in the file of the fiducials; None: nothing does."""
+    """Read the detected fiducials from the file's section; None without a section."""
     if section is None:
         return None
     ids = section.array("ids", (None,))
@@ -149,9 +149,12 @@ def _fiducials_seen(section: Section | None) -> FiducialDetections | None:
 
 @dataclass(frozen=True, eq=False)
 class FrameCalibration:
-    """Camera pose `R_SC` (3, 3), `p_SC` (3,) m in the sensor's frame, true over nominal radius of
-    each marker, `scale` (N,); of the flat membrane `residual_px` and `scale_sd`, and where it was
-    measured the membrane at `rest` with the `stiffness` it shows over the sensor file's."""
+    """Camera pose `R_SC` (3, 3), `p_SC` (3,) m, in frame S, and `scale` (N,), the measured over the
+    nominal radius of each marker.
+
+    `residual_px` and `scale_sd` come from the flat membrane. If measured, `rest` is the membrane at
+    rest, and `stiffness` the ratio of its stiffness to the sensor file's.
+    """
 
     kind: ClassVar[str] = "frame"
     rests_on: ClassVar[tuple[str, ...]] = ("lens",)
@@ -169,7 +172,7 @@ class FrameCalibration:
 
 @dataclass(frozen=True)
 class ValveZero:
-    """What the chamber's pressure sensor shows at ambient pressure, `offset` Pa, with its noise,
+    """Zero of the chamber's pressure sensor: reading at ambient pressure, `offset` Pa, and noise,
     `noise_sd` Pa."""
 
     kind: ClassVar[str] = "valve"
@@ -183,8 +186,8 @@ class ValveZero:
 
 @dataclass(frozen=True)
 class ForceScale:
-    """True over felt force, `scale` with its standard deviation `sd`, from loads up to `largest`
-    N."""
+    """Ratio of ground truth to estimated force, `scale`, with standard deviation `sd`, for loads up
+    to `largest` N."""
 
     kind: ClassVar[str] = "force"
     rests_on: ClassVar[tuple[str, ...]] = ("lens", "valve")

@@ -1,4 +1,4 @@
-"""Reads the camera_info files of ROS, with one field more: a pane in front of the camera."""
+"""Reader of ROS camera_info files with one additional field: a glass in front of the camera."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def read(path: Path) -> tuple[dict[str, Any], tuple[float, float, float] | None]
         path: The file.
 
     Returns:
-        The fields of a `Pinhole`; and of a pane in front of the camera, if the file has one,
-        thickness m, refractive index, and distance m.
+        The fields of a `Pinhole`; if the file has a glass in front of the camera, also its
+        thickness, m, refractive index, and distance, m.
 
     Raises:
         InputError: Names the file, the field and the valid choices.

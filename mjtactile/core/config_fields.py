@@ -1,4 +1,5 @@
-"""How a dataclass stands in a file: key, unit, range, default and meaning, said once, on its field.
+"""Mapping of dataclasses to files: key, unit, range, default and meaning are defined once, on the
+field.
 
     @dataclass(frozen=True)
     class Pane:
@@ -8,9 +9,9 @@
     pane = read(Pane, section)    # SI, or an InputError that names file, field and value
     write(pane)                   # {"thickness_mm": 2.0, "refractive_index": 1.5}
 
-Sensor files, rig files, specimens, variations, calibrations and settings are all read by this.
-What joins several fields is checked by a method `validate(self, section)` of the class. A class
-that one key does not make one field of reads itself: `from_section(section)`, and `to_table(self)`.
+This module reads sensor files, rig files, as-built files, variations, calibrations and settings. A
+method `validate(self, section)` of the class checks constraints between fields. A class whose
+fields do not correspond to single keys implements `from_section(section)` and `to_table(self)`.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ _FILE = "file"
 
 @dataclass(frozen=True, kw_only=True)
 class SectionEntry(Entry):
-    """A section that is a dataclass of its own, or a list of `count` (least, most) of them."""
+    """Section for a nested dataclass, or a list of `count` (minimum, maximum) such sections."""
 
     kind: type
     count: tuple[int, int] | None = None
@@ -65,16 +66,16 @@ class SectionEntry(Entry):
 def entry(
     found: Entry, default: Any = _REQUIRED, *, more: Mapping[str, Any] | None = None, **options: Any
 ) -> Any:
-    """A dataclass's field that stands in files as `found` says.
+    """Return a dataclass field that is stored in files according to `found`.
 
     Args:
-        found: Its place in files.
+        found: Entry in the file.
         default: SI; left out: the field must be given.
-        more: Metadata beside.
+        more: Additional metadata.
         **options: Those of `dataclasses.field`.
 
     Returns:
-        What `dataclasses.field` returns.
+        The result of `dataclasses.field`.
     """
     if default is not _REQUIRED:
         options["default"] = default
@@ -84,7 +85,7 @@ def entry(
 def number(
     key: str, low: float, high: float, unit: float = 1.0, *, default: Any = _REQUIRED, **more: Any
 ) -> Any:
-    """A field that is a number.
+    """Return a field that is a number.
 
     Args:
         key: Its name in the file, with the unit.
@@ -95,7 +96,7 @@ def number(
         **more: `about`, `required`, `only_if` and `group` of `Entry`.
 
     Returns:
-        What `dataclasses.field` returns.
+        The result of `dataclasses.field`.
     """
     return entry(Number(key=key, low=low, high=high, unit=unit, **more), default)
 
@@ -149,7 +150,7 @@ def parts(key: str, kind: type, low: int = 1, high: int = 2) -> Any:
 
 
 def given() -> Any:
-    """A field that no file says: whoever reads the class hands it over."""
+    """Return a field that is not in files; the caller of `read` passes its value."""
     return dataclasses.field()
 
 
@@ -186,19 +187,19 @@ def scalars(kind: type) -> Iterator[tuple[str, str, str, Number]]:
 
 
 def read(kind: type[T], section: Section, **given: Any) -> T:
-    """A dataclass from a section of a file.
+    """Read a dataclass from a section of a file.
 
     Args:
         kind: The dataclass; fields without an `Entry` keep their defaults.
-        section: What to read; when this returns, all its keys are known to be good.
+        section: Section to read; on return, all its keys have been checked.
         **given: Values of fields that are not to be read, SI.
 
     Returns:
         The value, SI.
 
     Raises:
-        InputError: names file, field and value of what is missing, unknown, of another kind, out
-            of range, or does not go together.
+        InputError: Names file, field and value if one is missing, unknown, of the wrong type, out
+            of range, or inconsistent.
     """
     if not given and hasattr(kind, "from_section"):
         value = kind.from_section(section)  # type: ignore[attr-defined]
@@ -211,7 +212,8 @@ def read(kind: type[T], section: Section, **given: Any) -> T:
 
 
 def read_fields(kind: type, section: Section, **given: Any) -> dict[str, Any]:
-    """The fields of `kind` in the section, by name, beside what is `given`; see `read`."""
+    """Return the fields of `kind` in the section by name, in addition to those in `given`; see
+    `read`."""
     values = dict(given)
     for name, found in entries(kind).items():
         if name in values:
@@ -226,7 +228,7 @@ def read_fields(kind: type, section: Section, **given: Any) -> dict[str, Any]:
 
 
 def write(value: Any) -> dict[str, Any]:
-    """What stands in a file for a dataclass: keys to values in the file's units."""
+    """Return a dataclass as a file's table: keys with values in the file's units."""
     if hasattr(value, "to_table"):
         return value.to_table()
     return write_fields(value)

@@ -1,5 +1,6 @@
-"""What of a controller's notebook (`Command.memory`) can be written into a recording and handed to
-another process: numbers, texts, and lists and tables of them, within bounds."""
+"""Serializable part of a controller's memory (`Command.memory`), for recordings and other
+processes: numbers, strings, and lists and tables of them, within size limits.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +20,11 @@ class _NotSerializable(Exception):
 
 
 _NUMBERS = frozenset({float, bool, type(None)})
-"""Of each exactly this type, most of a notebook is: they are kept as they are."""
+"""Types copied unchanged, without further checks; they make up the majority of a memory."""
 
 
 class _SizeBudget:
-    """How many more numbers and letters have room."""
+    """Remaining number of numbers and letters."""
 
     def __init__(self, left: int):
         self.left = left
@@ -39,14 +40,14 @@ class _SizeBudget:
 
 
 def plain(memory: Mapping[Any, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """Copy what can be written of a notebook.
+    """Copy the serializable entries of a controller's memory.
 
     Args:
-        memory: By name, whatever a controller put there.
+        memory: Entries stored by the controller, by name.
 
     Returns:
-        The entries that are numbers, texts, None, and lists, arrays and tables of them, `MOST` in
-        all; and the other entries' names with their types.
+        The entries that are numbers, strings, None, and lists, arrays and tables of them, at most
+        `MOST` in total; and the names of the other entries with their types.
     """
     kept: dict[str, Any] = {}
     left_out: list[str] = []
@@ -75,7 +76,7 @@ def _name(key: object, room: _SizeBudget) -> str:
 
 def _copy(value: Any, room: _SizeBudget, depth: int) -> Any:
     """A plain copy. Raises _NotSerializable."""
-    if type(value) in _NUMBERS:  # first: to ask what else it may be takes five times as long
+    if type(value) in _NUMBERS:  # first: the other type checks take five times as long
         room.spend(1)
         return value
     if depth > DEEPEST:
@@ -83,7 +84,7 @@ def _copy(value: Any, room: _SizeBudget, depth: int) -> Any:
     if isinstance(value, (np.generic, np.ndarray)):
         room.has(value.size)
         value = value.tolist()
-    if isinstance(value, (dict, Mapping)):  # a dict is told sooner
+    if isinstance(value, (dict, Mapping)):  # dict first: the check for it is faster
         room.has(len(value))
         return {_name(key, room): _copy(item, room, depth + 1) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -93,7 +94,8 @@ def _copy(value: Any, room: _SizeBudget, depth: int) -> Any:
 
 
 def _one(value: Any, room: _SizeBudget) -> Any:
-    """A number or a text, without what an Enum adds to it: no other process knows that."""
+    """Return a number or string as a plain type. An Enum loses its type, which other processes
+    lack."""
     room.spend(1 + len(value) if isinstance(value, str) else 1)
     if value is None or isinstance(value, bool):
         return value

@@ -1,5 +1,6 @@
-"""`SensorDesign`: what a sensor is made of, read from a TOML file and checked. Used by the
-simulator *and* by sensing. Its parts: `mjtactile.core.sensor_parts`."""
+"""`SensorDesign`: complete description of a sensor, read from a TOML file and validated. It is used
+by the simulator *and* by sensing. Its parts: `mjtactile.core.sensor_parts`.
+"""
 
 from __future__ import annotations
 
@@ -32,21 +33,20 @@ _SPLINE_NUMBERS_MAX = 5776  # 73 x 73 markers: a quarter of a GiB for a matrix
 
 @dataclass(frozen=True)
 class SensorDesign:
-    """A whole sensor. Build one with `load_sensor`, or directly with SI values.
+    """Complete sensor. Create one with `load_sensor`, or directly with SI values.
 
     Attributes:
-        name: What it is called.
-        frame: The rim that the membrane is clamped in.
-        membrane: The rubber sheet.
-        markers: The circles on its inside.
-        chamber: The gas behind it, with supply and valve.
-        glass: The pane before the camera.
-        camera: Place, lens, image size and rate.
-        leds: The light.
-        fiducials: Circles that do not move, beside the membrane; None: there are none.
-        relaxation: How the sheet's stress fades; None: it does not.
-        calibration: The file that a finger's own sensor file names for what was measured of it;
-            None: it names none.
+        name: Name of the sensor.
+        frame: The frame that the membrane is clamped in.
+        membrane: The rubber membrane.
+        markers: The circles on its inner side.
+        chamber: The gas behind the membrane, with supply and valve.
+        glass: The glass in front of the camera.
+        camera: Pose, lens, image size and rate.
+        leds: The illumination.
+        fiducials: Fixed circles next to the membrane; None: there are none.
+        relaxation: Stress relaxation of the membrane; None: none.
+        calibration: Calibration file named in a finger's own sensor file; None: no file.
     """
 
     name: str = text("name")
@@ -62,19 +62,19 @@ class SensorDesign:
     calibration: Path | None = file_path("calibration", compare=False)
 
     def __post_init__(self) -> None:
-        """Markers are told the outline that they must lie in."""
+        """Pass the frame's outline to the markers, which must lie inside it."""
         frame = None if self.frame.shape == FrameShape.RECTANGLE else self.frame
         if self.markers.frame != frame:
             object.__setattr__(self, "markers", replace(self.markers, frame=frame))
 
     def require_rectangle(self, who: str) -> None:
-        """Refuse a frame that is not rectangular.
+        """Reject a frame that is not rectangular.
 
         Args:
-            who: What is made for rectangles only, for the message.
+            who: Component that supports rectangles only, for the message.
 
         Raises:
-            InputError: The frame is round.
+            InputError: The frame is not rectangular.
         """
         if self.frame.shape != FrameShape.RECTANGLE:
             raise InputError(
@@ -116,14 +116,15 @@ class SensorDesign:
         return volume if self.fiducials is None else volume + self.fiducials.volume(self)
 
     def validate(self, section: Section) -> None:
-        """See that fields go together physically.
+        """Check that the fields are physically consistent.
 
         Args:
             section: The file's table, for the message.
 
         Raises:
-            InputError: Markers overlap or leave the frame, the camera is nearer than the chamber is
-                deep, markers are brighter than the membrane, or fiducials are not to be seen.
+            InputError: Markers overlap or leave the frame, the camera distance is smaller than the
+                chamber's depth, markers are brighter than the membrane, or fiducials are not
+                visible.
         """
         _check_markers(self, section)
         _check_depth(self, section)
@@ -159,14 +160,14 @@ def sensor_from_table(table: Mapping[str, Any], *, name: str, source: str) -> Se
 
     Args:
         table: The sections of a sensor file.
-        name: What the sensor is called where the file has no name.
-        source: The file, as messages name it; what it names is relative to its folder.
+        name: Name of the sensor if the file has none.
+        source: The file, as named in messages; paths in it are relative to its folder.
 
     Returns:
         The sensor, SI.
 
     Raises:
-        InputError: see `load_sensor`.
+        InputError: See `load_sensor`.
     """
     root = Section(table, "", source)
     return read(SensorDesign, root, name=root.text("name", default=name))
@@ -194,7 +195,8 @@ def _check_markers(design: SensorDesign, section: Section) -> None:
 
 
 def _check_depth(design: SensorDesign, section: Section) -> None:
-    """Pane and chamber fit in front of the camera, and there is gas."""
+    """Check that glass and chamber fit in front of the camera, and that the gas volume is
+    positive."""
     chamber = design.chamber
     distance = design.camera.distance
     inner_face = design.glass.distance + design.glass.thickness

@@ -94,12 +94,12 @@ class SafeStop(DeviceError):
 
 
 class SimulationError(MjtactileError):
-    """The simulation diverged, or left the range in which its numbers mean something; exit code 3.
+    """The simulation diverged, or left its valid range; exit code 3.
 
     Attributes:
-        reason: What happened.
-        step: Number of the step in which it did.
-        time: s of simulated time.
+        reason: Cause of the failure.
+        step: Number of the failed step.
+        time: Simulated time, s.
     """
 
     def __init__(self, reason: str, *, step: int, time: float):

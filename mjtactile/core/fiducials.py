@@ -1,10 +1,10 @@
-"""Circles that do not move: what a sensor file's `[fiducials]` says, and where they are.
+"""Fixed reference circles: the `[fiducials]` section of a sensor file, and the circles' positions.
 
-Straight chamber walls hide the frame's rim from the camera, so that circles on the rim need walls
-that step back behind it: the rim is a lip, `lip` thick and `step` wide, and the circles are on its
-inner face. They are as far away, as sharp and as lit as the membrane's markers. Circles on the
-pane's inner face need no step; they are nearer, out of focus, and lie in the strip of the picture
-that the opening leaves free.
+Straight chamber walls hide the inner face of the frame from the camera. For circles on the rim the
+walls are set back: the rim forms a lip, `lip` thick and `step` wide, with the circles on its inner
+face. Their distance, sharpness and illumination equal those of the membrane's markers. Circles on
+the glass's inner face need no setback. They are nearer, out of focus, and lie in the image strip
+outside the opening.
 """
 
 from __future__ import annotations
@@ -26,23 +26,24 @@ SURFACES = ("rim", "pane")
 FEWEST = 4
 """Fiducials that fix a camera's place, direction and scale, with one to spare."""
 _MOST = 64
-_WALL = 0.5e-3  # m that the step leaves of the rim
-_INK = 5e-6  # m, thickness of a print on the pane
-_BORDER_PX = 6.0  # of a circle's edge from the picture's: what its fit reads
+_WALL = 0.5e-3  # wall thickness that must remain behind the step, m
+_INK = 5e-6  # thickness of a print on the glass, m
+_BORDER_PX = 6.0  # margin between a circle's edge and the image border, needed for its fit
 
 
 @dataclass(frozen=True)
 class Fiducials:
-    """Black circles on white ground that do not move, m; see the module.
+    """Fixed black circles on white ground, lengths in m; see the module.
 
     Attributes:
         surface: "rim" or "pane".
-        radius: Of each circle.
-        places: Centres (x, y) in S.
+        radius: Radius of each circle.
+        places: Centers (x, y) in S.
         ground: Width of white around each.
         lip: Thickness of the rim in front of them; the rim's only.
-        step: How far the walls stand back behind the lip; the rim's only.
-        blur_px: Blur of the picture there, sd; the pane's only, which is out of focus.
+        step: Setback of the walls behind the lip; the rim's only.
+        blur_px: Standard deviation of the image blur there; for the glass only, which is out of
+            focus.
     """
 
     surface: str = text("surface", SURFACES, about="what they are on")
@@ -91,8 +92,10 @@ class Fiducials:
         return np.array([(x, y, z) for x, y in self.places])
 
     def groove(self, design: SensorDesign) -> float:
-        """Height of the space behind the lip, m: as far back as the camera's sight of the circles
-        goes past the opening's edge; 0 on the pane."""
+        """Return the height of the space behind the lip, m; 0 on the glass.
+
+        It is the extent of the camera's lines of sight to the circles beyond the opening's edge.
+        """
         if self.surface != "rim":
             return 0.0
         frame = design.frame
@@ -116,19 +119,19 @@ class Fiducials:
         outside = (frame.length + 2 * self.step) * (frame.width + 2 * self.step)
         corners = (4 - math.pi) * self.step**2  # as far from the opening's as the walls are
         around = outside - corners - frame.area
-        if frame.outline is not None:  # Steiner's formula for what is convex
+        if frame.outline is not None:  # Steiner's formula for a convex outline
             around = frame.outline.length * self.step + math.pi * self.step**2
         return around * self.groove(design)
 
     def check(self, design: SensorDesign, section: Section) -> None:
-        """See that they are on their surface, apart, and seen.
+        """Check that the circles are on their surface, separate, and visible.
 
         Args:
             design: The sensor that they are part of.
             section: Its file's table, for the message.
 
         Raises:
-            InputError: Names the field and what is wrong with it.
+            InputError: Names the field and the error.
         """
         if not FEWEST <= self.count <= _MOST:
             message = f"{self.count} circles; from {FEWEST} to {_MOST}"
@@ -151,7 +154,7 @@ class Fiducials:
                 raise section.fail("fiducials.positions_mm", message)
 
     def _wrong(self, design: SensorDesign) -> list[str]:
-        """What is wrong with each place, "" where nothing is."""
+        """Return the error of each position; "" if it is valid."""
         half = np.array([design.frame.length, design.frame.width]) / 2
         reach = self.radius + self.ground
         xy = np.abs(self.places)
@@ -174,7 +177,8 @@ class Fiducials:
         return np.where(hides, words[self.surface], found).tolist()
 
     def _outside_image(self, design: SensorDesign, xy: Array, depth: Array) -> Array:
-        """Which (F,) reach out of the picture, or nearly; `depth` (F,) as the pane has it."""
+        """Return the mask (F,) of circles that extend to or beyond the image border. `depth` (F,)
+        accounts for the glass."""
         camera = design.camera
         r = (xy + self.radius) / depth[:, None]
         r2 = (r**2).sum(axis=1)[:, None]

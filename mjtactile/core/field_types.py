@@ -14,11 +14,11 @@ from mjtactile.core.toml import Section
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """A field's place in a file: its `key`, and what it is `about`.
+    """Entry of a field in a file: its `key` and its description `about`.
 
-    It is read only where another field, read before, has one of some values (`only_if`: that
-    field's name and the values). `required` in the file, even where the class has a default;
-    `group` is the section of a variation file that may draw it.
+    It is read only if another field, read before, has one of certain values (`only_if`: that
+    field's name and the values). `required`: the file must contain it, even if the class has a
+    default. `group` is the section of a variation file that may randomize it.
     """
 
     key: str
@@ -28,11 +28,12 @@ class Entry:
     group: str = ""
 
     def read(self, section: Section, default: Any) -> Any:
-        """The section's value, SI; `default` where it says nothing (`...`: an error)."""
+        """Return the section's value, SI; `default` if the key is missing (`...`: an error)."""
         raise NotImplementedError
 
     def write(self, value: Any) -> dict[str, Any]:
-        """What stands in the file for an SI value: nothing for infinity, which no file says."""
+        """Return the file's entry for an SI value; infinity is left out, since files cannot contain
+        it."""
         return {self.key: value}
 
 

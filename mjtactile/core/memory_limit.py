@@ -1,8 +1,8 @@
-"""How much more memory a process may take while something is held: whoever asks for more is refused
-at once, with a MemoryError that is handled, in place of a computer that stands still.
+"""Limit on the additional memory of a process while an object is held.
 
-Handing out gigabytes takes seconds in which no other thread of the interpreter runs, so that
-devices take the host for dead; and the kernel ends a process that has used all memory up.
+A request beyond the limit fails with a MemoryError that is handled. Otherwise, gigabyte allocations
+block all other threads of the interpreter for seconds, so that devices treat the host as dead. The
+kernel also kills a process that has used all memory.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 MOST = 512 << 20
-"""Bytes that a run may take beyond what its process has after a controller's first step, which may
-import; a recording is written as it grows."""
+"""Bytes that a run may allocate beyond the memory used after a controller's first step. That step
+may import modules; a recording is written continuously."""
 _STATUS = Path("/proc/self/status")
 
 
@@ -23,10 +23,10 @@ def limited(most: int = MOST) -> Iterator[Callable[[], None]]:
     """Limit this process's memory from a moment within the block until its end, on Linux.
 
     Args:
-        most: Bytes beyond what it has then.
+        most: Bytes beyond the memory used at that moment.
 
     Yields:
-        What begins it, when it is called first. Nothing happens where the system has no such
+        Function that starts the limit on its first call. It has no effect if the system has no such
         limit, or a tighter one.
     """
     try:
@@ -55,7 +55,8 @@ def limited(most: int = MOST) -> Iterator[Callable[[], None]]:
 
 
 def _used() -> int | None:
-    """Bytes of memory that this process can write; None where the system does not say."""
+    """Return the bytes of writable memory of this process; None if the system does not report
+    it."""
     with contextlib.suppress(OSError, ValueError):
         for line in _STATUS.read_text(encoding="ascii").splitlines():
             if line.startswith("VmData:"):

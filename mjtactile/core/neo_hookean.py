@@ -1,12 +1,12 @@
-"""The law of the rubber sheet: neo-Hookean in plane stress (docs/theory/membrane_inverse.md, Eq.
+"""Neo-Hookean material law of the membrane in plane stress (docs/theory/membrane_inverse.md, Eq.
 F4). Pure functions, SI units.
 
     W = mu/2 (I1 - 3 - 2 ln J) + lambda/2 (ln J)^2,    S = mu (I - c C^-1)
 
-C is the in-plane right Cauchy-Green tensor against the free sheet and c the square of the
-thickness's stretch, which no stress across the sheet fixes: mu (c - 1) + lambda/2 ln(c det C) = 0.
-In two dimensions det(C) C^-1 = tr(C) I - C, so that S is linear in I and C with coefficients of tr
-C and det C.
+C is the in-plane right Cauchy-Green tensor relative to the unstretched membrane. c is the square of
+the thickness stretch. Zero stress through the thickness determines it: mu (c - 1) + lambda/2 ln(c
+det C) = 0. In two dimensions det(C) C^-1 = tr(C) I - C. S is therefore linear in I and C, with
+coefficients that depend on tr C and det C.
 """
 
 from __future__ import annotations

@@ -1,11 +1,12 @@
-"""Lens and glass: from points in the camera frame C to pixels and back. Batched over points; no
-image in sight.
+"""Lens and glass optics: mapping from points in the camera frame C to pixels and back. Batched over
+points; images are not used.
 
-The chain for a point P beyond the pane: refraction at the pane, which leaves a ray through the
-camera's centre in the air before it; pinhole; plumb_bob lens distortion (OpenCV's definition,
-`cv2.projectPoints`); pixels, where (0, 0) is the *centre* of the top-left pixel.
+The chain for a point P beyond the glass has four steps. Refraction at the glass yields a ray in air
+through the camera's center. The pinhole projection and the plumb_bob lens distortion follow
+(OpenCV's definition, `cv2.projectPoints`). The last step maps to pixels, where (0, 0) is the
+*center* of the top-left pixel.
 
-C has its origin at the camera's centre, x right, y down, z forward. The pane is normal to z.
+C has its origin at the camera's center, x right, y down, z forward. The glass is normal to z.
 """
 
 from __future__ import annotations
@@ -29,12 +30,12 @@ _UNDISTORT_NEAR = 1e-7
 
 @dataclass(frozen=True)
 class Camera(Pinhole):
-    """A pinhole camera with lens distortion, and the pane in front of it.
+    """Pinhole camera with lens distortion, and the glass in front of it.
 
     Attributes:
-        glass_thickness: m; 0: no pane.
-        glass_index: Its refractive index.
-        glass_distance: m from the camera's centre to its near face.
+        glass_thickness: Thickness, m; 0: no glass.
+        glass_index: Refractive index of the glass.
+        glass_distance: Distance from the camera's center to the near face, m.
     """
 
     glass_thickness: float = 0.0
@@ -71,11 +72,11 @@ class Camera(Pinhole):
 
     @classmethod
     def from_design(cls, camera: Pinhole, glass: Glass | None = None) -> Camera:
-        """Make the camera of a sensor design.
+        """Create the camera of a sensor design.
 
         Args:
             camera: Image size, focal lengths, principal point and distortion, px.
-            glass: The pane in front of it; None: there is none.
+            glass: The glass in front of it; None: there is none.
 
         Returns:
             The camera.
@@ -83,10 +84,10 @@ class Camera(Pinhole):
         return cls(**camera.intrinsics).behind(glass)
 
     def behind(self, glass: Glass | None) -> Camera:
-        """Put this camera behind a pane.
+        """Place a glass in front of this camera.
 
         Args:
-            glass: The pane; None: leave the camera as it is.
+            glass: The glass; None: leave the camera unchanged.
 
         Returns:
             A new camera.
@@ -96,18 +97,18 @@ class Camera(Pinhole):
         return self.behind_glass(glass.thickness, glass.refractive_index, glass.distance)
 
     def behind_glass(self, thickness: float, refractive_index: float, distance: float) -> Camera:
-        """Put this camera behind a pane, in place of any other.
+        """Place a glass in front of this camera, replacing any other.
 
         Args:
-            thickness: m.
-            refractive_index: At least 1.
-            distance: m from the camera's centre to the near face.
+            thickness: Thickness, m.
+            refractive_index: Refractive index, at least 1.
+            distance: Distance from the camera's center to the near face, m.
 
         Returns:
             A new camera.
 
         Raises:
-            InputError: There is no such pane.
+            InputError: The values are invalid.
         """
         return replace(
             self, glass_thickness=thickness, glass_index=refractive_index, glass_distance=distance
@@ -115,8 +116,8 @@ class Camera(Pinhole):
 
     @cached_property
     def numbers(self) -> Array:
-        """All that a ray's way depends on, (12,): fx, fy, cx, cy, lens, thickness, index and
-        distance of the pane."""
+        """All parameters of a ray's path, (12,): fx, fy, cx, cy, lens, and thickness, index and
+        distance of the glass."""
         return np.array(
             [
                 self.fx,
@@ -134,12 +135,12 @@ class Camera(Pinhole):
     def from_yaml(cls, path: str | Path, glass: Glass | None = None) -> Camera:
         """Read a ROS camera_info file, as the camera_calibration package writes it.
 
-        It may have one field more than ROS knows, a pane in front of the camera:
+        The file may have a field in addition to those of ROS, a glass in front of the camera:
         `glass: {thickness_mm: 5, refractive_index: 1.5, distance_mm: 120}`.
 
         Args:
             path: The file.
-            glass: A pane in place of the file's.
+            glass: A glass that replaces the file's.
 
         Returns:
             The camera.
@@ -155,16 +156,17 @@ class Camera(Pinhole):
 
 
 def project(camera: Camera, p_CP: ArrayLike) -> Array:
-    """Pixels `uv_px` (..., 2) of points `p_CP` (..., 3) m in C, exactly through pane and lens.
+    """Project points `p_CP` (..., 3) m in C to pixels `uv_px` (..., 2), exactly through glass and
+    lens.
 
-    NaN for a point that is behind the camera or, where there is a pane, not beyond it.
+    NaN for a point that is behind the camera or, if there is a glass, not beyond it.
     """
     p = np.asarray(p_CP, dtype=float)
     return pixel_from_normalized(camera, distort(camera, refract(camera, p)))
 
 
 def unproject(camera: Camera, uv_px: ArrayLike) -> Array:
-    """Unit rays (..., 3) in C, in the air before the pane, that pixels `uv_px` (..., 2) see.
+    """Compute unit rays (..., 3) in C, in the air before the glass, for pixels `uv_px` (..., 2).
 
     NaN where the lens model cannot be inverted (far outside of the image, where plumb_bob folds
     over).
@@ -175,16 +177,16 @@ def unproject(camera: Camera, uv_px: ArrayLike) -> Array:
 
 
 def refract(camera: Camera, p_CP: ArrayLike) -> Array:
-    """Normalised coordinates x/z, y/z (..., 2) of the ray that leaves the pane for points `p_CP`
-    (..., 3) beyond it.
+    """Compute the normalized coordinates x/z, y/z (..., 2) of the ray before the glass, for points
+    `p_CP` (..., 3) beyond it.
 
     With x = tan(theta) of the ray in air, a point at depth Z and distance rho from the axis obeys
     (Snell's law; n sin(theta_glass) = sin(theta))
 
         rho = (Z - t) x + t x / sqrt(n^2 + (n^2 - 1) x^2),
 
-    solved by Newton; the right side is increasing and almost straight in x, so that three steps
-    reach 1e-16.
+    solved by Newton's method. The right side is increasing and almost linear in x, so that three
+    steps reach 1e-16.
     """
     p = np.asarray(p_CP, dtype=float)
     z = p[..., 2]
@@ -208,10 +210,10 @@ def refract(camera: Camera, p_CP: ArrayLike) -> Array:
 
 
 def glass_shift(camera: Camera, rays: ArrayLike) -> Array:
-    """Depth (...) m by which the pane brings a point nearer along z, for `rays` (..., 3) in air
-    (any length).
+    """Compute the apparent reduction of a point's depth by the glass, (...) m, for `rays` (..., 3)
+    in air of any length.
 
-    A pose found without the pane in the model becomes p_true = p_apparent + (0, 0, shift).
+    A pose estimated without the glass becomes p_true = p_apparent + (0, 0, shift).
     """
     ray = np.asarray(rays, dtype=float)
     x = ray[..., 0]
@@ -221,10 +223,10 @@ def glass_shift(camera: Camera, rays: ArrayLike) -> Array:
 
 
 def glass_displacement(camera: Camera, tan2: ArrayLike) -> Array:
-    """`glass_shift` (...) m for rays at an angle theta to the axis with tan(theta)^2 = `tan2`
-    (...).
+    """Compute `glass_shift` (...) m for rays at an angle theta to the axis with tan(theta)^2 =
+    `tan2` (...).
 
-    t (1 - cos(theta) / sqrt(n^2 - sin^2(theta))) for a pane normal to the axis.
+    The shift is t (1 - cos(theta) / sqrt(n^2 - sin^2(theta))) for a glass normal to the axis.
     """
     slower = camera.glass_index**2 - 1
     return camera.glass_thickness * (

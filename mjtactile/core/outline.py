@@ -1,16 +1,15 @@
-"""Outlines of openings that are no rectangles, and the smooth map by which a square becomes one.
+"""Non-rectangular outlines of openings, and the smooth map from a square to them.
 
-Simulator and sensing work on structured grids. What carries these to another outline is one map,
-in two parts:
+Simulator and sensing use structured grids. One map in two parts transfers these to another outline:
 
     square [-1, 1]^2 -> disc:  w = u sqrt(1 - v^2 / 2) + i v sqrt(1 - u^2 / 2)
     disc -> opening:           x + i y = sum_n a_n w^n + b_n conj(w)^n
 
-The second is harmonic, and on the circle it runs along the outline at even speed; for a convex
+The second map is harmonic, and follows the outline at constant speed along the circle. For a convex
 outline such a map is one to one (Rado, Kneser, Choquet; P. Duren, Harmonic Mappings in the Plane,
-ch. 3). Of a circle a_1 is its radius, of an ellipse a_1 and b_1 are half the sum and half the
-difference of its half axes, so that it is an affine map. Where the square's four corners come to
-lie on the smooth outline its cells degenerate, and nowhere else.
+ch. 3). For a circle a_1 is the radius. For an ellipse a_1 and b_1 are half the sum and half the
+difference of its half axes, so that the map is affine. The grid cells degenerate only where the
+square's four corners map to the smooth outline.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
 
-_HARMONICS = 96  # of an outline with rounded corners: what is left out is 2 um of a 40 mm frame
+_HARMONICS = 96  # for rounded corners: the truncation error is 2 um for a 40 mm frame
 _SAMPLES = 4096  # of its arc, for their coefficients
 _EDGES = 720  # of the polygon that stands for it where distances are asked
 _NEWTON_STEPS = 40
@@ -33,11 +32,11 @@ _ROOT2 = np.sqrt(2.0)
 
 
 class OutlineError(ValueError):
-    """Corners that make no outline; `field` is the sensor file's.
+    """Corners that do not form a valid outline; `field` is the sensor file's.
 
     Args:
-        field: Its key.
-        message: What is wrong.
+        field: Key in the sensor file.
+        message: Description of the error.
     """
 
     def __init__(self, field: str, message: str):
@@ -59,16 +58,16 @@ class Outline:
 
     @classmethod
     def ellipse(cls, half_x: float, half_y: float) -> Outline:
-        """Of these half axes along x and y, m."""
+        """Create an ellipse from its half axes along x and y, m."""
         return cls((0j, complex(half_x + half_y) / 2), (0j, complex(half_x - half_y) / 2))
 
     @classmethod
     def polygon(cls, corners: Sequence[tuple[float, float]], radius: float) -> Outline:
-        """Of a polygon whose corners are rounded.
+        """Create a polygon with rounded corners.
 
         Args:
-            corners: x, y of each, m, counter-clockwise around the origin.
-            radius: m, of the rounding.
+            corners: Positions x, y of the corners, m, counter-clockwise around the origin.
+            radius: Radius of the rounding, m.
 
         Returns:
             The outline.
@@ -106,8 +105,8 @@ class Outline:
         return np.stack([np.stack([z.real, z.imag], -1) for z in columns], -1)
 
     def square(self, plane: Array) -> Array:
-        """Points (N, 2) of the square, for points (N, 2) m of the opening; what is outside of it
-        goes to its rim."""
+        """Map points (N, 2) m of the opening to points (N, 2) of the square. Points outside of the
+        opening map to the square's boundary."""
         return _to_square(self._disc(plane))
 
     def disc(self, plane: Array) -> Array:
@@ -118,7 +117,7 @@ class Outline:
     def _disc(self, plane: Array) -> NDArray:
         """w (N,) of points (N, 2) m."""
         z = plane[:, 0] + 1j * plane[:, 1]
-        # begun where an affine map would have it, which for circles and ellipses it is
+        # initial value from the affine part, which is exact for circles and ellipses
         a = self.powers[1]
         b = self.conjugates[1]
         off = z - self.powers[0]
@@ -147,13 +146,13 @@ class Outline:
 
     @property
     def area(self) -> float:
-        """m^2 inside, by Green's theorem."""
+        """Enclosed area, m^2, by Green's theorem."""
         terms = zip(self.powers, self.conjugates, strict=True)
         return np.pi * sum(n * (abs(a) ** 2 - abs(b) ** 2) for n, (a, b) in enumerate(terms))
 
     @cached_property
     def length(self) -> float:
-        """m, once around it."""
+        """Perimeter, m."""
         corners = self.points(_SAMPLES)
         return float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).sum())
 
@@ -170,12 +169,13 @@ class Outline:
 
     @cached_property
     def half_sizes(self) -> tuple[float, float]:
-        """m, from the origin to the farthest x and y."""
+        """Maximum distances from the origin along x and y, m."""
         x, y = np.abs(self.points(_SAMPLES)).max(axis=0)
         return float(x), float(y)
 
     def distance(self, plane: Array) -> Array:
-        """How far (N,) m points (N, 2) m are inside of the outline; negative: outside."""
+        """Compute the distance (N,) m of points (N, 2) m to the outline; positive inside, negative
+        outside."""
         middles, normals = self._edges
         off = middles - plane[:, None]
         nearest = np.square(off).sum(axis=2).argmin(axis=1)

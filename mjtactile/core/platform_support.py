@@ -1,5 +1,5 @@
-"""What operating systems do differently, each thing in one function: Linux's way where there is
-one, else one that works on every POSIX system."""
+"""Platform differences, each in one function: the Linux call where available, else one that works
+on every POSIX system."""
 
 from __future__ import annotations
 
@@ -16,16 +16,19 @@ def is_supported() -> bool:
 
 
 def processors() -> int:
-    """How many processors this process may use; all that there are where that is not told."""
+    """Return the number of processors available to this process; all processors if this is
+    unknown."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def memory_file(name: str) -> int:
-    """A file descriptor of an empty file without a path, for memory that processes share: in memory
-    where that can be had, else on the disk. `name` is for whoever looks at this process from
-    outside."""
+    """Return a file descriptor of an empty file without a path, for memory shared by processes.
+
+    The file is in memory if supported, otherwise on the disk. `name` identifies it in process
+    inspection tools.
+    """
     if hasattr(os, "memfd_create"):
         return os.memfd_create(name)
     import tempfile  # lazily: it imports much that Linux does not need
@@ -35,8 +38,11 @@ def memory_file(name: str) -> int:
 
 
 def watch_process(pid: int) -> int | None:
-    """A file descriptor that can be read when the process `pid` has ended; None where it cannot be
-    had (no such process any more, a sandbox that forbids it, a system without such a thing)."""
+    """Return a file descriptor that becomes readable when the process `pid` has ended.
+
+    None if this is not available (the process has ended, a sandbox forbids it, or the system lacks
+    it).
+    """
     if not hasattr(os, "pidfd_open"):
         return None
     try:

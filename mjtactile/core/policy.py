@@ -1,10 +1,11 @@
-"""What a learned policy sees and does: the same numbers in a Gymnasium environment, in training,
+"""Observation and action of a learned policy, identical in a Gymnasium environment, in training,
 and in a controller on a rig.
 
-A policy is a function of one vector (`policy_observation`) that gives an action (3,) in [-1, 1]:
-speed of opening, force limit and speed of lifting (`command_from_action`). Where a grasp is, from
-approach to release, follows from what is felt and reached, and is part of what the policy sees; so
-a policy without memory can lift, hold and set down."""
+A policy maps one vector (`policy_observation`) to an action (3,) in [-1, 1]: opening speed, force
+limit and lift speed (`command_from_action`). The phase of the grasp, from approach to release,
+follows from touch and heights, and is part of the observation. A policy without memory can
+therefore lift, hold and set down.
+"""
 
 from __future__ import annotations
 
@@ -18,20 +19,20 @@ from numpy.typing import ArrayLike
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, Command, Observation, Touch
 
-# m/s, N, m/s at the ends of an action's range
+# limits of an action's range: m/s, N, m/s
 OPENING_SPEED = 0.05
 FORCE_LIMIT = 8.0
 LIFT_SPEED = 0.05
 PHASES = ("approach", "close", "regulate", "lift", "hold", "lower", "release")
-# m: from where on the hand is lifted; off its goal; above the table
+# height thresholds, m: lift detected; deviation from the lift goal; distance above the table
 _RISEN = 0.002
 _NEAR = 0.001
 _DOWN = 0.001
-_CLEAR = 0.008  # m of opening beyond the grip at which what was held is let go of
-_LEAD = 0.004  # m that the goal of the opening may be ahead of the jaws
-_TIME_MAX = 3.0  # s in a phase, as a policy sees it
+_CLEAR = 0.008  # opening beyond the grip at which the object is released, m
+_LEAD = 0.004  # maximum lead of the opening's goal over the jaws, m
+_TIME_MAX = 3.0  # maximum time in a phase in the observation, s
 _NOTHING = [0.0] * 6
-_LOST_TIME = 0.5  # s without a touch after which the hand goes down again
+_LOST_TIME = 0.5  # time without contact after which the gripper is lowered again, s
 _FINGER = (
     ("known", 1.0),
     ("touching", 1.0),
@@ -69,7 +70,7 @@ def policy_observation_names(fingers: int = 2) -> list[str]:
 
 
 def policy_bounds(fingers: int = 2) -> Array:
-    """The largest size of each number of a vector; what is beyond is cut."""
+    """Return the maximum absolute value of each number of a vector; larger values are clipped."""
     return _bounds(fingers).copy()
 
 
@@ -81,15 +82,14 @@ def _bounds(fingers: int) -> Array:
 
 
 def policy_observation(observation: Observation) -> Array:
-    """Make the vector that a policy sees.
+    """Compute the observation vector of a policy.
 
     Args:
-        observation: What a controller would see.
+        observation: Observation of a controller.
 
     Returns:
-        (8 fingers + 14,) float32, named by `policy_observation_names`. A force that is unknown is 0
-        with
-            `known` 0; the force limit is 0 in the first cycle, before any was commanded.
+        Vector (8 fingers + 14,) float32, named by `policy_observation_names`. An unknown force is 0
+        with `known` 0. The force limit is 0 in the first cycle, before any was commanded.
     """
     command = observation.command
     gripper = observation.gripper
@@ -111,15 +111,15 @@ def policy_observation(observation: Observation) -> Array:
 
 
 def command_from_action(observation: Observation, action: ArrayLike) -> Command:
-    """Make the command of a policy's action.
+    """Compute the command of a policy's action.
 
     Args:
-        observation: What the policy saw.
-        action: (3,) speed of opening, force limit and speed of lifting, each cut to [-1, 1]; what
-            is not finite counts as 0.
+        observation: Observation of the policy.
+        action: Opening speed, force limit and lift speed (3,), each clipped to [-1, 1]; non-finite
+            values count as 0.
 
     Returns:
-        The command, with the phase that the grasp is in now.
+        The command, with the current phase of the grasp.
     """
     rate, limit, lift = (_within_one(value) for value in np.asarray(action, float).tolist())
     last = observation.command
@@ -129,7 +129,7 @@ def command_from_action(observation: Observation, action: ArrayLike) -> Command:
     if math.isfinite(gripper.opening):
         opening = min(max(opening, gripper.opening - _LEAD), gripper.opening + _LEAD)
     height = min(
-        max(last.lift_height + LIFT_SPEED * lift * period, 0.0), observation.told.lift_height
+        max(last.lift_height + LIFT_SPEED * lift * period, 0.0), observation.goal.lift_height
     )
     phase, memory = _progress(observation)
     return Command(
@@ -144,22 +144,25 @@ def command_from_action(observation: Observation, action: ArrayLike) -> Command:
 
 
 def fraction_released(sent: Command) -> float:
-    """Of the way from a grip's goal, ahead of the jaws, to where what was held is let go of, what
-    a command of `command_from_action` has come: 1 at the end."""
+    """Return the progress of a release: 0 at the grip's goal, ahead of the jaws, 1 when the object
+    is released.
+
+    `sent` is a command of `command_from_action`.
+    """
     grip = sent.memory.get("grip_opening", sent.opening)
     return (sent.opening - grip + _LEAD) / (_CLEAR + _LEAD)
 
 
 def action_from_commands(before: Command, after: Command, period: float) -> Array:
-    """Find the action that takes one command to the next: what a policy is to learn of a teacher.
+    """Compute the action between two commands, as training data from a teacher.
 
     Args:
-        before: The command of the cycle before.
+        before: The command of the previous cycle.
         after: The command of this cycle.
-        period: s between them.
+        period: Time between them, s.
 
     Returns:
-        (3,) in [-1, 1], as `command_from_action` takes it.
+        Action (3,) in [-1, 1], as used by `command_from_action`.
 
     Raises:
         InputError: Neither command has a force limit.
@@ -237,9 +240,9 @@ def _next(phase: str, observation: Observation, time: float, grip: float) -> str
             return "regulate"
         return "close" if any(touching) else "approach"
     ends = {
-        "lift": height > observation.told.lift_height - _NEAR,
-        "hold": time >= observation.told.hold_time,
-        "lower": height < observation.told.place_height + _DOWN,
+        "lift": height > observation.goal.lift_height - _NEAR,
+        "hold": time >= observation.goal.hold_time,
+        "lower": height < observation.goal.place_height + _DOWN,
         "release": not any(touching) and gripper.opening > grip + _CLEAR,
     }
     after = {"lift": "hold", "hold": "lower", "lower": "release", "release": "done"}

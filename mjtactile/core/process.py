@@ -1,9 +1,9 @@
-"""Child processes of this package: started alike, spoken to by lines of JSON, and gone when their
-parent is.
+"""Child processes of this package: common start, communication by lines of JSON, and termination
+with their parent.
 
-A child is a new interpreter, not a fork (this one may have threads), with one BLAS thread, in a
-session of its own: Ctrl-C in the terminal is for the parent, which ends its children when it has
-shut down.
+A child is a new interpreter, not a fork (this process may have threads). It has one BLAS thread and
+its own session: Ctrl-C in the terminal reaches the parent only, which ends its children after its
+shutdown.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from typing import Any
 from mjtactile.core import platform_support
 from mjtactile.core.errors import DeviceError, InputError, MjtactileError
 
-_PARENT = "MJTACTILE_PARENT"  # the environment variable that tells a child whose it is
-# s between two looks whether the parent still lives, where the kernel does not tell of its end
+_PARENT = "MJTACTILE_PARENT"  # environment variable with the parent's process id
+# interval of the checks that the parent is alive, s, if the kernel does not report its end
 _PARENT_TIME = 1.0
-_PARENT_GRACE = 5.0  # s for a child to end by itself when its parent is gone
+_PARENT_GRACE = 5.0  # time for a child to end by itself after its parent, s
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
@@ -60,9 +60,9 @@ def start(
 
 
 def ask(process: subprocess.Popen[str], request: str, name: str) -> Any:
-    """What the child `name` answers, a line of JSON, to a line of text.
+    """Send a line of text to the child `name` and return its answer, a line of JSON.
 
-    Raises DeviceError when it has ended, and what it failed with when it answers with a `failure`.
+    Raises DeviceError when the child has ended, or the error that it reports by a `failure`.
     """
     assert process.stdin and process.stdout
     line = ""
@@ -88,7 +88,7 @@ def failure(error: MjtactileError) -> str:
 
 
 def how_it_ended(process: subprocess.Popen[str]) -> str:
-    """By which signal or exit code, for a message."""
+    """Return the signal or exit code of a process, for a message."""
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(0.2)  # its pipes and sockets close a moment before it can be waited for
     code = process.poll()
@@ -98,7 +98,7 @@ def how_it_ended(process: subprocess.Popen[str]) -> str:
 
 
 def stop(process: subprocess.Popen[str], disk_wait_time: float = 0.0) -> None:
-    """End a child: its stdin closes, and what still runs `patience` s later is killed."""
+    """End a child: close its stdin, and kill it if it still runs after `disk_wait_time` s."""
     if process.stdin:
         with contextlib.suppress(OSError):
             process.stdin.close()
@@ -112,8 +112,7 @@ def stop(process: subprocess.Popen[str], disk_wait_time: float = 0.0) -> None:
 
 
 def run(grace: float) -> None:
-    """What a child does first and last: watch its parent, before anything that takes time, then run
-    its module."""
+    """Run the child's module. Monitoring of the parent starts before any slow step."""
     end_with_parent(grace)
     gc.set_threshold(100_000)  # imports make much and leave nothing: as `cli` has it
     sys.argv = sys.argv[1:]
@@ -121,11 +120,10 @@ def run(grace: float) -> None:
 
 
 def end_with_parent(grace: float) -> None:
-    """From now on this process does not outlive its parent by more than `grace` s, however that
-    ends, and no Ctrl-C is for it.
+    """End this process at most `grace` s after its parent, and ignore Ctrl-C from now on.
 
-    Pipes and sockets alone do not tell (another process may hold the parent's end), nor to one that
-    is busy importing.
+    Pipes and sockets alone are not sufficient. Another process may hold the parent's end, and a
+    child that is importing modules does not read them.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = int(os.environ[_PARENT])

@@ -1,20 +1,20 @@
-"""Rubber that remembers: what a sensor file's `[relaxation]` says of stress that fades and of the
-first cycles. Pure functions, SI units.
+"""Viscoelastic membrane: stress relaxation and softening in the first cycles, from a sensor file's
+`[relaxation]`. Pure functions, SI units.
 
-The file's Young's modulus is the lasting one. Beside it act Maxwell elements, each with a share
-a_i of the lasting stress S(C) and a time constant tau_i (a Prony series;
+The file's Young's modulus is the long-term one. Maxwell elements act in parallel, each with a
+fraction a_i of the long-term stress S(C) and a time constant tau_i (a Prony series;
 docs/theory/membrane_inverse.md, F23):
 
     S_total(t) = S + sum q_i,    dq_i/dt = a_i dS/dt - q_i / tau_i
 
-so that a quick deformation meets a sheet that is 1 + sum a_i times as stiff, and one that is held
-long enough the file's. Written with r_i = a_i S - q_i, what each element has given up,
+The stiffness for a fast deformation is 1 + sum a_i times the long-term one, which applies after a
+long hold. With the relaxed stress of each element, r_i = a_i S - q_i,
 
     S_total = (1 + sum a_i) S - sum r_i,    dr_i/dt = (a_i S - r_i) / tau_i
 
-which has no derivative of the strain. Softening (Mullins) takes a share of S that depends on the
-most that was ever stored at a place, W_most (Ogden and Roxburgh 1999, with their r = 1 / share and
-m = energy, beta = 0):
+without a derivative of the strain. Softening (Mullins) reduces S by a fraction that depends on the
+maximum energy ever stored at a position, W_most (Ogden and Roxburgh 1999, with their r = 1 / share
+and m = energy, beta = 0):
 
     S(C) -> (1 - share erf((W_most - W) / energy)) S(C)
 """
@@ -36,12 +36,13 @@ MAX_TERMS = 8
 
 @dataclass(frozen=True)
 class Relaxation:
-    """How a sheet's stress fades, and how much softer it is after its first cycles; see the module.
+    """Stress relaxation of a membrane, and its softening after the first cycles; see the module.
 
     Attributes:
-        terms: Share a_i of the lasting stress and time constant tau_i, s, of each Maxwell element.
-        softening: Largest share of the stress that the first cycles take.
-        softening_energy: Energy, J/m^3, by which a place must be below its most for 84 % of that.
+        terms: Fraction a_i of the long-term stress and time constant tau_i, s, of each Maxwell
+            element.
+        softening: Maximum fraction of the stress lost in the first cycles.
+        softening_energy: Energy below the maximum at which 84 % of this loss occurs, J/m^3.
     """
 
     terms: tuple[tuple[float, float], ...] = entry(
@@ -80,7 +81,7 @@ class Relaxation:
 
     @property
     def quick(self) -> float:
-        """How many times as stiff as the lasting one a quick deformation finds the sheet."""
+        """Ratio of the stiffness for a fast deformation to the long-term stiffness."""
         return 1.0 + float(self.shares.sum())
 
     def kept(self, elapsed: float) -> Array:
@@ -88,13 +89,13 @@ class Relaxation:
         return np.exp(-elapsed / self.times)
 
     def check(self, section: Section) -> None:
-        """See that terms are positive and not too many.
+        """Check that terms are positive and not too many.
 
         Args:
             section: The file's table, for the message.
 
         Raises:
-            InputError: Names the field and what is wrong with it.
+            InputError: Names the field and the error.
         """
         if len(self.terms) > MAX_TERMS:
             raise section.fail(
@@ -114,16 +115,16 @@ class Relaxation:
 
 
 def decades(rate: float, first: float = 1.0, last: float = 1e4) -> tuple[tuple[float, float], ...]:
-    """Terms of rubber that gives up the same share of its stress in every decade of time.
+    """Return terms of a rubber that loses the same fraction of its stress in every decade of time.
 
     Args:
-        rate: Share of the lasting stress in a decade: 0.02 for unfilled natural rubber.
+        rate: Fraction of the long-term stress per decade: 0.02 for unfilled natural rubber.
         first: Shortest time constant, s.
-        last: Longest, s.
+        last: Longest time constant, s.
 
     Returns:
-        A term a decade: the sum of exponentials is within 0.1 of the rate of a straight line over
-        the logarithm of time between them.
+        One term per decade. Between the time constants, the sum of exponentials deviates by at most
+        0.1 of the rate from a straight line over the logarithm of time.
     """
     count = round(float(np.log10(last / first))) + 1
     return tuple((rate, float(first * 10**k)) for k in range(count))

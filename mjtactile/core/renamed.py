@@ -6,6 +6,7 @@ recording keeps its old names for ever, so its reader translates them.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -40,14 +41,81 @@ KEYS: Mapping[str, str] = {
     "knock_px": "image_shift_px",
     "turn_deg": "rotation_deg",
     "zoom_percent": "scale_percent",
+    "law": "transmission",
+    "specimen": "as_built",
+    # sections of tasks, lights of sensors, scenarios
+    "told": "goal",
+    "happens": "disturbance",
+    "counts": "success",
+    "falloff": "vignetting",
+    "vary": "randomization",
+    "shapes": "contact_shapes",
 }
 """File key before 0.2.0 to file key now."""
 
-OPTIONS: Mapping[str, str] = {}
-"""Command-line option or command before 0.2.0 to the one now."""
+OPTIONS: Mapping[str, str] = {
+    "--vary": "--randomization",
+    "--shapes": "--contact-shapes",
+    "--slow": "--time-scale",
+    "--specimen": "--as-built",
+    "--like": "--template",
+    "--known": "--fix",
+    "--feel-mN": "--detect-force-mN",
+    "--on": "--setup",
+    "--from": "--input",
+    "--at": "--position-mm",
+    "--touch-mm": "--first-contact-sd-mm",
+    "--steps": "--protocol",
+    "--against": "--suite",
+    "--screen": "--screening-sample",
+    "--cause": "--parameter",
+    "--until-s": "--end-s",
+    "--fast": "--no-realtime",
+    "--turn-deg": "--rotation-deg",
+    "shadow": "compare-sim",
+    "locate": "detect-circles",
+    "make": "fabricate",
+    # benchmarks
+    "levels": "meshless",
+    "bars": "uncertainty",
+    "cheap": "no-images",
+    "drawn": "error-model",
+    "truth": "references",
+    "thin": "thin-objects",
+    "trust": "camera-faults",
+    "attacks": "fault-injection",
+    "settings": "setting-sensitivity",
+    "gauge": "gas-filter-sensitivity",
+    "seen": "detection-sensitivity",
+    "bodies": "shape-sensitivity",
+    "first_day": "commissioning",
+    "numbers": "summary-page",
+    "headline": "readme-table",
+    "film": "quasistatic",
+}
+"""Option, command or benchmark before 0.2.0 to the one now."""
 
-COLUMNS: Mapping[str, str] = {"pressure_gauge": "gauge_pressure"}
+EFFECTS: Mapping[str, str] = {"sheet": "mesh", "chain": "pipeline"}
+"""Name of an effect before 0.2.0 to name now."""
+
+COLUMNS: Mapping[str, str] = {"pressure_gauge": "gauge_pressure", "varied": "randomized"}
 """Column of a recording before 0.2.0 to column now."""
+
+TEXTS: Mapping[str, Mapping[str, str]] = {
+    "status": (
+        codes := {
+            "no answer": "perception timeout",
+            "no shape": "fit failed",
+            "air moves": "pressure changing",
+            "too weak": "force too low",
+            "too little seen": "incomplete data",
+            "undecided": "ambiguous",
+        }
+    ),
+    "status_code": codes,
+    "shape_kind": {"face": "flat", "tip": "point", "several": "multiple"},
+}
+"""Column of a recording to its texts before 0.2.0 and those now."""
 
 
 def hint(name: str, renamed: Mapping[str, str] = KEYS) -> str:
@@ -55,10 +123,16 @@ def hint(name: str, renamed: Mapping[str, str] = KEYS) -> str:
     return f": `{name}` is now `{renamed[name]}`" if name in renamed else ""
 
 
+def option_hint(message: str) -> str:
+    """Return the hint for the old option, command or benchmark in a usage error."""
+    words = re.findall(r"(?<![\w-])-{0,2}[a-z][\w-]*", message.partition("(choose")[0])
+    return next((hint(word, OPTIONS) for word in words if word in OPTIONS), "")
+
+
 def old_key(key: str) -> str:
     """Return the name that a file key had before 0.2.0.
 
-    Seeds of random streams are hashes of it: a seed draws what it drew before.
+    Seeds of random streams are hashes of it, so that a seed yields the same samples as before.
     """
     return next((old for old, new in KEYS.items() if new == key), key)
 
@@ -74,6 +148,13 @@ def old_keys(table: Mapping[str, Any]) -> dict[str, Any]:
 def current_row(row: dict[str, Any]) -> dict[str, Any]:
     """Translate the columns of one line of a recording's log, and the keys of its scenario."""
     row = {COLUMNS.get(key, key): value for key, value in row.items()}
+    for key in TEXTS.keys() & row.keys():
+        if isinstance(row[key], list):
+            row[key] = [_current(TEXTS[key], text) for text in row[key]]
     if isinstance(row.get("scenario"), Mapping):
         row["scenario"] = {KEYS.get(key, key): value for key, value in row["scenario"].items()}
     return row
+
+
+def _current(texts: Mapping[str, str], text: Any) -> Any:
+    return texts.get(text, text) if isinstance(text, str) else text

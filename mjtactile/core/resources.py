@@ -1,4 +1,4 @@
-"""Where the shipped sensors, objects, grippers and controllers are: beside the package in a
+"""Location of the shipped sensors, objects, grippers and controllers: next to the package in a
 checkout, inside it in a wheel."""
 
 from __future__ import annotations

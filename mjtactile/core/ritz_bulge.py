@@ -1,16 +1,16 @@
-"""The inflated sheet by Ritz's method: the height, to four digits, that a simulated one is compared
-with. Pure functions, SI units; neither the simulator's triangles nor sensing's splines have a part
-in it.
+"""Inflated membrane by Ritz's method: reference for the height of a simulated membrane, to four
+digits. Pure functions, SI units. The method uses neither the simulator's triangles nor sensing's
+splines.
 
-The displacement of the mounted sheet is a polynomial of the coordinates of a disc (of a square, for
-rectangles) times a bubble, 1 - r^2 or (1 - x^2)(1 - y^2), which vanishes on the rim; the outline's
-map (`mjtactile.core.outline`) carries the disc to the opening. Its coefficients are where the
-virtual work of the stress, of the gas and of the weight vanishes (docs/theory/closed_forms.md, Eq.
-M8):
+The displacement of the mounted membrane is a polynomial in the coordinates of a disc (of a square,
+for rectangles), multiplied by a bubble function. The bubble, 1 - r^2 or (1 - x^2)(1 - y^2),
+vanishes on the frame. The outline's map (`mjtactile.core.outline`) maps the disc to the opening.
+The coefficients satisfy the principle of virtual work for stress, gas and weight
+(docs/theory/closed_forms.md, Eq. M8):
 
     int P : grad v dA = p int (x_1 x x_2) . v dA - g rho h / l^2 int v_z dA,    P = h F S(l^2 F^T F)
 
-The solution is smooth where the outline is, and the error falls by a factor with every degree.
+The solution is smooth if the outline is, and the error decreases by a factor with every degree.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from mjtactile.core.types import Array
 _DEGREE = 5  # of the polynomials in x^2 and y^2
 _DEGREE_POLYGON = 3  # without the symmetry there are four times as many to a degree
 GRAVITY = 9.81
-_SCALE = 1e-3  # m: unknowns of about 1
+_SCALE = 1e-3  # length scale, m: the unknowns are of order 1
 _NEWTON = 30
 _THICKNESS_STEPS = 12  # quadratic: enough for the last digit
 _STEPS = (0.3, 1.0)  # shares of the pressure on the way
@@ -41,17 +41,17 @@ _SMALL = 1e-6  # step of a difference
 def inflated_height(
     design: SensorDesign, gauge_pressure: float, *, gravity: float = 0.0, degree: int | None = None
 ) -> float:
-    """Height of the middle of an inflated sheet.
+    """Compute the height of an inflated membrane at its center.
 
     Args:
-        design: Its frame and membrane, of any outline and law.
-        gauge_pressure: Pa.
-        gravity: m/s^2, into the chamber.
-        degree: Of the polynomials in x^2 and y^2; 5, of polygons 3.
+        design: Sensor design; its frame and membrane may have any outline and law.
+        gauge_pressure: Gauge pressure, Pa.
+        gravity: Gravity into the chamber, m/s^2.
+        degree: Degree of the polynomials in x^2 and y^2; default 5, for polygons 3.
 
     Returns:
-        m above the frame; NaN where the rubber cannot hold the pressure, and of frames more than
-        four times as long as wide.
+        Height above the frame, m. NaN if the rubber cannot hold the pressure, or if the frame is
+        more than four times as long as wide.
     """
     frame = replace(design.frame, shape="ellipse")  # where to begin: a bulge as long and as wide
     first = analytical_solutions.bulge_height(replace(design, frame=frame), gauge_pressure)
@@ -91,14 +91,14 @@ def _root(sheet: _RitzMembrane, unknown: Array, pressure: float, weight: float) 
 
 @dataclass(frozen=True, eq=False)
 class _RitzMembrane:
-    """Values of the trial functions at the places where work is summed.
+    """Values of the trial functions at the integration points.
 
     Attributes:
         membrane: The rubber.
-        weights: (q,) m^2 of the mounted sheet.
-        values: (3, k, q) of the functions of u_x, u_y, u_z.
-        slopes: (3, 2, k, q) 1/m, by x and y.
-        middle: (k,) values of u_z's in the middle of the frame.
+        weights: Area weights of the mounted membrane (q,), m^2.
+        values: Values of the functions of u_x, u_y, u_z (3, k, q).
+        slopes: Derivatives by x and y (3, 2, k, q), 1/m.
+        middle: Values (k,) of the functions of u_z at the center of the frame.
     """
 
     membrane: Membrane
@@ -193,7 +193,8 @@ def _quarter(count: int, disc: bool) -> tuple[Array, Array]:
 
 
 def _bubble(places: Array, disc: bool) -> tuple[Array, Array]:
-    """What is 1 in the middle and 0 on the rim, (q,), and its derivatives (2, q)."""
+    """Return the bubble function (q,), 1 at the center and 0 on the frame, and its derivatives (2,
+    q)."""
     x, y = places.T
     if disc:
         return 1 - x**2 - y**2, np.array([-2 * x, -2 * y])
@@ -201,7 +202,8 @@ def _bubble(places: Array, disc: bool) -> tuple[Array, Array]:
 
 
 def _orders(degree: int, odd: tuple[int, int], symmetric: bool) -> list[tuple[int, int]]:
-    """Of the polynomials in x and y: what is symmetric or, where `odd`, antisymmetric; all."""
+    """Return the orders of the polynomials in x and y: symmetric or, where `odd`, antisymmetric
+    ones; all if not `symmetric`."""
     if not symmetric:
         return [(i, total - i) for total in range(2 * degree + 1) for i in range(total + 1)]
     return [

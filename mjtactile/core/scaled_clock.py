@@ -1,9 +1,9 @@
-"""The clock of devices, emulator and loop, in seconds that may last longer than the wall's.
+"""Clock of devices, emulator and loop. Its seconds may be longer than wall-clock seconds.
 
-`MJTACTILE_SLOW=3` (the command line's `--slow 3`) makes each of them last three: emulated world,
-servos' watchdogs, the board's heartbeat, cameras, host and all their time-outs run at a third of
-the speed, so that a busy computer keeps up with them. Child processes inherit it. Real devices have
-a clock of their own: only emulated ones can be slow.
+`MJTACTILE_TIME_SCALE=3` (the command line's `--time-scale 3`) makes each second last three
+wall-clock seconds. Emulated world, servo watchdogs, board heartbeat, cameras, host and all timeouts
+run at a third of the speed, so that a busy computer can keep up. Child processes inherit it. Real
+devices have their own clock: only emulated ones can be slowed down.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import time
 
 from mjtactile.core.errors import InputError
 
-_NAME = "MJTACTILE_SLOW"
+_NAME = "MJTACTILE_TIME_SCALE"
 
 
 def _from_environment() -> float:
@@ -33,7 +33,7 @@ _slow = _from_environment()
 
 
 def slow() -> float:
-    """How many seconds of the wall's one of these lasts."""
+    """Return the duration of one scaled second in wall-clock seconds."""
     return _slow
 
 
@@ -48,13 +48,13 @@ def monotonic() -> float:
     """Read the clock of devices, emulator and loop.
 
     Returns:
-        Monotonic time, s; the same in all processes of one pace (`MJTACTILE_SLOW`).
+        Monotonic time, s; the same in all processes of one pace (`MJTACTILE_TIME_SCALE`).
     """
     return time.monotonic() / _slow
 
 
 def wall(seconds: float) -> float:
-    """How long these seconds last on the wall: for a library's time-outs."""
+    """Convert scaled seconds to wall-clock seconds, for timeouts of libraries."""
     return seconds * _slow
 
 

@@ -1,8 +1,8 @@
-"""`Scenario`: what one run is: object, task, controller, rig, sensors, simulation and seed.
+"""`Scenario`: definition of one run: object, task, controller, rig, sensors, simulation and seed.
 
-The one value that the command line fills, files describe, results and recordings keep, and
-everything that runs something takes. How fast or where it is run is no part of it: a scenario on
-the same versions gives the same numbers.
+The command line creates it, files describe it, and results and recordings store it. All functions
+that run an episode take it. Speed and place of execution are not part of it: a scenario with the
+same versions yields the same numbers.
 """
 
 from __future__ import annotations
@@ -21,13 +21,16 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.field_types import Entry, Number
 from mjtactile.core.toml import Section
 
-TIME_LIMIT = 60.0  # s on the rig's clock; a gentle grasp takes about 10
+TIME_LIMIT = 60.0  # default limit on the rig's clock, s; a gentle grasp takes about 10
 
 
 @dataclass(frozen=True, kw_only=True)
 class FileName(Entry):
-    """A file of `suffix`, beside the one that names it or else as it is written, or the name of one
-    that ships in `folder`; `others` may stand there, too."""
+    """File with `suffix`, or the name of a file shipped in `folder`.
+
+    The path is resolved relative to the file that names it, then as written. `others` are further
+    valid names.
+    """
 
     folder: str
     suffix: str
@@ -54,8 +57,8 @@ class FileName(Entry):
         return value
 
     def _may_be(self, value: str) -> bool:
-        """Whether it is left to whoever builds it: backends that are installed have their own
-        names."""
+        """Return True if the name is checked later, when it is used. Installed backends have their
+        own names."""
         return ":" in value or self.key == "rig"
 
 
@@ -74,7 +77,7 @@ class _EachFinger(Entry):
 
 @dataclass(frozen=True, kw_only=True)
 class _Limit(Number):
-    """A number, or null, which is how JSON says infinity."""
+    """Number, or null, which represents infinity in JSON."""
 
     def read(self, section: Section, default: Any) -> Any:
         return super().read(section, math.inf if section.has(self.key) else default)
@@ -100,19 +103,20 @@ class Scenario:
     """One run. Names are of shipped files, or paths of a user's own; every field has a default.
 
     Attributes:
-        object: What is grasped: a shipped name, FILE.xml or "random:N".
-        task: What is done with it: a shipped name, or FILE.toml.
+        object: Object to grasp: a shipped name, FILE.xml or "random:N".
+        task: Task with the object: a shipped name, or FILE.toml.
         controller: Shipped name or FILE.py.
         rig: Shipped name, FILE.toml, "replay:FOLDER", or that of an installed backend.
-        sensor: What is on each finger: shipped name, FILE.toml, or a design made in memory.
-        sensors: Finger to its own sensor, where that is not `sensor`; stronger than the rig file.
-        effects: "auto", or "+NAME,-NAME": what is simulated.
-        accuracy: "" (default), "0.02N" or "realtime": how finely it is simulated.
-        vary: Shipped name or FILE.toml of what the seed draws the world from, or "none".
-        seed: Of camera noise, of where the object stands, and of what is drawn from `vary`.
-        time_limit: s on the rig's clock after which the run is ended; inf: never.
-        shapes: Whether every touch says what body it is of, whatever the controller reads; area and
-            force are that body's then.
+        sensor: Sensor on each finger: shipped name, FILE.toml, or a design created in memory.
+        sensors: Sensors by finger, if different from `sensor`; they override the rig file.
+        effects: Simulated effects: "auto", or "+NAME,-NAME".
+        accuracy: Accuracy of the simulation: "" (default), "0.02N" or "realtime".
+        randomization: Ranges from which the seed randomizes the world: shipped name, FILE.toml, or
+            "none".
+        seed: Seed of camera noise, of the object's position, and of `randomization`.
+        time_limit: Time on the rig's clock after which the run is ended, s; inf: never.
+        contact_shapes: True if every touch reports its contact shape, regardless of the controller.
+            Area and force are then those of the shape.
 
     Raises:
         InputError: For a seed or time limit out of range.
@@ -128,10 +132,12 @@ class Scenario:
     )
     effects: str = text("effects", default="auto")
     accuracy: str = entry(_MaybeEmpty(key="accuracy"), "")
-    vary: str = _file("vary", "models/randomization", ".toml", "none", default="none")
+    randomization: str = _file(
+        "randomization", "models/randomization", ".toml", "none", default="none"
+    )
     seed: int = whole("seed", 0, 2**63 - 1, default=0)
     time_limit: float = entry(_Limit(key="time_limit_s", low=0.1, high=86400), TIME_LIMIT)
-    shapes: bool = flag("shapes", default=False)
+    contact_shapes: bool = flag("contact_shapes", default=False)
 
     def __post_init__(self) -> None:
         if self.seed < 0:
@@ -154,7 +160,7 @@ class Scenario:
 
     @property
     def sensor_name(self) -> str:
-        """What `sensor` is called in files: a name, or the path of a user's file."""
+        """Name of `sensor` in files: a shipped name, or the path of a user's file."""
         return self.sensor.name if isinstance(self.sensor, SensorDesign) else self.sensor
 
     def to_dict(self) -> dict[str, Any]:
@@ -165,8 +171,8 @@ class Scenario:
         """
         values = {one.name: getattr(self, one.name) for one in fields(self)}
         limit = values.pop("time_limit")
-        if not self.shapes:  # as results of before it could be asked have it
-            del values["shapes"]
+        if not self.contact_shapes:  # as results of before it could be asked have it
+            del values["contact_shapes"]
         return values | {
             "sensor": self.sensor_name,
             "sensors": dict(self.sensors),
@@ -174,20 +180,20 @@ class Scenario:
         }
 
     def header(self) -> dict[str, Any]:
-        """Say of a recording what was run.
+        """Return the description of the run for a recording.
 
         Returns:
-            The scenario, and how to run it again.
+            The scenario, and the command to run it again.
         """
         said = self.to_dict()
         names = {key: said[key] for key in ("object", "sensor", "controller", "rig", "seed")}
         return names | {"command": self.command(), "scenario": said}
 
     def names(self) -> dict[str, Any]:
-        """Say of a run's summary what was run.
+        """Return the description of the run for its summary.
 
         Returns:
-            What object, sensor and controller are called, and the seed.
+            The names of object, sensor and controller, and the seed.
         """
         sensors = {self.sensor_name: None} | dict.fromkeys(self.sensors.values())
         return {
@@ -198,7 +204,7 @@ class Scenario:
         }
 
     def command(self) -> str:
-        """Say how to run it again.
+        """Return the command to run it again.
 
         Returns:
             The command, for a shell.
@@ -206,10 +212,10 @@ class Scenario:
         words = ["mjtactile", "grasp", "--object", self.object]
         words += ["--controller", self.controller, "--seed", str(self.seed)]
         said = self.to_dict()
-        for name in ("task", "sensor", "rig", "accuracy", "effects", "vary"):
+        for name in ("task", "sensor", "rig", "accuracy", "effects", "randomization"):
             if said[name] != _DEFAULTS[name]:
                 words.append(f"--{name}={said[name]}")
-        words += ["--shapes"] if self.shapes else []
+        words += ["--contact-shapes"] if self.contact_shapes else []
         return shlex.join(words)
 
 

@@ -1,8 +1,8 @@
-"""The parts that a sensor is made of: frame, membrane, markers, chamber, glass, camera, light; each
-a section of a sensor file.
+"""Parts of a sensor: frame, membrane, markers, chamber, glass, camera, light. Each is a section of
+a sensor file.
 
-Every quantity is SI inside. The file's keys carry the unit; each field says its own, with its range
-(`mjtactile.core.config_fields`). The format: docs/reference/sensor_files.md.
+All quantities are SI internally. The file's keys carry the unit; each field defines its unit and
+range (`mjtactile.core.config_fields`). The format: docs/reference/sensor_files.md.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from mjtactile.core.outline import Outline, OutlineError
 from mjtactile.core.toml import Section
 from mjtactile.core.types import Array
 
-# A number without unit that a file writes as a whole one stays whole: fingerprints of sensor files
-# (`mjtactile.core.calibration`) tell 600 from 600.0.
+# Unit of dimensionless numbers. It is an integer, so that a whole number in a file stays whole:
+# fingerprints of sensor files (`mjtactile.core.calibration`) distinguish 600 from 600.0.
 ONE = 1
 _CLEAR = 0.5  # radii between a marker and an outline: nearer, the frame's edge cuts its picture
 
@@ -89,7 +89,7 @@ class Frame:
 
     @classmethod
     def from_section(cls, section: Section) -> Frame:
-        """By its shape, a rectangle where none is said."""
+        """Read the frame according to its shape; a rectangle if none is given."""
         shape = FrameShape(section.text("shape", tuple(FrameShape), default="rectangle"))
         given: dict[str, Any] = {"shape": shape}
         if shape is FrameShape.CIRCLE:
@@ -117,7 +117,7 @@ class Frame:
 
     @property
     def has_corners(self) -> bool:
-        """Whether there are corners that are rounded."""
+        """True if the outline has rounded corners."""
         return self.shape in _ROUND_CORNERS
 
     @cached_property
@@ -134,7 +134,7 @@ class Frame:
         return Outline.polygon(self.corners, self.corner_radius)
 
     def to_table(self) -> dict[str, Any]:
-        """What stands in the file."""
+        """Return the file's table."""
         table = write_fields(self)
         if self.shape != FrameShape.RECTANGLE:
             table["shape"] = str(self.shape)
@@ -148,7 +148,8 @@ class Frame:
         return self.length * self.width if self.outline is None else self.outline.area
 
     def inside(self, xy: Array) -> Array:
-        """How far (N,) m places (N, 2) m are inside of the opening; negative: outside."""
+        """Compute the distance (N,) m of positions (N, 2) m to the opening's edge; positive inside,
+        negative outside."""
         if self.outline is not None:
             return self.outline.distance(xy)
         return (np.array([self.length, self.width]) / 2 - np.abs(xy)).min(axis=1)
@@ -156,7 +157,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Membrane:
-    """Rubber sheet, SI: Pa, kg/m^3, m; `law` of its stress."""
+    """Rubber sheet, SI: Pa, kg/m^3, m; `transmission` of its stress."""
 
     thickness: float = number(
         "thickness_mm", 0.01, 5, MM, about="of the sheet before it is stretched"
@@ -185,7 +186,7 @@ class Membrane:
 
     @property
     def pretension(self) -> float:
-        """Tension per length T0, N/m, of the flat mounted sheet, stretched alike in all directions.
+        """Tension per length T0, N/m, of the flat mounted membrane with equibiaxial stretch.
 
         The force per *mounted* length is h S with the second Piola-Kirchhoff stress S (the factor l
         of the deformation and the factor 1/l of the mounted length cancel).
@@ -290,7 +291,7 @@ class Chamber:
 
 @dataclass(frozen=True)
 class Glass:
-    """Flat pane normal to the camera's axis, m."""
+    """Flat glass normal to the camera's axis, lengths in m."""
 
     thickness: float = number("thickness_mm", 0, 50, MM, about="0: no glass")
     refractive_index: float = number(
@@ -333,7 +334,7 @@ class Pinhole:
 
     @property
     def intrinsics(self) -> dict[str, Any]:
-        """These values by name: of whatever else a subclass knows, nothing."""
+        """Intrinsic parameters by name, without the fields of a subclass."""
         return {field.name: getattr(self, field.name) for field in fields(Pinhole)}
 
 
@@ -391,6 +392,11 @@ class Leds:
         default=40.0,
         about="grey level of a black marker, less than the membrane's",
     )
-    falloff: float = number(
-        "falloff", 0, 1, ONE, default=0.25, about="share of the light lost at the image's corners"
+    vignetting: float = number(
+        "vignetting",
+        0,
+        1,
+        ONE,
+        default=0.25,
+        about="share of the light lost at the image's corners",
     )

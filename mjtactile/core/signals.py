@@ -1,9 +1,9 @@
-"""Signals that ask a process to end. While devices are connected they are noted, and acted on where
-the loop allows it.
+"""Signals that end a process. While devices are connected, signals are stored and handled where the
+loop allows it.
 
-An exception in the middle of whatever the main thread does, which is Python's own answer to Ctrl-C,
-could cut a shutdown short: torque on, chambers sealed. Blocking a signal in one thread does not
-help, since any other thread takes it.
+Python's own reaction to Ctrl-C is an exception at an arbitrary point of the main thread. It could
+abort a shutdown: torque on, chambers sealed. Blocking a signal in one thread does not help, since
+any other thread receives it.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from mjtactile.core.errors import Interrupted
 
 
 def _found(*names: str) -> tuple[signal.Signals, ...]:
-    """What there is of them: no system has all."""
+    """Return the signals that exist on this system; no system has all."""
     return tuple(getattr(signal, name) for name in names if hasattr(signal, name))
 
 
 URGENT = _found("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
-"""Sent by somebody who may send it again to say that he does not want to wait."""
+"""Signals that a user may send again to skip the orderly end."""
 OTHERS = (
     *_found("SIGABRT", "SIGALRM", "SIGVTALRM", "SIGPROF", "SIGUSR1", "SIGUSR2"),
     *_found("SIGXCPU", "SIGPOLL", "SIGPWR", "SIGSTKFLT"),
@@ -34,15 +34,15 @@ OTHERS = (
 """End a process that does not handle them, too: a batch queue's warning, a timer, processor time
 that is used up (which repeats every second)."""
 ENDING = URGENT + OTHERS
-# s; what comes sooner after the first signal means the same: a finger that bounces, a shell that
-# repeats it
+# debounce time, s: a repeated signal sooner after the first one is ignored (key bounce, a shell
+# that repeats it)
 SECOND_TIME = 1.0
-LEAVE_TIME = 1.0  # s for the process to be gone once nothing is connected any more
+LEAVE_TIME = 1.0  # time for the process to exit after all devices are disconnected, s
 EXIT_CODE = Interrupted.exit_code
 
 
 class Stop:
-    """What the signals have asked for so far: `asked` to end in order, `at_once` (a second one)
+    """Requests received by signals: `asked` to end in order, `at_once` (a second signal) to end
     without delay."""
 
     def __init__(self, *, ends_process: bool = False):
@@ -90,13 +90,13 @@ _heard: Stop | None = None  # signals belong to the process, and so does this
 
 @contextlib.contextmanager
 def listening(*, ends_process: bool = False) -> Iterator[Stop]:
-    """Hear the signals in `ENDING`; one that the process was told to ignore (nohup) stays ignored,
-    and of `OTHERS` one that it handles itself.
+    """Handle the signals in `ENDING`. Signals ignored by the process (nohup) stay ignored, and
+    those of `OTHERS` with their own handler keep it.
 
-    Inside another such block, that one's `Stop` is given. Outside of the main thread, where Python
-    installs no handlers, nothing is heard. `ends_process`: the process ends with this block:
-    afterwards the signals are ignored, and after a deferral in which one came it is gone within
-    LEAVE_TIME, whatever hangs then.
+    A nested block yields the `Stop` of the outer one. Outside of the main thread no signal is
+    handled, since Python installs no handlers there. `ends_process`: the process ends with this
+    block, and the signals are ignored afterwards. After a deferral with a signal, the process exits
+    within LEAVE_TIME, even if a call hangs.
     """
     global _heard  # noqa: PLW0603
     if _heard is not None or threading.current_thread() is not threading.main_thread():

@@ -1,5 +1,4 @@
-"""Whether a value is to be trusted: a code that programs branch on, and the sentence that people
-read."""
+"""Validity of a value: a code for programs, and a sentence for users."""
 
 from __future__ import annotations
 
@@ -7,21 +6,25 @@ from enum import StrEnum
 
 
 class StatusCode(StrEnum):
-    """What is wrong. The first stage that says so decides; later ones hand it on."""
+    """Cause of an invalid value. The first stage that detects a fault sets it; later stages pass it
+    on."""
 
     OK = "ok"
     NO_IMAGE = "no image"  # the camera is blind, late or stale
-    PERCEPTION_TIMEOUT = "no answer"  # what looks at the images does not answer, or failed
+    # the process that evaluates the images does not answer, or failed
+    PERCEPTION_TIMEOUT = "perception timeout"
     TOO_FEW_MARKERS = "too few markers"
-    FIT_FAILED = "no shape"  # the markers fit no shape that the membrane can have
+    FIT_FAILED = "fit failed"  # the markers fit no shape that the membrane can have
     OVERLOADED = "overloaded"  # and did not since they showed a large force
-    # the rest is not what it was: temperature, a camera that moved
+    # the rest reference is no longer valid: temperature, a camera that moved
     REFERENCE_LOST = "reference lost"
-    PRESSURE_CHANGING = "air moves"  # the chamber's pressure changes too fast to be followed
-    FORCE_TOO_LOW = "too weak"  # too small a force to say it by
-    INCOMPLETE_DATA = "too little seen"  # the probe was not finished
-    AMBIGUOUS = "undecided"  # the evidence fits two answers
-    NOT_ESTIMATED = "not estimated"  # this method does not tell
+    PRESSURE_CHANGING = (
+        "pressure changing"  # the chamber's pressure changes too fast to be followed
+    )
+    FORCE_TOO_LOW = "force too low"  # the force is too small for an estimate
+    INCOMPLETE_DATA = "incomplete data"  # the probe was not finished
+    AMBIGUOUS = "ambiguous"  # the evidence fits two answers
+    NOT_ESTIMATED = "not estimated"  # not provided by this method
     OTHER = "other"  # a text without a code: an older recording, a user's own
 
 
@@ -42,7 +45,8 @@ class Status(str):
 
     @classmethod
     def of(cls, text: str) -> Status:
-        """`text` itself where it is a status; else "ok" or OTHER by what it says."""
+        """Return `text` if it is a status already; otherwise a status with code "ok" or OTHER,
+        according to the text."""
         if isinstance(text, cls):
             return text
         return cls(StatusCode.OK if text == StatusCode.OK else StatusCode.OTHER, text)

@@ -1,8 +1,7 @@
-"""`Task`: what is done with an object, what happens to it meanwhile, and what counts; a file.
+"""`Task`: action with an object, disturbances, and success criteria, read from a file.
 
-The seed draws from its ranges what the object weighs, how rough it is, what it stands, and each of
-the things that happen. The robot is told the `GoalSettings` and nothing else. The format:
-docs/reference/task_files.md.
+The seed randomizes the object's mass, friction and strength, and each disturbance, within given
+ranges. The robot receives only the `GoalSettings`. The format: docs/reference/task_files.md.
 """
 
 from __future__ import annotations
@@ -33,9 +32,9 @@ from mjtactile.core.field_types import Numbers
 from mjtactile.core.toml import Section, read_toml
 from mjtactile.core.types import TaskGoal
 
-GRAVITY = 9.81  # m/s^2
+GRAVITY = 9.81  # gravity, m/s^2
 _SPAN = ("low", "high")
-KINDS = ("fill", "shake", "push", "table", "pull")
+KINDS = ("fill", "shake", "push", "move_support", "pull")
 Range = tuple[float, float]
 
 
@@ -50,7 +49,7 @@ def _range(
 
 @dataclass(frozen=True)
 class GoalSettings:
-    """What the robot is told."""
+    """Goal of the task, as given to the robot."""
 
     lift_height: float = number(
         "lift_height_mm", 5, 150, MM, default=0.040, about="how high it lifts"
@@ -62,14 +61,14 @@ class GoalSettings:
     handover: bool = flag("handover", default=False, about="somebody will take it")
     push: float = number("push_N", 0, 20, default=0.0, about="somebody may push it so hard")
 
-    def told(self) -> TaskGoal:
+    def goal(self) -> TaskGoal:
         """The value that controllers see."""
         return TaskGoal(**{one.name: getattr(self, one.name) for one in fields(self)})
 
 
 @dataclass(frozen=True)
 class ObjectRandomization:
-    """How the object differs from its file; what is left out does not."""
+    """Randomization of the object; properties without a range keep the value of its file."""
 
     mass: Range | None = _range("mass_g", 0.1, 2000, 1e-3, about="evenly in its logarithm")
     friction: Range | None = _range("friction", 0.05, 3, about="coefficient, with the membranes")
@@ -99,7 +98,7 @@ class ObjectRandomization:
 
 @dataclass(frozen=True)
 class Disturbance:
-    """One thing that happens, from `begin` s after the hand is up, for `last` s."""
+    """One disturbance. It starts `begin` s after the lift is complete, and lasts `last` s."""
 
     kind: str = text("kind", KINDS)
     begin: Range = numbers("start_s", _SPAN, 0, 600, about="after the hand is up")
@@ -112,7 +111,7 @@ class Disturbance:
     tilt: Range | None = _range("tilt_deg", 0, 90, DEGREE, of="shake", about="it also turns")
     impulse: Range | None = _range("impulse_N_s", 0, 1, of="push", about="from any side")
     height: Range | None = _range(
-        "height_mm", -50, 50, MM, of="table", about="of the place, over where it stood"
+        "height_mm", -50, 50, MM, of="move_support", about="of the place, over where it stood"
     )
     force: Range | None = _range("force_N", 0, 20, of="pull", about="in the end, from any side")
 
@@ -121,7 +120,7 @@ class Disturbance:
             "fill": ("mass",),
             "shake": ("acceleration", "rate"),
             "push": ("impulse",),
-            "table": ("height",),
+            "move_support": ("height",),
             "pull": ("force",),
         }
         _require_order(self, section)
@@ -132,7 +131,7 @@ class Disturbance:
 
 @dataclass(frozen=True)
 class SuccessCriteria:
-    """What a success is, beside that the object is held and whole."""
+    """Criteria of success, in addition to an object that is held and intact."""
 
     upright: float = number(
         "tilt_max_deg", 0, 180, DEGREE, default=math.inf, about="it stands, no more tilted"
@@ -161,8 +160,9 @@ class SampledDisturbance:
 
 @dataclass(frozen=True)
 class SampledTask:
-    """What a seed has drawn: kg, the coefficient and N over the need, None where the task leaves
-    them; `values` in the file's units, for results."""
+    """Values sampled by a seed: mass, kg, friction coefficient, and breaking factor over the
+    required force. They are None if the task does not set them; `values` are in the file's units,
+    for results."""
 
     mass: float | None
     friction: float | None
@@ -171,15 +171,18 @@ class SampledTask:
     values: Mapping[str, float]
 
     def pulls(self) -> float:
-        """s after the hand is up from when on somebody pulls with more than 0.3 N; NaN: nobody."""
+        """Return the time after the lift at which a pull exceeds 0.3 N, s; NaN without a pull."""
         for event in self.events:
             if event.kind == "pull":
                 return event.begin + event.last * min(_PULL / event.values["force"], 1.0)
         return math.nan
 
     def need(self, mass: float, friction: float, fingers: int) -> float:
-        """N that each finger must press with to hold `mass` kg through all of it (Coulomb): pushes
-        come from any side, and at worst from above."""
+        """Compute the required normal force per finger, N, to hold `mass` kg during all
+        disturbances (Coulomb).
+
+        Pushes come from any side; from above is the worst case.
+        """
         heaviest = max([mass, *(event.values.get("mass", 0.0) for event in self.events)])
         shaken = max((event.values.get("acceleration", 0.0) for event in self.events), default=0.0)
         pushed = max(
@@ -193,17 +196,17 @@ class Task:
     """A task file."""
 
     name: str
-    happenings: tuple[Disturbance, ...] = parts("happens", Disturbance, 0, 20)
+    happenings: tuple[Disturbance, ...] = parts("disturbance", Disturbance, 0, 20)
     about: str = text("about", default="")
     version: str = text("version", default="")
     time_limit: float = number("time_limit_s", 0.1, 86400, default=60.0)
-    orders: GoalSettings = part("told", GoalSettings, default=GoalSettings())
+    orders: GoalSettings = part("goal", GoalSettings, default=GoalSettings())
     thing: ObjectRandomization = part("object", ObjectRandomization, default=ObjectRandomization())
-    counts: SuccessCriteria = part("counts", SuccessCriteria, default=SuccessCriteria())
+    counts: SuccessCriteria = part("success", SuccessCriteria, default=SuccessCriteria())
 
     @property
     def is_plain(self) -> bool:
-        """Whether nothing is drawn and nothing happens."""
+        """True if the task has neither randomization nor disturbances."""
         return not self.happenings and self.thing == ObjectRandomization()
 
     def draw(self, seed: int, fingers: int) -> SampledTask:
@@ -254,8 +257,9 @@ class Task:
                 return drawn
 
 
-_PULL = 0.3  # N
-_ATTEMPTS = 1000  # then what is drawn is not to be had, and the last stays
+_PULL = 0.3  # threshold of a pull, N
+# maximum number of samples; then the last one is used, although it exceeds the limit
+_ATTEMPTS = 1000
 
 
 def load_task(name_or_path: str | Path) -> Task:
@@ -268,7 +272,7 @@ def load_task(name_or_path: str | Path) -> Task:
         The task; its name is the file's.
 
     Raises:
-        InputError: Naming file, field, value and valid choices for what is missing or wrong.
+        InputError: Names file, field, value and valid choices of a missing or wrong entry.
     """
     path = resources.find(name_or_path, "models/tasks", ".toml")
     return from_table(Task, read_toml(path), str(path), name=path.stem)

@@ -1,5 +1,5 @@
-"""Read TOML and JSON files field by field: each value is checked for kind and range, and what is
-wrong is one line that names the file, the field, the value and the valid choices."""
+"""Reader of TOML and JSON files field by field. Each value is checked for type and range. An error
+is one line that names the file, the field, the value and the valid choices."""
 
 from __future__ import annotations
 
@@ -190,11 +190,12 @@ class Section:
         return value
 
     def has(self, key: str) -> bool:
-        """Whether the table has the field, where several may say the same."""
+        """Return True if the table has the field, for entries with alternative keys."""
         return key in self._table
 
     def kind(self, key: str) -> type | None:
-        """Of what kind the field is, where several are good: None where it is missing."""
+        """Return the type of the field's value, for fields with several valid types; None if it is
+        missing."""
         return type(self._table[key]) if key in self._table else None
 
     def flag(self, key: str, default: Any = ...) -> Any:
@@ -262,7 +263,7 @@ class Section:
                 raise self.fail(key, f"unknown {what}{hint}", self._known)
 
     def _similar_key(self, key: str) -> str:
-        """Which known field may be meant by an unknown one."""
+        """Return a hint with the known field similar to an unknown one."""
         if key in KEYS:
             return hint(key)
         stems = {_stem(known): known for known in self._known if "_" in known}
@@ -283,7 +284,7 @@ class Section:
         return value
 
     def _similar_unread(self, key: str) -> str:
-        """What stands in the table and may be meant where `key` is missing."""
+        """Return a hint with the table's entry that is similar to the missing `key`."""
         rest = [other for other in self._table if other not in self._known]
         if old := [other for other in rest if KEYS.get(other) == key]:
             return hint(old[0])

@@ -1,3 +1,6 @@
-"""What a sensor file reaches, before anything is built or simulated: the film says where the
-markers stand on what presses, the camera's bound how well they are seen, and the sensing chain's
-own covariance what is felt of it."""
+"""Prediction of a sensor file's performance before the sensor is built or simulated.
+
+The quasi-static membrane predicts the markers' positions on an indenter. The camera's error bound
+predicts their accuracy. The sensing chain's own covariance predicts the accuracy of the
+estimates.
+"""

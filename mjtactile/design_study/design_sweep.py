@@ -16,9 +16,9 @@ from mjtactile.design_study.score import Score, score
 from mjtactile.design_study.sensor_file_edit import rebuilt, scaled_lens, with_markers
 from mjtactile.design_study.virtual_bench import VirtualBench
 
-# What is drawn, with its range: markers a millimetre along the longer side, their radius over their
-# pitch, the lens as a share of the longest, thickness and pressure times the file's (evenly in
-# their logarithm), and the pre-stretch.
+# Sampled parameters with their ranges: markers per millimetre along the longer side, their radius
+# over their pitch, the lens as a fraction of the longest, factors on the file's thickness and
+# pressure (uniform in their logarithm), and the pre-stretch.
 _RANGES = np.array(
     [
         (0.1, 0.5),
@@ -29,7 +29,7 @@ _RANGES = np.array(
         (1.0, 1.2),
     ]
 )
-_EDGE = 2.0e-3  # m from the frame to the outermost markers' rims
+_EDGE = 2.0e-3  # distance from the frame to the edges of the outermost markers, m
 _FEWEST_PX = 6.0
 """px, a marker's radius on the flat membrane: smaller ones are fitted by all their pixels."""
 _MAX_MARKERS = 400
@@ -40,13 +40,13 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Requirements:
-    """What is wanted; None: whatever comes of it.
+    """Requirements for a design; None: no requirement.
 
     Attributes:
-        touch: N, the smallest touch that pixels' noise must allow.
-        most: N, the largest force.
-        edge: m, sd of an edge's place.
-        radius: m, the smallest ball whose radius is to be told.
+        touch: Smallest detectable force with pixel noise alone, N.
+        most: Largest force, N.
+        edge: Standard deviation of an edge's position, m.
+        radius: Smallest ball with a measurable radius, m.
     """
 
     touch: float | None = None
@@ -55,7 +55,7 @@ class Requirements:
     radius: float | None = None
 
     def missed(self, reached: Score) -> list[str]:
-        """What a sensor does not reach of it, in words."""
+        """Return the names of the requirements that a sensor does not meet."""
         missed = []
         for wanted, have, words in (
             (self.touch, reached.seen, "touch"),
@@ -71,8 +71,11 @@ class Requirements:
 
 @dataclass(frozen=True)
 class DesignCandidate:
-    """A design, what it reaches, what it misses of the wish, and whether no other that misses as
-    little is better in force, edge and markers at once."""
+    """Design with its predicted performance and missed requirements.
+
+    `on_front` is True if no other design that misses as few requirements is better in force, edge
+    and marker count together.
+    """
 
     design: SensorDesign
     score: Score
@@ -89,21 +92,21 @@ def sweep(
     seed: int = 0,
     say: Say = lambda _: None,
 ) -> list[DesignCandidate]:
-    """Draw designs, and predict what each reaches.
+    """Sample designs and predict the performance of each.
 
     Args:
-        design: What they begin from: frame, camera, chamber and glass are its own.
-        force: N, that presses.
-        wish: What is wanted.
-        count: How many designs.
-        seed: Of the draws, which fill their ranges evenly (Sobol).
-        say: Told what is being done.
+        design: Initial design, which defines frame, camera, chamber and glass.
+        force: Indenting force, N.
+        wish: Requirements.
+        count: Number of designs.
+        seed: Seed of the samples, which fill their ranges evenly (Sobol).
+        say: Called with progress messages.
 
     Returns:
-        The designs that could be built and felt with, the front marked.
+        The designs that can be built and used for sensing, with the front marked.
 
     Raises:
-        InputError: None could.
+        InputError: No design is feasible.
     """
     # as scipy 1.14 calls it; newer ones take it, too
     drawn = qmc.Sobol(len(_RANGES), seed=seed)  # pyright: ignore[reportCallIssue]
@@ -134,7 +137,7 @@ def _tried(
         if made.markers.count > _MAX_MARKERS or radius_px(made) < _FEWEST_PX:
             return None
         reached = score(made, force, stand=VirtualBench(made))
-    except (InputError, MjtactileError):  # it cannot be built, or not be felt with
+    except (InputError, MjtactileError):  # infeasible to build or to use for sensing
         return None
     if not math.isfinite(reached.force_sd):
         return None
@@ -142,14 +145,14 @@ def _tried(
 
 
 def made_of(design: SensorDesign, numbers: Array) -> SensorDesign:
-    """The design of drawn numbers.
+    """Return the design for sampled parameters.
 
     Args:
-        design: What it begins from.
-        numbers: (6,) as `_RANGES` has them.
+        design: Initial design.
+        numbers: Parameters (6,) in the order of `_RANGES`.
 
     Returns:
-        The design; whether it can be built is not looked at.
+        The design, without a check that it can be built.
     """
     density, share, lens, thicker, higher, stretch = numbers.tolist()
     frame = design.frame
@@ -173,8 +176,8 @@ def made_of(design: SensorDesign, numbers: Array) -> SensorDesign:
 
 
 def longest_lens(design: SensorDesign) -> float:
-    """By how much longer the lens may be until a flat marker reaches the picture's rim, as a
-    pinhole has it."""
+    """Return the maximum factor on the focal length until a flat marker reaches the image border,
+    with a pinhole model."""
     markers = design.markers
     camera = design.camera
     reach = np.abs(markers.p_SM[:, :2]).max(axis=0) + markers.radius
@@ -194,14 +197,14 @@ def radius_px(design: SensorDesign) -> float:
 
 
 def with_front(tried: Sequence[DesignCandidate]) -> list[DesignCandidate]:
-    """Mark those of the fewest missed wishes that no other of them beats in force sd, edge sd and
-    number of markers at once.
+    """Mark the Pareto front among the designs with the fewest missed requirements. The criteria are
+    force sd, edge sd and number of markers.
 
     Args:
         tried: Designs.
 
     Returns:
-        The same, marked.
+        The same designs, marked.
     """
     fewest = min(len(one.missed) for one in tried)
     costs = np.array(

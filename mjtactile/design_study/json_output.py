@@ -1,5 +1,5 @@
-"""The two questions of `mjtactile design`, answered as its JSON has them: what does this file
-reach, and which file reaches what is wanted?"""
+"""JSON output of `mjtactile design`: predicted performance of a file, or files that meet
+requirements."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ Say = Callable[[str], None]
 def of_file(
     design: SensorDesign, force: float, *, check: int = 0, seed: int = 0, say: Say
 ) -> dict[str, Any]:
-    """What a file reaches.
+    """Predict the performance of a file.
 
     Args:
         design: The sensor.
-        force: N, that presses.
-        check: How many places are pressed in full simulation.
-        seed: Of these.
-        say: Told what is being done.
+        force: Indenting force, N.
+        check: Number of positions for the check in full simulation.
+        seed: Seed of these positions.
+        say: Called with progress messages.
 
     Returns:
         The JSON's object.
@@ -49,16 +49,16 @@ def from_requirements(
     seed: int = 0,
     say: Say,
 ) -> tuple[dict[str, Any], dict[str, str]]:
-    """Which files reach what is wanted.
+    """Search for files that meet the requirements.
 
     Args:
-        design: What they begin from.
-        force: N, that presses.
-        wish: What is wanted.
-        count: How many designs are drawn.
-        check: How many of the best are pressed in full simulation.
-        seed: Of draws and presses.
-        say: Told what is being done.
+        design: Initial design.
+        force: Indenting force, N.
+        wish: Requirements.
+        count: Number of sampled designs.
+        check: Number of the best designs that are checked in full simulation.
+        seed: Seed of samples and indentations.
+        say: Called with progress messages.
 
     Returns:
         The JSON's object, and the best sensors' files by name.
@@ -73,7 +73,7 @@ def from_requirements(
         "sensor": design.name,
         "force_N": force,
         "wish": {
-            "feel_mN": None if wish.touch is None else 1e3 * wish.touch,
+            "detect_force_mN": None if wish.touch is None else 1e3 * wish.touch,
             "range_N": wish.most,
             "edge_mm": None if wish.edge is None else 1e3 * wish.edge,
             "radius_mm": None if wish.radius is None else 1e3 * wish.radius,
@@ -118,7 +118,7 @@ def _text(name: str, one: DesignCandidate, force: float) -> str:
 
 
 def _checked(design: SensorDesign, places: int, seed: int, say: Say) -> dict[str, Any]:
-    """Predicted sd beside the scatter of presses in full simulation."""
+    """Compare the predicted sd with the scatter of indentations in full simulation."""
     say(f"pressing {design.name} in full simulation")
     presses = check(design, places=places, seed=seed, say=say)
     found = {} if not presses else asdict(verdict(presses))

@@ -1,4 +1,4 @@
-"""What a study found, to look at: maps of the face, the Pareto front, and a page of one file."""
+"""Plots of a study: maps of the sensing surface, the Pareto front, and a web page for one file."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ WORDS = {
 
 
 def number(value: float | None) -> str:
-    """Three digits; "-" for what is not known."""
+    """Format a number with three digits; "-" if it is unknown."""
     return "-" if value is None or not np.isfinite(value) else f"{value:.3g}"
 
 
@@ -92,7 +92,7 @@ CHANGED = {
 
 
 def change_rows(given: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Each change with its factors on what is reached.
+    """Return a table row for each change with its factors on the predicted performance.
 
     Args:
         given: The JSON's object of a study.
@@ -112,7 +112,7 @@ def change_rows(given: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 
 def image_quality_text(picture: Mapping[str, float]) -> str:
-    """How the camera's picture is used, in a sentence."""
+    """Describe the use of the camera image in a sentence."""
     width = 100 * (1 - picture["width_used"])
     height = 100 * (1 - picture["height_used"])
     longer = 100 * (picture["longest_lens"] - 1)

@@ -1,5 +1,5 @@
-"""What a given sensor file reaches: in a few numbers, over its face, and what changes of it would
-buy."""
+"""Predicted performance of a sensor file: key figures, a map of the sensing surface, and the
+benefit of changes."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from mjtactile.design_study.sensor_file_edit import (
 from mjtactile.design_study.virtual_bench import VirtualBench
 from mjtactile.sim.rendering.synthetic_ellipses import EllipseSampler
 
-_MARGIN = 5e-3  # m from the frame to the outermost places of the map
-_SPACING = 5e-3  # m between them, about
+_MARGIN = 5e-3  # distance from the frame to the outermost positions of the map, m
+_SPACING = 5e-3  # approximate spacing of the positions, m
 _LONGEST = 3.0  # times the focal length, that are tried
 _HALVINGS = 12
 _RIM = 72  # places on an outline
@@ -38,8 +38,11 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Picture:
-    """How the camera's picture is used: shares of its width and height that the opening takes up,
-    and by how much longer the lens could be until a marker leaves the picture, flat or inflated."""
+    """Use of the camera image: fractions of its width and height covered by the opening.
+
+    `longest_lens` is the maximum factor on the focal length until a marker leaves the image, flat
+    or inflated.
+    """
 
     width_used: float
     height_used: float
@@ -48,8 +51,8 @@ class Picture:
 
 @dataclass(frozen=True)
 class Change:
-    """What a change of the sensor file would buy: `what`, and the score then; None: it cannot be
-    built, or not be felt with."""
+    """Effect of a change of the sensor file: its description `what`, and the score after it. None:
+    it cannot be built, or cannot be used for sensing."""
 
     what: str
     score: Score | None
@@ -70,18 +73,18 @@ class PredictionReport:
 
 
 def study(design: SensorDesign, force: float, *, say: Say = lambda _: None) -> PredictionReport:
-    """Predict what a sensor file reaches.
+    """Predict the performance of a sensor file.
 
     Args:
         design: The sensor.
-        force: N, that presses.
-        say: Told what is being done.
+        force: Indenting force, N.
+        say: Called with progress messages.
 
     Returns:
         The study.
 
     Raises:
-        InputError: The sheet finds no rest, or markers are out of the picture.
+        InputError: The membrane has no equilibrium, or markers are outside of the image.
     """
     stand = VirtualBench(design)
     say("what it reaches")
@@ -111,13 +114,13 @@ def face_places(design: SensorDesign) -> list[Array]:
 
 
 def picture_of(stand: VirtualBench) -> Picture:
-    """How the picture is used.
+    """Evaluate the use of the camera image.
 
     Args:
         stand: The sensor.
 
     Returns:
-        Shares of width and height, and the longest lens.
+        Fractions of width and height, and the longest lens.
     """
     design = stand.design
     camera = Camera.from_design(design.camera, design.glass)

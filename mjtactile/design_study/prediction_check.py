@@ -1,5 +1,5 @@
-"""What was predicted beside full simulation: a ball pressed at fresh places and depths, felt from
-drawn images."""
+"""Comparison of predictions with full simulation: a ball indents the sensor at random positions and
+depths, and the sensing chain evaluates rendered images."""
 
 from __future__ import annotations
 
@@ -15,17 +15,20 @@ from mjtactile.design_study.virtual_bench import VirtualBench
 from mjtactile.experiments.indentation import IndentationPlan, press
 from mjtactile.sim.scenes.indentation import Indenter
 
-_SPACING = 1.7e-3  # m between the sheet's vertices: a coarser mesh is stiffer than rubber
-_SAME = 1e-9  # m
-_MARGIN = 6e-3  # m from the frame, in which no ball presses
-_DEPTHS = (0.8e-3, 3.2e-3)  # m, between which it does
+_SPACING = 1.7e-3  # spacing of the membrane's vertices, m; a coarser mesh is stiffer than rubber
+_SAME = 1e-9  # length tolerance, m
+_MARGIN = 6e-3  # minimum distance of the ball from the frame, m
+_DEPTHS = (0.8e-3, 3.2e-3)  # range of the indentation depth, m
 
 
 @dataclass(frozen=True)
 class Checked:
-    """One press: `place` m, `depth` m; true and felt force, N; how far, m, the place where the
-    force acts is off along x and y; and the sd that was predicted of both, and what the chain
-    itself said of the force."""
+    """One indentation at `place` m with `depth` m.
+
+    It holds the ground truth and the estimated force, N. `off` is the error of the force's position
+    along x and y, m. The predicted sd of both and the sd of the force reported by the chain
+    follow.
+    """
 
     place: tuple[float, float]
     depth: float
@@ -39,9 +42,12 @@ class Checked:
 
 @dataclass(frozen=True)
 class PredictionCheck:
-    """Ratios of measured scatter to what was predicted, over `count` presses: the root mean square
-    of error over predicted sd, of force and of place; and the measured root mean square errors, N
-    and m. `reported_ratio` is that of the chain's own sd of each press."""
+    """Ratios of measured to predicted scatter over `count` indentations.
+
+    Each ratio is the root mean square of error over predicted sd, for force and position.
+    `force_rms` and `place_rms` are the root mean square errors, N and m. `reported_ratio` refers to
+    the chain's own sd of each indentation.
+    """
 
     count: int
     force_ratio: float
@@ -59,17 +65,17 @@ def check(
     seed: int = 0,
     say: Callable[[str], None] = lambda _: None,
 ) -> list[Checked]:
-    """Press a ball into the simulated sensor at random places, each to random depths.
+    """Indent the simulated sensor with a ball at random positions and depths.
 
     Args:
         design: The sensor.
-        places: How many.
-        depths: How many at each.
-        seed: Of places, depths and the camera's noise.
-        say: Told after each place.
+        places: Number of positions.
+        depths: Number of depths at each position.
+        seed: Seed of positions, depths and camera noise.
+        say: Called after each position.
 
     Returns:
-        The presses that were felt and could be predicted.
+        The indentations with a valid estimate and prediction.
     """
     rng = np.random.default_rng(seed)
     reacher = ResolutionPredictor(VirtualBench(design))
@@ -93,7 +99,7 @@ def check(
 
 
 def mesh_of(design: SensorDesign) -> tuple[int, int]:
-    """Vertices along x and y, fine enough for what is checked."""
+    """Return the numbers of vertices along x and y that are sufficient for the check."""
     sides = (design.frame.length, design.frame.width)
     columns, rows = (2 * math.ceil(side / _SPACING / 2) + 1 for side in sides)
     return columns, rows
@@ -120,10 +126,10 @@ def _compared(reacher: ResolutionPredictor, at: np.ndarray, step: dict) -> Check
 
 
 def verdict(presses: list[Checked]) -> PredictionCheck:
-    """Measured scatter over what was predicted.
+    """Compute the ratios of measured to predicted scatter.
 
     Args:
-        presses: Of `check`; at least one.
+        presses: Result of `check`; at least one.
 
     Returns:
         The ratios.

@@ -1,5 +1,5 @@
-"""What a sensor reaches at one place of its face: standard deviations of the force, of where it
-acts, of an edge's place and of a ball's radius."""
+"""Resolution of a sensor at one position: standard deviations of the force, of its position, of an
+edge's position and of a ball's radius."""
 
 from __future__ import annotations
 
@@ -21,28 +21,29 @@ from mjtactile.sensing.contact_shape.shape_models import FAMILIES, ShapeModel
 from mjtactile.sensing.contact_shape.shape_result import reported_covariance
 
 EDGE_RADIUS = 2.5e-3
-"""m: what an edge is rounded by; the sheet leaves what is sharper before its faces begin."""
+"""Rounding radius of an edge, m; at a sharper edge the membrane separates before its faces
+start."""
 BALL_RADIUS = 4e-3
-"""m, of the ball that presses."""
+"""Radius of the indenting ball, m."""
 _ROUNDING = 0.5  # of the spacing between the film's nodes
-_FRAME = 1.5e-3  # m from the frame, where bodies that go on end
+_FRAME = 1.5e-3  # distance from the frame at which extended shapes end, m
 
 
 @dataclass(frozen=True)
 class Resolution:
-    """What is reached at one place; NaN: not to be said there.
+    """Predicted resolution at one position; NaN: not defined there.
 
     Attributes:
-        x: m in S.
-        y: m in S.
-        force: N that presses there.
-        felt: N that the chain feels of it.
-        force_sd: N, as the chain says it, everything that it doubts included.
-        noise: N, of the felt force from image to image, by pixels alone.
-        place_sd: m, of where the force acts, the larger of both directions.
-        edge_sd: m, of where an edge along y or x lies, the larger of both.
-        height: m in S, of the ball's lowest point, in whose plane the place is meant: a sheet that
-            sticks presses straight down.
+        x: Position in S, m.
+        y: Position in S, m.
+        force: Indenting force, N.
+        felt: Force estimated by the chain, N.
+        force_sd: Standard deviation reported by the chain, including all model errors, N.
+        noise: Image-to-image noise of the estimated force from pixel noise alone, N.
+        place_sd: Standard deviation of the force's position, the larger of both directions, m.
+        edge_sd: Standard deviation of the position of an edge along y or x, the larger of both, m.
+        height: Height of the ball's lowest point in S, m. The force's position refers to its plane,
+            since a sticking membrane presses straight down.
     """
 
     x: float
@@ -57,7 +58,7 @@ class Resolution:
 
 
 class ResolutionPredictor:
-    """Says what a sensor on the `stand` reaches."""
+    """Predictor of the resolution of the sensor on the `stand`."""
 
     def __init__(self, stand: VirtualBench):
         self.stand = stand
@@ -69,15 +70,15 @@ class ResolutionPredictor:
         self._sides = feasible_half_extents(self._frame, _FRAME)
 
     def at(self, place: Array, force: float, *, edges: bool = True) -> Resolution:
-        """What is reached where a ball, or an edge, presses with a force.
+        """Predict the resolution for a ball, or an edge, that is loaded with a force.
 
         Args:
-            place: (2,) m in S.
-            force: N.
-            edges: Whether the edge's place is asked for.
+            place: Position (2,) m in S.
+            force: Indenting force, N.
+            edges: True if the edge's position is requested.
 
         Returns:
-            What is reached; NaN of what the sensor does not carry or does not feel there.
+            The resolution; NaN for loads that the sensor cannot carry or estimate there.
         """
         x, y = (float(v) for v in place)
         unknown = math.nan
@@ -116,15 +117,15 @@ class ResolutionPredictor:
         return max(sds)
 
     def radius_sd(self, radius: float, place: Array, force: float) -> float:
-        """Share of a ball's radius to which it is known, as sd.
+        """Predict the relative standard deviation of a ball's radius.
 
         Args:
-            radius: m.
-            place: (2,) m in S.
-            force: N.
+            radius: Radius, m.
+            place: Position (2,) m in S.
+            force: Indenting force, N.
 
         Returns:
-            The share; NaN where the sensor does not carry the force.
+            The ratio; NaN where the sensor does not carry the force.
         """
         theta = np.array([0.0, 0.0, 0.0, 1 / radius])
         cov = self._numbers_cov(FAMILIES["ball"], theta, place, force)
@@ -133,9 +134,11 @@ class ResolutionPredictor:
     def _numbers_cov(
         self, family: ShapeModel, theta: Array, place: Array, force: float
     ) -> Array | None:
-        """Covariance (k, k) of the numbers of a body that presses with a force, as the chain says
-        it of an image in which all fits: by how its markers' heights go with them
-        (docs/theory/contact_shape.md, Eq. F18-F20)."""
+        """Return the covariance (k, k) of the parameters of a shape loaded with a force.
+
+        It is the chain's covariance for an image without misfit, from the derivatives of the
+        markers' heights (docs/theory/contact_shape.md, Eq. F18-F20).
+        """
         over = self._hint(place, force)
         pressed = self.stand.press(
             lambda height: family.build(theta, replace(over, height=height))[0], force
@@ -163,7 +166,7 @@ class ResolutionPredictor:
         return Data.of(touch, raised, self._by_gas, self._settings.body, drift)
 
     def _hint(self, place: Array, force: float) -> InitialGuess:
-        """What a body's numbers count from, but for its height."""
+        """Return the reference of the shape's parameters, except for its height."""
         rounding = _ROUNDING * self._forward.spacing
         in_round = self._frame.outline is not None
         nodes = self._forward.nodes
@@ -186,13 +189,14 @@ def ball(at: Array, radius: float) -> Coming:
 
 
 def place_sd(wrench: Array, cov: Array, height: float) -> float:
-    """Sd, m, of where a wrench acts on the plane z = `height` m, x = (z Fx - My) / Fz and
-    y = (z Fy + Mx) / Fz, the larger of both.
+    """Compute the standard deviation, m, of a wrench's position on the plane z = `height` m.
+
+    The position is x = (z Fx - My) / Fz and y = (z Fy + Mx) / Fz; the larger of both is returned.
 
     Args:
-        wrench: (6,) N, N m about the origin of S.
-        cov: (6, 6) of it.
-        height: m.
+        wrench: Wrench (6,) N, N m about the origin of S.
+        cov: Covariance (6, 6) of the wrench.
+        height: Height of the plane, m.
 
     Returns:
         The standard deviation.

@@ -13,16 +13,16 @@ from mjtactile.core.types import Array
 from mjtactile.design_study.resolution import ResolutionPredictor, ball
 from mjtactile.design_study.virtual_bench import VirtualBench
 
-RADII = (2e-3, 3e-3, 4e-3, 6e-3, 8e-3, 12e-3, 16e-3)  # m, that are tried
-DEFAULT_GOAL = 0.25
-"""Of a radius, its sd at most where it counts as told."""
+RADII = (2e-3, 3e-3, 4e-3, 6e-3, 8e-3, 12e-3, 16e-3)  # tested radii, m
+MAX_RADIUS_SD = 0.25
+"""Maximum relative standard deviation of a radius that counts as measured."""
 RANGE_RADIUS = 10e-3
-"""m, of the ball that presses as hard as the sensor carries."""
-# N, from which on the range is tried, by a factor, so often
+"""Radius of the ball used for the maximum force, m."""
+# search range of the force: start, N, factor per step, number of steps
 _LEAST = 0.25
 _MORE = 1.25
 _STEPS = 20
-_FELT_RIGHT = 0.1  # of the largest force, that it may be felt wrong by
+_FELT_RIGHT = 0.1  # relative error limit at the largest force
 # of half the opening: three places that lie anyhow over markers and the film's nodes
 _PLACES = ((0.05, 0.08), (0.31, -0.22), (-0.27, 0.36))
 
@@ -33,8 +33,11 @@ def _number(key: str, unit: float, about: str, digits: int) -> Any:
 
 @dataclass(frozen=True)
 class Score:
-    """What a sensor reaches, SI; NaN: not to be said. Of all but `most` less is better; the means
-    are root mean squares over three places about the middle."""
+    """Predicted performance of a sensor, SI; NaN: not defined. Smaller is better, except for
+    `most`.
+
+    The means are root mean squares over three positions near the center.
+    """
 
     touch: float = _number("touch_mN", 1e-3, "smallest touch that the chain calls one", 1)
     seen: float = _number(
@@ -50,7 +53,7 @@ class Score:
     most: float = _number("force_most_N", 1.0, "largest force, of a ball of 10 mm", 2)
 
     def table(self) -> dict[str, float]:
-        """By key, in the key's unit."""
+        """Return the values by key, in the key's unit."""
         return {
             one.metadata["key"]: getattr(self, one.name) / one.metadata["unit"]
             for one in fields(self)
@@ -58,18 +61,18 @@ class Score:
 
 
 def score(design: SensorDesign, force: float, *, stand: VirtualBench | None = None) -> Score:
-    """Predict what a sensor reaches.
+    """Predict the performance of a sensor.
 
     Args:
         design: The sensor.
-        force: N, that presses where force, place, edge and radius are asked for.
-        stand: Of that design, where there is one.
+        force: Indenting force for force, position, edge and radius, N.
+        stand: Bench of that design, if it exists already.
 
     Returns:
-        The numbers.
+        The key figures.
 
     Raises:
-        InputError: The sheet finds no rest, or markers are out of the picture.
+        InputError: The membrane has no equilibrium, or markers are outside of the image.
     """
     stand = stand or VirtualBench(design)
     reacher = ResolutionPredictor(stand)
@@ -91,19 +94,22 @@ def score(design: SensorDesign, force: float, *, stand: VirtualBench | None = No
 
 
 def smallest_radius(reacher: ResolutionPredictor, places: list[Array], force: float) -> float:
-    """The smallest radius, m, from which on all that are tried are told; NaN: none is."""
+    """Return the smallest tested radius, m, such that it and all larger ones can be measured; NaN:
+    none."""
     smallest = math.nan
     for radius in reversed(RADII):
         sd = _rms([reacher.radius_sd(radius, place, force) for place in places])
-        if not sd <= DEFAULT_GOAL:
+        if not sd <= MAX_RADIUS_SD:
             break
         smallest = radius
     return smallest
 
 
 def largest_force(stand: VirtualBench) -> float:
-    """The largest force, N, of a ball in the middle that the film carries and the chain feels
-    within a tenth, in steps of a quarter; NaN: not even a quarter of a newton."""
+    """Find the largest force of a ball at the center, N, with a relative error below a tenth.
+
+    The membrane must carry it, and the steps are 25 %. NaN if 0.25 N fails already.
+    """
     held = -1
     lost = _STEPS
     while lost - held > 1:

@@ -13,11 +13,11 @@ from mjtactile.core.errors import InputError
 
 
 def sensor_text(design: SensorDesign, head: str = "") -> str:
-    """A sensor as a file has it.
+    """Return a sensor in file format.
 
     Args:
         design: The sensor.
-        head: What stands on top, as a comment.
+        head: Comment at the top.
 
     Returns:
         TOML that `load_sensor` reads.
@@ -53,14 +53,14 @@ def rebuilt(design: SensorDesign) -> SensorDesign:
 def with_markers(
     design: SensorDesign, rows: int, columns: int, extent: tuple[float, float], share: float
 ) -> SensorDesign:
-    """The same sensor with other markers.
+    """Return the same sensor with other markers.
 
     Args:
         design: The sensor.
-        rows: Along y.
-        columns: Along x.
-        extent: From outermost centre to outermost centre along x and y, m.
-        share: Of the smaller pitch, that a marker's radius is.
+        rows: Number along y.
+        columns: Number along x.
+        extent: Distance between the outermost centers along x and y, m.
+        share: Marker radius as a fraction of the smaller pitch.
 
     Returns:
         The sensor.
@@ -113,8 +113,11 @@ def scaled_pixels(design: SensorDesign, factor: float) -> SensorDesign:
 
 
 def with_frame(design: SensorDesign, length: float, width: float) -> SensorDesign:
-    """The same sensor with another opening, m, and its markers as far from the rim; as many a
-    millimetre, as far as whole rows go."""
+    """Return the same sensor with another opening, m.
+
+    The markers keep their distance from the frame, and their density up to the rounding to whole
+    rows.
+    """
     frame = design.frame
     markers = design.markers
     extent = extent_of(design)
@@ -134,7 +137,8 @@ def with_frame(design: SensorDesign, length: float, width: float) -> SensorDesig
 
 
 def with_picture(design: SensorDesign, width: int, height: int) -> SensorDesign:
-    """The same lens before a picture of other pixels: what is seen along x stays."""
+    """Return the same sensor with another image size; the lens and the field of view along x
+    stay."""
     camera = design.camera
     scaled = scaled_pixels(design, width / camera.width).camera
     middle = height / camera.height * (camera.cy + 0.5) - 0.5
@@ -146,7 +150,7 @@ def _is_table(value: Any) -> bool:
 
 
 def _value(value: Any) -> str:
-    """A TOML value; floats to ten digits, which read back as what they are written as."""
+    """Format a TOML value; floats have ten digits, and read back to the written value."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, int):

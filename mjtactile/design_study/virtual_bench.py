@@ -21,31 +21,31 @@ from mjtactile.sensing.pipeline import SensingPipeline
 from mjtactile.sensing.pipeline_state import PipelineState, Reference
 from mjtactile.sim.rendering.synthetic_ellipses import EllipseSampler
 
-_SPACING = 1.3e-3  # m between the film's nodes, as the shape's films have
-_STEP = 2.5e-4  # m by which a body comes down until it presses with the force asked for
+_SPACING = 1.3e-3  # node spacing of the membrane, m, as in the contact shape models
+_STEP = 2.5e-4  # step of lowering an obstacle until the requested force, m
 _SHORTEST = 8  # of these in one, where the film does not follow
 _HALVINGS = 12
 _OFF = 0.02  # of the force, that may be left where it does not follow
-_DEEPEST = 0.05  # m
-_IMAGE = 1 / 30  # s
+_DEEPEST = 0.05  # maximum depth, m
+_IMAGE = 1 / 30  # image period, s
 
 
 @dataclass(frozen=True, eq=False)
 class IndentedMembrane:
-    """A film `state` at rest on a body, and the `height` m of the body's place."""
+    """Equilibrium `state` of the membrane on an obstacle at `height` m."""
 
     state: MembraneSolution
     height: float
 
 
 Coming = Callable[[float], Obstacle]
-"""The body whose place is so high, m in S."""
+"""Obstacle as a function of the height of its reference point, m in S."""
 
 
 @dataclass(frozen=True, eq=False)
 class PredictedTouch:
-    """What the chain makes of a film: the `touch` of an image of what is at rest, and the `state`
-    of the chain after it."""
+    """Result of the chain for a membrane: the `touch` for an image of the equilibrium, and the
+    `state` of the chain after it."""
 
     touch: Touch
     state: PipelineState
@@ -58,7 +58,7 @@ class PredictedTouch:
 
     @property
     def ok(self) -> bool:
-        """Whether the chain felt it."""
+        """True if the chain estimated the force."""
         return self.touch.status == OK and self.touch.traction is not None
 
 
@@ -102,28 +102,28 @@ class VirtualBench:
 
     @property
     def circles(self) -> int:
-        """How many the camera sees: markers and fiducials."""
+        """Number of circles in the image: markers and fiducials."""
         fixed = self.design.fiducials
         return self.design.markers.count + (0 if fixed is None else fixed.count)
 
     @property
     def reference(self) -> Reference:
-        """What the chain measured at rest."""
+        """Rest reference measured by the chain."""
         assert self.state.reference is not None
         return self.state.reference
 
-    # -- what presses
+    # -- indentation
     # --------------------------------------------------------------------------------
 
     def press(self, body: Coming, force: float) -> IndentedMembrane | None:
-        """Let a body come down until it presses with a force.
+        """Lower an obstacle until it indents the membrane with a force.
 
         Args:
-            body: Made for a height of its place, m in S.
-            force: N.
+            body: Obstacle as a function of its height, m in S.
+            force: Indenting force, N.
 
         Returns:
-            The film on it; None: it does not carry so much.
+            The indented membrane; None: it does not carry the force.
         """
         low = high = self._first_touch(body)
         state = None
@@ -156,8 +156,11 @@ class VirtualBench:
         return IndentedMembrane(state, low) if off < _OFF * force else None
 
     def _solve(self, body: Obstacle, start: MembraneSolution | None) -> MembraneSolution | None:
-        """The film on a body, from a state near it, without what it did on the way there, or from
-        rest; None: it finds no rest there."""
+        """Solve for the membrane on an obstacle; None: no equilibrium found.
+
+        The start is a nearby state, then this state without its extrapolation, then the rest
+        state.
+        """
         starts = [start] if start is None else [start, replace(start, trend=None), None]
         for one in starts:
             try:
@@ -169,25 +172,26 @@ class VirtualBench:
         return None
 
     def _first_touch(self, body: Coming) -> float:
-        """How high, m, its place is when it touches the sheet at rest."""
+        """Return the obstacle's height at first contact with the membrane at rest, m."""
         x, y = np.meshgrid(self.film.x, self.film.y, indexing="ij")
         places = np.column_stack([x.ravel(), y.ravel()])
         under = self.film.obstacle_heights(body(0.0), places)
         return float((self.film.rest.heights.ravel() - under).max())
 
-    # -- what is seen and felt of it
+    # -- markers and tactile estimates
     # --------------------------------------------------------------------------------
 
     def poses(self, x: Array) -> tuple[Array, Array]:
-        """Where the markers are on a film displaced by `x` (3, nx, ny) m, and its normals there,
-        each (N, 3) in S."""
+        """Return the positions and normals of the markers on a membrane displaced by `x` (3, nx,
+        ny) m, each (N, 3) in S."""
         moved, by_x, by_y = self._by_node @ x.reshape(3, -1).T
         normal = np.cross(by_x + [1.0, 0.0, 0.0], by_y + [0.0, 1.0, 0.0])
         p_SM = self.design.markers.p_SM + moved
         return p_SM, normal / np.linalg.norm(normal, axis=1)[:, None]
 
     def heights(self, x: Array) -> Array:
-        """How high (n, N) m the markers stand, of films displaced by `x` (n, 3, nx, ny)."""
+        """Return the heights (n, N) m of the markers for membranes displaced by `x` (n, 3, nx,
+        ny)."""
         return x[:, 2].reshape(len(x), -1) @ self._by_node[0].T
 
     def sight(self, film: MembraneSolution, time: float = 0.0) -> SyntheticEllipses:
@@ -199,11 +203,12 @@ class VirtualBench:
         return self.chain.see(self.state, self.sight(film))[0]
 
     def feel(self, film: MembraneSolution) -> PredictedTouch:
-        """What the chain says of a film at rest: of a second image, since what has just come is
-        doubted.
+        """Run the chain on a membrane in equilibrium.
+
+        The second image is evaluated, since the covariance after a sudden load change is inflated.
 
         Args:
-            film: At rest.
+            film: Membrane in equilibrium.
 
         Returns:
             The touch and the chain's state.
@@ -215,15 +220,16 @@ class VirtualBench:
         return PredictedTouch(touch, state)  # pyright: ignore[reportPossiblyUnboundVariable] the loop runs
 
     def noise(self, felt: PredictedTouch) -> Array:
-        """Covariance (3, 3) N^2 of the felt force by the pixels' noise alone, from image to image.
+        """Return the covariance (3, 3) N^2 of the estimated force from pixel noise alone, from
+        image to image.
 
         The chain's tractions are linear in the whitened markers, traction = P^(1/2) half^T
-        innovation^-1 y (docs/theory/membrane_inverse.md, Eq. F12); y has the covariance that the
-        camera's bound gives the markers, whitened as the chain does. Of one image: what the chain
-        remembers of the camera from the images before takes up to half of it.
+        innovation^-1 y (docs/theory/membrane_inverse.md, Eq. F12). The covariance of y is the
+        camera's error bound for the markers, whitened as in the chain. It applies to a single
+        image: the chain's memory of the camera from earlier images reduces it by up to half.
 
         Args:
-            felt: An image that was felt.
+            felt: Result for one image.
 
         Returns:
             The covariance.
@@ -238,7 +244,8 @@ class VirtualBench:
         return by_marker @ noise @ by_marker.T
 
     def level_noise(self) -> float:
-        """Sd, N, of the running level that a light touch is told from, while nothing touches."""
+        """Return the standard deviation, N, of the running force level without contact, used to
+        detect light contacts."""
         blend = self.chain.settings.zero.blend
         one = math.sqrt(self.noise(self.feel(self.film.rest))[2, 2])
         return one * math.sqrt(blend / (2 - blend))

@@ -1,5 +1,5 @@
-"""What is plugged in, and what answers on it: for `mjtactile devices`. Questions only: nothing is
-set, nothing moves."""
+"""Discovery of connected devices, for `mjtactile devices`. It only queries: no setting changes and
+nothing moves."""
 
 from __future__ import annotations
 
@@ -19,18 +19,20 @@ from mjtactile.devices.valve import protocol
 from mjtactile.devices.valve.board import open_port
 
 BAUDS = (57600, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 115200)
-"""Of Dynamixel servos: as they are sold, then as people set them."""
+"""Baud rates of Dynamixel servos: the factory setting first, then those that users choose."""
 VALVE_BAUD = 115200
 IDS = range(21)
-_BOOT_TIME = 2.5  # s; opening the port resets many boards
-_REPLY_TIME = 0.02  # s for a servo's answer, behind an adapter whose latency timer nobody has set
+_BOOT_TIME = 2.5  # time for the board to boot, s; opening the port resets many boards
+_REPLY_TIME = 0.02  # reply timeout of a servo, s, for an adapter with the default latency timer
 
 
 @dataclass(frozen=True)
 class SerialPort:
-    """A serial port: `path` to open it by, the stablest there is; what the computer says of it. Who
-    is there: `servos`, models by id, at `baud`, or a valve `board`; `problem`: why nobody could be
-    asked."""
+    """Serial port with its most stable `path` for opening it, and the computer's description of it.
+
+    `servos` are the models of the responding servos by id, at `baud`; `board` is the responding
+    valve board. `problem` is the reason why the port could not be queried.
+    """
 
     path: str
     device: str
@@ -43,7 +45,7 @@ class SerialPort:
 
     @property
     def answers(self) -> tuple[str, ...]:
-        """Who is there, in words."""
+        """Description of the responding devices."""
         servos = (
             f"servo {number}: {model}, {self.baud} baud" for number, model in self.servos.items()
         )
@@ -53,16 +55,16 @@ class SerialPort:
 def serial_ports(
     more: Iterable[str] = (), *, ask: bool = True, say: Callable[[str], None] = lambda _: None
 ) -> list[SerialPort]:
-    """All serial ports of this computer.
+    """Return all serial ports of this computer.
 
     Args:
-        more: Others to look at, too.
-        ask: Whether to ask who is on them, which takes some seconds each. A built-in port, which
-            may be a console, is asked only where `more` names it.
-        say: Called with what is asked next.
+        more: Additional ports to check.
+        ask: True to query the devices on them, which takes some seconds each. A built-in port,
+            which may be a console, is queried only if `more` names it.
+        say: Called with a message before each query.
 
     Returns:
-        The computer's own by name, then those of `more` that are none of them.
+        The computer's own by name, then the other ports of `more`.
     """
     named = list(more)
     found = []
@@ -103,8 +105,8 @@ def servos_at(
 
 
 def valve_board_at(port: str) -> str:
-    """What the valve board there says of itself; "" where none answers. Raises DeviceError for a
-    port that cannot be opened."""
+    """Return the self-description of the valve board at a port; "" without an answer. Raises
+    DeviceError for a port that cannot be opened."""
     line = open_port(port, VALVE_BAUD)
     heard = bytearray()
     try:

@@ -24,8 +24,8 @@ from mjtactile.rig.registry import CAMERAS, RigRequest, load_backend, require_fi
 from mjtactile.rig.sensors import finger_calibration, finger_design
 
 _EMULATED = "/dev/pts/"  # where pseudo-terminals are; no servo is on one
-# s a thread keeps Python's interpreter: at the default of 5 ms a picture waits that long for its
-# time
+# time slice of a thread in Python's interpreter, s: the default of 5 ms would delay an image's
+# timestamp by that time
 _SWITCH_INTERVAL = 5e-4
 
 
@@ -43,13 +43,13 @@ class MonotonicClock:
 
 
 class FrameClock(MonotonicClock):
-    """The same, waking up with the cameras: a cycle begins when a picture has come, not up to a
-    period later.
+    """Monotonic clock synchronized with the cameras: a cycle starts when an image arrives, not up
+    to a period later.
 
-    It wakes from half a period before the time asked for to half a period after it, or after a
-    period from its last waking: so the loop falls into step with its cameras. Whatever they do, it
-    wakes: their faults are found by `CameraDevice.read`. A camera that cannot be waited for (a
-    third party's, without `wait_newer` and `newest_time`) is not.
+    It wakes from half a period before the requested time to half a period after it, or after a
+    period from its last wake-up. The loop thus synchronizes with its cameras. It wakes even if they
+    fail; `CameraDevice.read` detects their faults. It does not wait for a camera without
+    `wait_newer` and `newest_time`, such as a third party's.
     """
 
     def __init__(self, cameras: Sequence[CameraDevice], period: float):
@@ -140,12 +140,13 @@ def _check_pace(rig_file: RigFile) -> None:
         raise InputError(
             f"{rig_file.bus.port}: only emulated devices can be slow",
             source=rig_file.path,
-            field="--slow",
+            field="--time-scale",
         )
 
 
 def _pressure_range(rig_file: RigFile, boards: Sequence[ValveBoard]) -> tuple[float, float] | None:
-    """What every chamber can be kept at, Pa; None without valves, or without gauges."""
+    """Return the pressure range that all chambers support, Pa; None without valves or pressure
+    sensors."""
     if not boards or not all(board.has_sensors for board in boards):
         return None
     return 0.0, min(valve.pressure_max for valve in rig_file.valves)

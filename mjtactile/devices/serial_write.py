@@ -10,10 +10,10 @@ import serial
 
 
 def write(port: Any, data: bytes) -> int:
-    """Write `data` to a pySerial port; returns how much was written.
+    """Write `data` to a pySerial port; return the number of bytes written.
 
-    pySerial's time-out counts the time that this process was stopped, also when all was written. A
-    port that takes more is not blocked: what was lost is found by the answer that does not come.
+    pySerial's timeout includes time in which this process was stopped, even after a complete write.
+    A port that accepts more data is not blocked; lost data is detected by the missing answer.
     Raises SerialException.
     """
     try:

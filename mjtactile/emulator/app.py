@@ -1,10 +1,10 @@
-"""The emulator's own process: `python -m mjtactile.emulator.app`, started by
+"""Process of the emulator: `python -m mjtactile.emulator.app`, started by
 `mjtactile.emulator.process`.
 
-It reads its options from the first line of stdin, prints one JSON line when it is ready (`servo`,
-`valve`: pty paths; `cameras`: addresses; `pid`), then obeys JSON lines on stdin, one JSON line in
-answer to each: `{"fault": KIND, "value": X}`, `{"ask": "truth"}`, `{"stop": true}`. It ends when
-its stdin does, so that it never outlives whoever started it.
+It reads its options from the first line of stdin. When it is ready, it prints one JSON line
+(`servo`, `valve`: pty paths; `cameras`: addresses; `pid`). Then it processes JSON lines on stdin,
+with one JSON line in answer to each: `{"fault": KIND, "value": X}`, `{"ask": "truth"}`, `{"stop":
+true}`. It ends when its stdin closes, so that it never outlives its parent.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from mjtactile.emulator.hardware import EmulatedHardware
 from mjtactile.emulator.options import EmulatorOptions
 from mjtactile.emulator.shared_memory import FROM_WORLD, SharedState
 
-_STOP_TIME = 3.0  # s for the world's process to end in order
+_STOP_TIME = 3.0  # time for the world's process to end in order, s
 
 
 class WorldProcess:
@@ -95,7 +95,7 @@ class Emulator:
         return {"ok": True, "time": scaled_clock.monotonic()}
 
     def _truth(self) -> dict[str, Any]:
-        """What really is; for tests and benchmarks."""
+        """Return the ground truth, for tests and benchmarks."""
         servos = self._hardware.servos
         firmware = self._hardware.firmware
         return {
@@ -111,7 +111,7 @@ class Emulator:
 
 
 def serve(emulator: Emulator, requests: TextIO, answers: TextIO) -> None:
-    """Obey until the requests end or one says stop."""
+    """Process requests until they end or one is a stop request."""
     print(json.dumps(emulator.endpoints()), file=answers, flush=True)
     while line := requests.readline():
         try:

@@ -1,5 +1,5 @@
-"""Control tables of the emulated servos, typed in from the pages of ROBOTIS's e-manual, and from
-nothing that the driver reads.
+"""Control tables of the emulated servos, transcribed from the pages of ROBOTIS's e-manual. They are
+independent of the driver's data.
 
 Addresses, sizes, access, initial values and ranges: "Control Table of EEPROM Area" and "... of RAM
 Area" of each model's page, https://emanual.robotis.com/docs/en/dxl/x/MODEL/ (sources:
@@ -35,8 +35,8 @@ BACKED_UP = (
     "Profile Acceleration",
     "Profile Velocity",
 )
-"""What of the RAM "Control Table Backup" keeps beside the EEPROM and the indirect addresses
-(Protocol 2.0, 0x20)."""
+"""RAM entries stored by the "Control Table Backup" in addition to the EEPROM and the indirect
+addresses (Protocol 2.0, 0x20)."""
 
 Bound = int | str  # a number, or the register that holds it ("-PWM Limit": its negative)
 
@@ -67,11 +67,11 @@ class TableEntry:
 
 @dataclass(frozen=True)
 class _Model:
-    """What of a page differs from the others'. Initial values in the page's units; `volts` is the
-    recommended supply.
+    """Differences of a model's page from the others. Initial values are in the page's units;
+    `volts` is the recommended supply.
 
-    `size` 330, 430 or 540; voltage limits in 0.1 V; `gains` velocity I and P, position D, I and P;
-    `slope` is "PWM Slope".
+    `size` is 330, 430 or 540; voltage limits are in 0.1 V; `gains` are velocity I and P, position
+    D, I and P; `slope` is "PWM Slope".
     """
 
     size: int
@@ -111,7 +111,7 @@ _INDIRECT = {  # first indirect address, first indirect data, how many
 }
 _SHUTDOWN_BITS = 0b111101  # "Shutdown": bits 1, 6 and 7 are unused
 WATCHDOG_GOES_ON = {(330, 51)}
-"""Size and firmware of servos that note a trip of the watchdog and keep turning: a member of
+"""Size and firmware of servos that report a trip of the watchdog but continue to turn. A member of
 ROBOTIS's staff reproduced it "with all models of 330 sized DYNAMIXEL servos"
 (https://forum.robotis.com/t/watchdog-of-xc330-t288-t-does-not-stop-motor/4814)."""
 
@@ -217,7 +217,7 @@ class ControlTable:
 
 
 def _own(row: _Model) -> dict[str, dict[str, object]]:
-    """What replaces the common fields' values."""
+    """Return the model's values that replace those of the common fields."""
     volts: dict[str, object] = {"low": row.volt_low, "high": row.volt_max}
     velocity_i, velocity_p, d, i, p = row.gains
     bits = _DRIVE_BITS[row.size]

@@ -1,7 +1,7 @@
-"""Faults on request. `Faults` is a notebook of what is wrong now; the emulated devices look at it.
+"""Fault injection. `Faults` stores the active faults; the emulated devices read it.
 
-A fault is set by a command such as `{"fault": "servo_drop", "value": 0.1}`; its value is a
-probability, a number or a switch as its row says. `value` 0 ends it.
+A fault is set by a command such as `{"fault": "servo_drop", "value": 0.1}`. Its value is a
+probability, a number or a switch, as described for each kind. `value` 0 ends it.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ KINDS: dict[str, str] = {
 
 @dataclass
 class Faults:
-    """What is wrong now, by kind; 0 or missing: nothing. `rng` decides the probable ones."""
+    """Active faults by kind; 0 or missing: none. `rng` samples the probabilistic ones."""
 
     values: dict[str, float] = field(default_factory=dict)
     rng: random.Random = field(default_factory=lambda: random.Random(0))

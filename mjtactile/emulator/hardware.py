@@ -1,4 +1,4 @@
-"""The emulated devices and what joins them to the world: servos to jaws and lift, valve channels to
+"""Emulated devices and their connection to the world: servos to jaws and lift, valve channels to
 chambers."""
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from mjtactile.emulator.shared_memory import SharedState
 from mjtactile.emulator.valve import ValveFirmware, ValvePort
 from mjtactile.rig.file import EmulatorConfig, RigFile
 
-_TICK = 0.003  # s between two looks at the world
+_TICK = 0.003  # update interval of the world's state, s
 _SHARED_FAULTS = (
     "puncture",
     "frames_frozen",

@@ -1,6 +1,6 @@
-"""How the emulated servos' shafts are joined to the jaws: the mechanics side of a rig file's `law`.
+"""Coupling of the emulated servo shafts to the jaws: the mechanics of a rig file's `law`.
 
-Written apart from the driver's geometry, so that a wrong sign or factor there shows as a wrong
+The code is independent of the driver's geometry. A wrong sign or factor there shows as a wrong
 opening or force.
 """
 
@@ -21,11 +21,11 @@ class Jaw:
     a crank."""
 
     def __init__(self, servo: EmulatedServo, config: ServoConfig, source: str):
-        if config.law not in ("rack", "crank"):
+        if config.transmission not in ("rack", "crank"):
             raise InputError(
                 "the emulator has no such mechanism",
                 source=source,
-                field="gripper.servo.law",
+                field="gripper.servo.transmission",
                 choices=("rack", "crank"),
             )
         self.servo = servo
@@ -34,19 +34,20 @@ class Jaw:
 
     def angle(self, part: float) -> float:
         ratio = (part - self._config.opening_part) / self._config.per_rad
-        if self._config.law == "crank":
+        if self._config.transmission == "crank":
             ratio = math.asin(max(-1.0, min(1.0, ratio)))
         return self._zero + ratio
 
     def part(self, angle: float) -> float:
         swing = angle - self._zero
-        if self._config.law == "crank":
+        if self._config.transmission == "crank":
             swing = math.sin(max(-math.pi / 2, min(math.pi / 2, swing)))
         return self._config.opening_part + self._config.per_rad * swing
 
     def lever(self, angle: float) -> float:
-        """m of opening part per rad here: torque over force, by virtual work."""
-        if self._config.law == "crank":
+        """Return the local opening part per shaft angle, m/rad: torque over force, by virtual
+        work."""
+        if self._config.transmission == "crank":
             return self._config.per_rad * max(0.02, math.cos(angle - self._zero))
         return self._config.per_rad
 
@@ -60,8 +61,10 @@ class GearedJaws:
         self._play = backlash / 2
 
     def drive(self, opening: float) -> tuple[float | None, float]:
-        """Goal opening m of the jaws (None: nobody drives), which are at `opening` m, and the most
-        force N on each finger that the servos may use together."""
+        """Return the goal opening of the jaws, m, and the servos' joint force limit per finger, N.
+
+        The jaws are at `opening` m. The goal is None if no servo has torque.
+        """
         drives = [(jaw, jaw.servo.drive()) for jaw in self._jaws]
         on = [(jaw, drive) for jaw, drive in drives if drive.torque_max > 0]
         if not on:
@@ -72,7 +75,7 @@ class GearedJaws:
         return goal - self._slack(goal, opening), sum(forces) / len(self._jaws)
 
     def _slack(self, goal: float, opening: float) -> float:
-        """How far the shafts are ahead of the jaws on their way to `goal`, m of the opening."""
+        """Return the lead of the shafts over the jaws on the path to `goal`, m of opening."""
         return min(max(goal - opening, -self._play), self._play)
 
     def follow_load(self, opening: float, speed: float, force: float, period: float) -> None:

@@ -1,8 +1,7 @@
-"""What an emulated servo's motor does: the path of its profile, and the drive that its mode asks
-for.
+"""Motor of an emulated servo: the path of its profile, and the drive that its mode requests.
 
-"What is the Profile", "Profile Velocity(112)", "Profile Acceleration(108)" of each model's e-manual
-page.
+Sources: "What is the Profile", "Profile Velocity(112)", "Profile Acceleration(108)" of each model's
+e-manual page.
 """
 
 from __future__ import annotations
@@ -15,8 +14,8 @@ FAR = 2 * math.pi  # rad ahead: where a motor without a position goal pulls to
 
 @dataclass(frozen=True)
 class MotorDrive:
-    """What the motor does now: goal angle rad (turns counted), and the most torque it may use, N m
-    (0: no torque)."""
+    """Current motor drive: goal angle, rad (turns counted), and torque limit, N m (0: no
+    torque)."""
 
     goal: float
     torque_max: float

@@ -1,4 +1,4 @@
-"""What the emulator's process is told when it starts."""
+"""Start options of the emulator process."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class EmulatorOptions:
     faults: dict[str, float] = field(default_factory=dict)
 
     def finger_design(self, finger: str) -> SensorDesign:
-        """What the sensor file of that finger says."""
+        """Return the sensor design of that finger, from its sensor file."""
         return next(
             (finger_design(c, self.design) for c in self.rig_file.cameras if c.finger == finger),
             self.design,

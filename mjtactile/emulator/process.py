@@ -13,7 +13,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.emulator.options import EmulatorOptions
 from mjtactile.rig.file import RigFile
 
-_STOP_TIME = 5.0  # s to end in order
+_STOP_TIME = 5.0  # wait for a regular shutdown, s
 
 
 class EmulatorProcess:
@@ -47,7 +47,7 @@ class EmulatorProcess:
         self._request({"fault": kind, "value": value})
 
     def truth(self) -> dict[str, Any]:
-        """What really happens in the emulated world; for tests and benchmarks."""
+        """Return the ground truth of the emulated world, for tests and benchmarks."""
         return self._request({"ask": "truth"})
 
     def connect(self, rig_file: RigFile) -> RigFile:

@@ -1,8 +1,8 @@
-"""Dynamixel Protocol 2.0 as a servo speaks it, written from
+"""Dynamixel Protocol 2.0, servo side, written from
 https://emanual.robotis.com/docs/en/dxl/protocol2/.
 
-The CRC is this module's own (bit by bit, no table) and is tested against packets printed in that
-manual, so that a mistake in the SDK's would show.
+The CRC is this module's own implementation (bit by bit, no table). Tests compare it with packets
+printed in that manual, so that an error in the SDK's CRC would show.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _TABLE = [crc16(bytes([i])) for i in range(256)]
 
 
 def fast_crc16(data: bytes, crc: int = 0) -> int:
-    """The same byte by byte, `crc` being that of what went before."""
+    """Compute the same CRC byte by byte; `crc` is the CRC of the preceding bytes."""
     for byte in data:
         crc = (crc << 8 & 0xFF00) ^ _TABLE[crc >> 8 ^ byte]
     return crc
@@ -77,9 +77,12 @@ def status(servo: int, error: int, parameters: bytes = b"") -> bytes:
 
 
 def fast_status(parts: Sequence[tuple[int, int, bytes]], promised: int | None = None) -> bytes:
-    """The one reply to a fast read: (id, error, data) of each servo, each followed by the CRC of
-    all so far. `promised` bytes are what its head announces: more than come when a servo is not
-    there."""
+    """Encode the single reply to a fast read.
+
+    It holds (id, error, data) of each servo, each followed by the CRC of all preceding bytes.
+    `promised` is the length announced in the header, bytes. It exceeds the actual length if a servo
+    is missing.
+    """
     length = 1 + (sum(len(data) + 4 for _, _, data in parts) if promised is None else promised)
     packet = HEADER + bytes([BROADCAST]) + length.to_bytes(2, "little") + bytes([STATUS])
     for servo, error, data in parts:

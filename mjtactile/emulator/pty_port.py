@@ -12,15 +12,17 @@ from collections.abc import Callable
 
 from mjtactile.core import scaled_clock
 
-_OPEN_POLL = 0.005  # s between looks at whether a host has opened the port
+_OPEN_POLL = 0.005  # period of the check for an opened port, s
 
 
 class PtyPort:
-    """Opens a pty; `handle(data)` is called in a thread with what the host sent, `write` answers.
-    `path` is for the host.
+    """Pseudo-terminal that serves one host.
 
-    With `on_open`, it is called whenever a host opens the port (a board that resets then). What a
-    host never reads is lost once the port's buffer is full, as on a wire.
+    A thread calls `handle(data)` with the bytes from the host; `write` sends a reply. `path` is the
+    device path for the host.
+
+    `on_open` is called each time a host opens the port (for a board that resets then). Bytes that
+    the host never reads are lost once the port's buffer is full, as on a wire.
     """
 
     def __init__(

@@ -1,7 +1,6 @@
-"""The registers of an emulated servo: memory laid out as a control table says, and the rules of
-reading and writing it.
+"""Registers of an emulated servo: memory laid out by a control table, and its access rules.
 
-Each rule names the heading of the e-manual under which it stands, as in `mjtactile.emulator.servo`.
+Each rule names its heading in the e-manual, as in `mjtactile.emulator.servo`.
 """
 
 from __future__ import annotations
@@ -16,8 +15,10 @@ TRIPPED = 0xFF  # "Bus Watchdog"
 
 
 class Registers:
-    """All registers of one model. What a write sets in motion, and what is measured before a read,
-    is the subclass's."""
+    """All registers of one model.
+
+    The subclass implements the effects of a write and the measurements before a read.
+    """
 
     def __init__(self, model: str):
         self._table = ct.control_table(model)
@@ -61,8 +62,11 @@ class Registers:
         return self.get("Bus Watchdog") == TRIPPED
 
     def read(self, address: int, size: int) -> tuple[int, bytes]:
-        """Error number and data, as a status packet says them. "Attempt to read a value in an
-        Address that … has not been defined" is an access error (Protocol 2.0, "Error")."""
+        """Return error number and data in the form of a status packet.
+
+        "Attempt to read a value in an Address that … has not been defined" is an access error
+        (Protocol 2.0, "Error").
+        """
         if size == 0:
             return LENGTH_ERROR, b""
         if not self._table.defined.issuperset(range(address, address + size)):

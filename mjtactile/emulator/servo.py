@@ -1,8 +1,7 @@
-"""One emulated X-series servo: its registers, its rules, and the drive that its registers ask for.
+"""One emulated X-series servo: its registers, its rules, and the drive that they request.
 
-Each rule names the heading of the e-manual under which it stands
-(https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/ and .../xm430-w350/), or where else it was
-reported. The tables: `mjtactile.emulator.control_table`.
+Each rule names its heading in the e-manual (https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/
+and .../xm430-w350/), or another source. The tables are in `mjtactile.emulator.control_table`.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ _ACCELERATION_UNIT = 214.577 * 2 * math.pi / 3600  # rad/s^2: "Profile Accelerat
 _PWM_FULL = 885
 _OVERHEATING = 0x04
 _OVERLOAD = 0x20
-_REBOOT_TIME = 0.3  # s of silence
+_REBOOT_TIME = 0.3  # silence after a restart, s
 _NO_LOAD_SPEED = 6.0  # rad/s of a shaft that nothing holds, about 60 rev/min
 # C; K of final rise at the largest current; s
 _AMBIENT = 25.0
@@ -30,15 +29,18 @@ _COOLING_TIME = 60.0
 _OVERLOAD_FRACTION = 0.6
 _OVERLOAD_TIME = 3.0
 TRIPS = ("brake", "limp")
-"""What a tripped watchdog does. The manual says that the servo "will stop" (Bus Watchdog(98));
-users found it free in modes 0 and 16, and held where it was in the others ("brake"); "limp" is a
-servo that is free in all of them."""
+"""Reactions to a tripped watchdog. The manual states that the servo "will stop" (Bus Watchdog(98)).
+Users observed no torque in modes 0 and 16, and a held position in the others ("brake"). "limp": no
+torque in any mode."""
 _FREE_MODES = (0, 16)
 
 
 class EmulatedServo(ServoRegisters):
-    """`angle` rad it wakes up at; `torque_fraction` more torque per ampere than the data sheet
-    says; `firmware` None: the newest; `trip` one of `TRIPS`. Times are monotonic s. Thread-safe."""
+    """Servo that starts at the shaft angle `angle`, rad.
+
+    `torque_fraction` is the excess of torque per ampere over the data sheet. `firmware` None is the
+    newest. `trip` is one of `TRIPS`. Times are monotonic, s. Thread-safe.
+    """
 
     def __init__(
         self,
@@ -53,7 +55,7 @@ class EmulatedServo(ServoRegisters):
     ):
         super().__init__(model, angle, firmware)
         self._current_max = self._table.fields["Current Limit"].default * self.model.ampere_per_unit
-        self._torque_per_A = (1 + torque_fraction) * self.model.torque_per_A  # N m/A, really
+        self._torque_per_A = (1 + torque_fraction) * self.model.torque_per_A  # actual value, N m/A
         self._trip = trip
         self._temperature = _AMBIENT
         self._overload_time = 0.0
@@ -61,15 +63,17 @@ class EmulatedServo(ServoRegisters):
         self.speed = 0.0
         self.current = 0.0
         self.stop_time: float | None = None
-        """When the bus watchdog tripped (monotonic s), None if it did not."""
+        """Time of the last bus watchdog trip (monotonic), s; None without a trip."""
         self._defaults(True)
         self.set("ID", servo_id)
         self.set("Baud Rate", ct.BAUDS.index(baud))
         self._power_up()
 
     def _power_up(self) -> None:
-        """RAM to its defaults, turns forgotten, torque off; unless "Startup Configuration(60)" says
-        otherwise."""
+        """Reset RAM to its defaults, clear the turn count and switch torque off.
+
+        "Startup Configuration(60)" may override this.
+        """
         self._defaults(False)
         self._registered = None
         self.set("Present Input Voltage", round(10 * self._table.volts))
@@ -151,7 +155,7 @@ class EmulatedServo(ServoRegisters):
                 self.set("Torque Enable", 0)
 
     def brown_out(self) -> None:
-        """The supply dipped: a restart that nobody asked for."""
+        """Restart after a dip of the supply voltage."""
         with self._lock:
             self._power_up()
 
@@ -167,18 +171,22 @@ class EmulatedServo(ServoRegisters):
             ):
                 self.set("Bus Watchdog", TRIPPED)
                 self.stop_time = now
-                # "When it stops, the Profile Acceleration(108) and
+                # "When it stops, the Profile Acceleration(108) and Profile Velocity(112) are
+                # applied as '0'."
                 self.set("Profile Acceleration", 0)
-                self.set("Profile Velocity", 0)  # Profile Velocity(112) are applied as '0'."
+                self.set("Profile Velocity", 0)
                 if not self._ignores_watchdog:
                     self.set("Goal Velocity", 0)
                     self.set("Goal Position", self._ticks())
                     self._path.start(self.angle)
 
     def _drift(self) -> None:
-        """With a homing offset "the goal position gets updated to a value that is not the current
-        position … This will keep happening indefinitely"
-        (github.com/ROBOTIS-GIT/DynamixelSDK/issues/584, modes with positions)."""
+        """Update the goal position after a trip, as reported for a servo with a homing offset.
+
+        Quote: "the goal position gets updated to a value that is not the current position … This
+        will keep happening indefinitely" (github.com/ROBOTIS-GIT/DynamixelSDK/issues/584, modes
+        with positions).
+        """
         if (
             self._homing
             and not self._ignores_watchdog
@@ -221,8 +229,10 @@ class EmulatedServo(ServoRegisters):
         return self.model.ampere_per_unit * self._torque_per_A
 
     def _planned(self) -> float:
-        """Where the profile has got to; without one the goal itself ("Profile not used (Step
-        Instruction)")."""
+        """Return the current profile angle, rad.
+
+        Without a profile this is the goal itself ("Profile not used (Step Instruction)").
+        """
         if self.get("Profile Velocity"):
             return self._path.angle
         return self._angle(self.get_signed("Goal Position"))
@@ -254,8 +264,8 @@ class EmulatedServo(ServoRegisters):
         self.follow_load(self.angle + step, step / period, 0.0, period)
 
     def follow_load(self, angle: float, speed: float, torque: float, period: float) -> None:
-        """What the mechanism does to the shaft: angle rad, speed rad/s, and the torque N m that the
-        motor gives now."""
+        """Set the shaft state from the mechanism: angle, rad, speed, rad/s, and motor torque, N
+        m."""
         with self._lock:
             self.angle = angle
             self.speed = speed
@@ -283,7 +293,7 @@ class EmulatedServo(ServoRegisters):
             self._temperature = celsius
 
     def _publish(self) -> None:
-        """What the servo measures, into its registers."""
+        """Write the measured values into the registers."""
         in_position_mode = self.get("Operating Mode") in ct.POSITION_MODES
         ongoing = bool(self.get("Torque Enable") and in_position_mode and self._path.speed)
         velocity = round(self._direction * self.speed / _RPM_UNIT)

@@ -1,8 +1,7 @@
-"""Servos on one pty: reads instruction packets, lets each servo act, answers after the time that
-wire and USB take.
+"""Servos on one pty: decode instruction packets, execute them, reply after wire and USB delay.
 
-Instructions after https://emanual.robotis.com/docs/en/dxl/protocol2/, "Instruction Details"; what
-stands in quotes is from there.
+Instructions follow https://emanual.robotis.com/docs/en/dxl/protocol2/, "Instruction Details".
+Quotes are from that page.
 """
 
 from __future__ import annotations
@@ -51,8 +50,10 @@ class ServoBus:
         self._port.close()
 
     def is_busy(self) -> bool:
-        """Bytes have arrived that nobody has looked at yet: that this process is slow is no silence
-        of the host."""
+        """Return True if received bytes are not processed yet.
+
+        A slow emulator process must not count as silence of the host.
+        """
         return self._port.has_input
 
     def _receive(self, data: bytes) -> None:
@@ -68,8 +69,10 @@ class ServoBus:
                 self._send(answer, len(data), baud)
 
     def answer(self, packet: p2.Instruction, now: float, baud: int | None = None) -> bytes:
-        """What the servos reply to one packet, b"" for nothing. `baud` None: all of them hear
-        it."""
+        """Return the servos' reply to one packet, b"" without a reply.
+
+        All servos receive the packet if `baud` is None.
+        """
         mute = int(self._faults.get("servo_silent")) or None
         awake = [
             s

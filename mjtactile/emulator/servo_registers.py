@@ -1,4 +1,4 @@
-"""What an emulated servo has in its registers, and how they hang together."""
+"""Register values of an emulated servo and their dependencies."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class ServoRegisters(Registers):
         self.last_packet = scaled_clock.monotonic()
 
     def _publish(self) -> None:
-        """Write what is measured into the registers that show it."""
+        """Write the measured values into their registers."""
         raise NotImplementedError
 
     # -- registers
@@ -57,8 +57,10 @@ class ServoRegisters(Registers):
             return error
 
     def act(self) -> int:
-        """Carry out what was registered; "Action has been used without Reg Write" is an instruction
-        error."""
+        """Execute the registered write.
+
+        "Action has been used without Reg Write" is an instruction error.
+        """
         with self._lock:
             if self._registered is None:
                 return INSTRUCTION_ERROR
@@ -81,7 +83,7 @@ class ServoRegisters(Registers):
 
     def _torque_on(self) -> None:
         if self.get("Operating Mode") == 3:
-            # "When torque is turned on in Position Control Mode", Present Position(132)
+            # Present Position(132): "When torque is turned on in Position Control Mode"
             self._forget_turns()
         self._path.start(self.angle)
         self.set("Goal Position", self._ticks())
@@ -130,7 +132,7 @@ class ServoRegisters(Registers):
         return offset
 
     def _ticks(self, angle: float | None = None) -> int:
-        """Position of the shaft as its registers say it."""
+        """Return the shaft position in register units, ticks."""
         angle = self.angle if angle is None else angle
         return round((self._direction * angle - self._lost_turns) * _TICKS_PER_RAD) + self._homing
 

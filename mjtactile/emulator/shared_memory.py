@@ -1,9 +1,8 @@
-"""A page of memory that the emulator's two processes share: what the devices ask of the world, and
-what it does to them.
+"""Memory page shared by the emulator's two processes: commands to the world, and its state.
 
-Two processes, because a servo must answer within a millisecond and a physics step holds Python's
-interpreter for longer. Each value has one writer; a double is written at once, and each is only
-ever "the newest".
+Two processes are necessary: a servo must reply within a millisecond, and a physics step holds
+Python's interpreter for longer. Each value has one writer. A double is written atomically, and each
+value is only ever "the newest".
 """
 
 from __future__ import annotations

@@ -20,16 +20,16 @@ from mjtactile.core import scaled_clock
 from mjtactile.emulator.faults import Faults
 from mjtactile.emulator.pty_port import PtyPort
 
-_BOOT_TIME = 0.15  # s from opening the port to the banner; commands before are lost
-_LAG = 0.05  # s, time constant of hose and valve
-_SLOW_LAG = 2.0  # s, of an outlet that opens a little
-_SUPPLY = 1000.0  # Pa; what the hose of a board without sensors carries
-_SENSOR_NOISE = 5.0  # Pa, sd
-_MAX = 6000  # Pa that the board never exceeds
+_BOOT_TIME = 0.15  # time from opening the port to the banner, s; earlier commands are lost
+_LAG = 0.05  # time constant of hose and valve, s
+_SLOW_LAG = 2.0  # time constant of a slightly opened outlet, s
+_SUPPLY = 1000.0  # hose pressure of a board without sensors, Pa
+_SENSOR_NOISE = 5.0  # standard deviation, Pa
+_MAX = 6000  # pressure limit of the board, Pa
 _BEAT = (20, 60000)  # ms
 _HOLD = (0, 600000)  # ms
 _READINGS_TO_TRIP = 3  # samples in a row that make a fault
-_SAMPLE = 0.005  # s between two
+_SAMPLE = 0.005  # sample period, s
 _LONGEST = 80  # bytes of a line
 
 
@@ -70,8 +70,10 @@ def unframed(line: bytes) -> str | None:
 
 
 class Chambers(Protocol):
-    """What the board moves: `connect` joins a chamber to a supply (Pa), `seal` closes it,
-    `pressure` reads it."""
+    """Chambers driven by the board.
+
+    `connect` joins a chamber to a supply (Pa), `seal` closes it, `pressure` reads it.
+    """
 
     def connect(self, channel: int, supply_gauge: float) -> None: ...
     def seal(self, channel: int) -> None: ...
@@ -83,7 +85,7 @@ class _Channel:
     state: str = "vent"  # vent, set, sealed
     fault: str = "start"  # ok, start, silent, sensor, pressure
     goal: float = 0.0
-    supply: float = 0.0  # what the hose carries now
+    supply: float = 0.0  # current hose pressure
     limit: int = 0
     sensor_failures: int = 0
     pressure_excesses: int = 0
@@ -102,8 +104,11 @@ class _Channel:
 
 
 class ValveFirmware:
-    """`tick` moves the pneumatics, `reply` answers a line. `zeros` Pa: what each sensor shows at
-    ambient pressure; `sensors` False: a board of relays on a supply of 1 kPa."""
+    """Firmware of the board: `tick` advances the pneumatics, `reply` answers a line.
+
+    `zeros` are the sensor readings at ambient pressure, Pa. `sensors` False is a board of relays on
+    a supply of 1 kPa.
+    """
 
     def __init__(
         self,
@@ -123,7 +128,7 @@ class ValveFirmware:
         self.hold = 0.0
         self.last_heard = scaled_clock.monotonic()
         self.vent_time: float | None = None
-        """When the heartbeat vented last (monotonic s), None if it did not."""
+        """Time of the last vent by the heartbeat (monotonic), s; None without one."""
         self._since_sample = 0.0
         self._rng = random.Random(1)
         self._lock = threading.RLock()
@@ -137,13 +142,15 @@ class ValveFirmware:
             self.hold = 0.0
 
     def tick(self, now: float, period: float) -> None:
-        """Advance by `period` s; vents when nothing was heard for the heartbeat time, and what is
-        out of order."""
+        """Advance by `period` s.
+
+        Vent on a missing heartbeat, a failed sensor or an excess pressure.
+        """
         with self._lock:
             if self._faults.get("valve_restart"):
                 self._faults.set("valve_restart", 0)
                 self.reset()
-            # it stays armed: whoever speaks again is watched again
+            # the heartbeat stays armed: it also monitors a host that returns
             if 0 < self.heartbeat < now - self.last_heard:
                 self._miss_host(now)
             self._since_sample += period
@@ -154,7 +161,7 @@ class ValveFirmware:
                 self._move_pressures(period)
 
     def _miss_host(self, now: float) -> None:
-        """Hold what is there for a host that is late; vent for one that is gone."""
+        """Seal the chambers while the host is late; vent them once the host is lost."""
         for number, channel in self.channels.items():
             if channel.state == "vent":
                 continue

@@ -1,9 +1,8 @@
-"""The process behind the emulated hardware: one simulated grasp stepped in real time, and its
-cameras.
+"""Process behind the emulated hardware: one simulated grasp in real time, and its cameras.
 
-`python -m mjtactile.emulator.world DESCRIPTOR`, started by `mjtactile.emulator.app`: options on
-stdin's first line, one JSON line on stdout when it is ready; it ends when its stdin does. All else
-goes through `SharedState`.
+`python -m mjtactile.emulator.world DESCRIPTOR` is started by `mjtactile.emulator.app`. It reads
+options from the first line of stdin and writes one JSON line to stdout when it is ready. It ends
+when its stdin closes. All other data pass through `SharedState`.
 """
 
 from __future__ import annotations
@@ -36,22 +35,22 @@ from mjtactile.sim.rendering.image_faults import FaultyImage
 from mjtactile.sim.rendering.renderer import Effects, Renderer
 from mjtactile.sim.rig import build_sim_rig
 
-# s; a world that is further behind the clock lets time go rather than race after it
+# maximum lag behind the clock, s; a larger lag is skipped instead of recovered
 _BEHIND_MAX = 0.02
-_BREATH = 3e-4  # s of rest after each step, for the thread that draws the pictures
-_BACKDRIVE_FORCE = 0.05  # N: gear friction of servos without torque
-_GEAR_SLACK = 1e-4  # m of the opening over which that friction builds up
-_TOUCH_FORCE = 1e-3  # N; less counts as no touch
-_STILL_SPEED = 0.01  # m/s and rad/s of an object that stands
-_FALL_SPEED_MAX = 0.5  # m/s of a lift without torque, whose gears turn with it
-_LEAK_TIME = 0.15  # s: a puncture's time constant
+_BREATH = 3e-4  # pause after each step for the rendering thread, s
+_BACKDRIVE_FORCE = 0.05  # gear friction of servos without torque, N
+_GEAR_SLACK = 1e-4  # change of opening over which that friction builds up, m
+_TOUCH_FORCE = 1e-3  # contact threshold, N
+_STILL_SPEED = 0.01  # speed limit of an object at rest, m/s and rad/s
+_FALL_SPEED_MAX = 0.5  # speed limit of a lift without torque, which turns its gears, m/s
+_LEAK_TIME = 0.15  # time constant of a puncture, s
 # gain of the camera's picture: black markers at 13 times white are white too
 _DARK = 0.03
 _GLARE = 20.0
 
 
 class EmulatedWorld:
-    """The grasp of `options`, driven by what `shared` asks for."""
+    """Simulated grasp of `options`, driven by the commands in `shared`."""
 
     def __init__(self, options: EmulatorOptions, shared: SharedState):
         emulator = options.rig_file.emulator or EmulatorConfig()
@@ -93,7 +92,7 @@ class EmulatedWorld:
         self._cameras.close()
 
     def _run(self) -> None:
-        """Step when the clock says so."""
+        """Step the simulation in real time."""
         begin = scaled_clock.monotonic()
         try:
             while not self._stop.is_set():
@@ -134,10 +133,10 @@ class EmulatedWorld:
             self._cameras.expose([scene.marker_poses(i) for i in range(len(scene.sensors))])
 
     def _report_flags(self) -> None:
-        """Say once what makes this world's numbers worse than usual: no device can."""
+        """Print each new flag of reduced simulation accuracy once; no device can report it."""
         for kind in self.scene.flags.keys() - self._flagged:
             print(
-                f"emulator: doubt ({kind}): {self.scene.flags[kind]}", file=sys.stderr, flush=True
+                f"emulator: warning ({kind}): {self.scene.flags[kind]}", file=sys.stderr, flush=True
             )
         self._flagged |= self.scene.flags.keys()
 
@@ -155,8 +154,10 @@ class EmulatedWorld:
         self.scene.set_finger_target(max(rest, 0.0), _BACKDRIVE_FORCE)
 
     def _keep_object(self) -> None:
-        """Keep an object that stands still while nobody drives the jaws and nothing touches it:
-        friction of simulated contacts creeps, and an egg on its end would fall over in minutes."""
+        """Fix an object at rest while the jaws are not driven and no membrane is in contact.
+
+        Friction of simulated contacts creeps: an egg on its end would fall over within minutes.
+        """
         fingers = range(1, len(self.scene.sensors) + 1)
         is_left_alone = self._rest_opening is not None and all(
             abs(self._shared[f"contact_{number}"]) < _TOUCH_FORCE for number in fingers
@@ -192,7 +193,7 @@ class EmulatedWorld:
             shared[f"pressure_{number}"] = sensor.gauge_pressure
 
     def _publish_forces(self) -> None:
-        """What load cells behind the membranes would show; as often as pictures are taken."""
+        """Publish the true normal force on each membrane, once per image."""
         for number in range(len(self.scene.sensors)):
             self._shared[f"contact_{number + 1}"] = -ground_truth.contact_force(self.scene, number)[
                 2
@@ -200,8 +201,10 @@ class EmulatedWorld:
 
 
 class Cameras:
-    """Draws the markers' poses and streams the pictures, in a thread of its own; a picture is
-    dropped when it is behind."""
+    """Thread that renders the marker poses and streams the images.
+
+    It drops an image if rendering is late.
+    """
 
     def __init__(self, options: EmulatorOptions, shared: SharedState):
         emulator = options.rig_file.emulator or EmulatorConfig()

@@ -1,2 +1,1 @@
-"""Many grasps with many seeds: does a controller hold what it grasps, how often, and which of two
-is better?"""
+"""Evaluation over many grasps and seeds: success rate of a controller, and comparison of two."""

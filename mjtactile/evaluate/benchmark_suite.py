@@ -1,9 +1,8 @@
-"""`Suite`: tasks, seeds and judge that stay as they are, and what shipped controllers come to in
-them: `mjtactile evaluate --against v1`.
+"""`Suite`: fixed tasks, seeds and scoring, with the results of shipped controllers.
 
-A suite is a file, `models/suites/NAME.json`; the benchmark that writes it is `mjtactile bench
-tasks`. It names the files that its results rest on by their SHA-256, and the judge's version: where
-one of them is another now, nothing is compared.
+It serves `mjtactile evaluate --suite v1`. A suite is a file, `models/suites/NAME.json`, written
+by `mjtactile bench tasks`. It stores the SHA-256 of the files behind its results, and the scoring
+version. No comparison is made if one of them differs.
 """
 
 from __future__ import annotations
@@ -42,19 +41,19 @@ _MEASURES = ("margin", "slip_mm", "impact_N_s", "release_delay_s")
 
 @dataclass(frozen=True)
 class Suite:
-    """What is asked, and what others came to.
+    """Fixed set of tasks, and the results of other controllers.
 
     Attributes:
-        name: Of the file.
-        judge: Version of who judges (`mjtactile.runtime.task_scoring`).
+        name: Name of the file.
+        judge: Version of the scoring (`mjtactile.runtime.task_scoring`).
         tasks: Names of tasks.
-        objects: Grasped in turn.
-        seed: Of the first episode. Nothing is tuned on these seeds; `develop` are for that.
-        develop: First seed of those.
-        vary, effects: As an evaluation takes them.
-        files: SHA-256 of each task's file and of the variation's, by its name.
-        results: By task and controller: its "outcomes", a letter an episode, and the medians of
-            what was measured.
+        objects: Objects, grasped in turn.
+        seed: Seed of the first episode. Nothing is tuned on these seeds; `develop` are for that.
+        develop: First seed for development.
+        randomization, effects: Options of the evaluation.
+        files: SHA-256 of each task file and of the randomization file, by file name.
+        results: Results by task and controller: its "outcomes", one letter per episode, and the
+            medians of the measured values.
     """
 
     name: str
@@ -63,17 +62,19 @@ class Suite:
     objects: Sequence[str]
     seed: int
     develop: int
-    vary: str
+    randomization: str
     effects: str
     files: Mapping[str, str]
     results: Mapping[str, Mapping[str, Mapping[str, Any]]]
 
     def scenario(self, task: str) -> Scenario:
-        """What all episodes of a task share."""
-        return Scenario(task=task, effects=self.effects, vary=self.vary, seed=self.seed)
+        """Return the common scenario of all episodes of a task."""
+        return Scenario(
+            task=task, effects=self.effects, randomization=self.randomization, seed=self.seed
+        )
 
     def lines(self, task: str, controller: str) -> list[Line]:
-        """What a shipped controller came to: episodes and outcomes."""
+        """Return the results of a shipped controller: episodes and outcomes."""
         words = {letter: word for word, letter in _LETTERS.items()}
         outcomes = self.results[task][controller]["outcomes"]
         return [
@@ -83,8 +84,7 @@ class Suite:
         ]
 
     def with_results(self, *folders: Path) -> Suite:
-        """This suite with what lies in `folders`, in each a folder a task, in place of its
-        results."""
+        """Return this suite with the results in `folders`, one subfolder per task."""
         found = {
             task: _results([line for folder in folders for line in read(self, folder, task)])
             for task in self.tasks
@@ -103,25 +103,26 @@ def new_suite(
     objects: Sequence[str],
     seed: int,
     develop: int,
-    vary: str = "default",
+    randomization: str = "default",
     effects: str = "-images",
 ) -> Suite:
     """A suite of the files as they are now, without results."""
-    files = _hashes(tasks, vary)
-    return Suite(name, VERSION, tasks, objects, seed, develop, vary, effects, files, {})
+    files = _hashes(tasks, randomization)
+    return Suite(name, VERSION, tasks, objects, seed, develop, randomization, effects, files, {})
 
 
 def load_suite(name_or_path: str | Path) -> Suite:
-    """Read a suite, and see that its files and its judge are still those of its results.
+    """Read a suite, and check that its files and its scoring match its results.
 
     Args:
-        name_or_path: A shipped name, or a file.
+        name_or_path: Shipped name or file.
 
     Returns:
         The suite.
 
     Raises:
-        InputError: There is none, it cannot be read, or what it rests on has changed.
+        InputError: The suite does not exist, cannot be read, or depends on a changed file or
+            version.
     """
     path = resources.find(name_or_path, FOLDER, ".json")
     try:
@@ -130,7 +131,7 @@ def load_suite(name_or_path: str | Path) -> Suite:
         raise InputError(f"no suite of tasks: {error}", source=path) from error
     if suite.judge != VERSION:
         raise InputError(f"was judged by version {suite.judge}, this is {VERSION}", source=path)
-    now = _hashes(suite.tasks, suite.vary)
+    now = _hashes(suite.tasks, suite.randomization)
     changed = [name for name, known in suite.files.items() if now.get(name) != known]
     if changed:
         raise InputError(
@@ -142,19 +143,20 @@ def load_suite(name_or_path: str | Path) -> Suite:
 def run_suite(
     suite: Suite, folder: Path, *, controllers: Sequence[str], count: int, running: Running = HERE
 ) -> None:
-    """Run a suite's tasks, each into a folder of its own; a few episodes of each at a time, so that
-    what is stopped has as many of all.
+    """Run a suite's tasks, each into its own folder.
+
+    The tasks alternate after a few episodes. An interrupted run then has equally many of each.
 
     Args:
-        suite: What to run.
-        folder: Gets a folder a task.
+        suite: Suite to run.
+        folder: Output folder, with one subfolder per task.
         controllers: Names and files.
         count: Episodes of each task for each controller.
-        running: Who runs the episodes.
+        running: Execution settings of the episodes.
 
     Raises:
-        InputError: As `evaluate` does.
-        DeviceError: As `evaluate` does.
+        InputError: Raised by `evaluate`.
+        DeviceError: Raised by `evaluate`.
     """
     for most in rounds(count):
         resumed = replace(running, resume=running.resume or most > _ROUND)
@@ -162,14 +164,14 @@ def run_suite(
 
 
 def rounds(count: int, each: int = _ROUND) -> list[int]:
-    """How many episodes of each task are there after each round of `each`, until it is `count`."""
+    """Return the number of episodes per task after each round of `each`, up to `count`."""
     return [*range(each, count, each), count]
 
 
 def run_round(
     suite: Suite, folder: Path, *, controllers: Sequence[str], count: int, running: Running = HERE
 ) -> None:
-    """Run what is missing of the first `count` episodes of each task; as `run_suite`."""
+    """Run the missing episodes among the first `count` of each task; see `run_suite`."""
     for task in suite.tasks:
         known = folder / task / store.MANIFEST
         there = store.read_manifest(folder / task)["options"]["count"] if known.exists() else 0
@@ -212,20 +214,20 @@ def read(suite: Suite, folder: Path, task: str) -> list[dict[str, Any]]:
 
 
 def compare(suite: Suite, folder: Path) -> dict[str, Any]:
-    """Compare what lies in `folder` with the suite's results.
+    """Compare the results in `folder` with those of the suite.
 
     Args:
-        suite: What was run.
-        folder: Of `run_suite`.
+        suite: Suite that was run.
+        folder: Output folder of `run_suite`.
 
     Returns:
-        Under "tasks" by task and controller, under "together" by controller, over all tasks: `held`
-        of `episodes`, its interval, the medians of what was measured, and "against": for each
-        shipped controller the difference over the same episodes
+        Results under "tasks" by task and controller, and under "together" by controller over all
+        tasks. Each has `held` of `episodes`, its interval, the medians of the measured values, and
+        "against". The latter is the difference to each shipped controller over the same episodes
         (`mjtactile.evaluate.statistics.paired`; positive: the new one holds more).
 
     Raises:
-        InputError: There is nothing, or it is of something else.
+        InputError: There are no results, or they belong to another suite.
     """
     tasks: dict[str, Any] = {}
     numbered: dict[str, list[Line]] = {}
@@ -237,7 +239,7 @@ def compare(suite: Suite, folder: Path) -> dict[str, Any]:
             tasks.setdefault(task, {})[controller] = _compared(controller, mine, others)
             numbered.setdefault(controller, []).extend(_numbered(suite, place, mine))
     if not tasks:
-        raise InputError(f"no results of {suite.name}", source=folder, field="--against")
+        raise InputError(f"no results of {suite.name}", source=folder, field="--suite")
     known: dict[str, list[Line]] = {}
     for place, task in enumerate(suite.tasks):
         for name in suite.results.get(task, {}):
@@ -314,7 +316,7 @@ def _difference(pair: Mapping[str, Any] | None) -> str:
 
 
 def _results(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """What a suite keeps of one task."""
+    """Return the stored results of one task."""
     summary = summarise(list(lines))["controllers"]
     found = {}
     for controller, group in summary.items():
@@ -334,8 +336,8 @@ def _results(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def _hashes(tasks: Sequence[str], vary: str) -> dict[str, str]:
+def _hashes(tasks: Sequence[str], randomization: str) -> dict[str, str]:
     """Return a checksum of each file's values; comments and layout do not count."""
     paths = [resources.find(task, "models/tasks", ".toml") for task in tasks]
-    paths.append(resources.find(vary, "models/randomization", ".toml"))
+    paths.append(resources.find(randomization, "models/randomization", ".toml"))
     return {path.name: store.checksum(path) for path in paths}

@@ -15,22 +15,23 @@ from mjtactile.rig.domain_randomization import NONE
 from mjtactile.rig.file import RigFile, read_rig_file
 from mjtactile.runtime.cycle import Cycle
 
-_COMES_ALONG = 0.9  # of what the hand has risen: a thing rolls a little as it is lifted
-_STANDS = 3e-3  # m off the height at which it stood
+# minimum rise of the object over rise of the gripper: it rolls slightly when lifted
+_COMES_ALONG = 0.9
+_STANDS = 3e-3  # tolerance on the object's start height, m
 
 
 def check(scenario: Scenario) -> bool:
-    """Whether a scenario's rig is emulated.
+    """Return True if the rig of a scenario is emulated.
 
     Args:
-        scenario: Of an evaluation.
+        scenario: Scenario of an evaluation.
 
     Returns:
-        False where it is simulated.
+        False if the rig is simulated.
 
     Raises:
-        InputError: Its devices are real: nobody puts the object back between episodes; or its world
-            cannot do what the scenario asks for.
+        InputError: The rig has real devices, where the object is not put back between episodes. Or
+            the emulated world does not support the scenario.
     """
     file = read_rig_file(scenario.rig)
     if not isinstance(file, RigFile):
@@ -42,12 +43,12 @@ def check(scenario: Scenario) -> bool:
             field="--rig",
             choices=["a simulated or an emulated one"],
         )
-    if scenario.vary != NONE:
+    if scenario.randomization != NONE:
         raise InputError(
-            "an emulated world is as its rig file says", field="--vary", choices=[NONE]
+            "an emulated world is as its rig file says", field="--randomization", choices=[NONE]
         )
     task = load_task(scenario.task)
-    drawn = not task.is_plain and any(one.kind != "table" for one in task.happenings)
+    drawn = not task.is_plain and any(one.kind != "move_support" for one in task.happenings)
     if drawn or task.thing != type(task.thing)():
         raise InputError(
             f"what happens in {task.name!r} does not happen on an emulated rig",
@@ -71,7 +72,7 @@ class TrueOutcome(Observer):
         self._done = False
 
     def begin(self, session: Any) -> None:
-        """Where does it stand?"""
+        """Store the start height of the object."""
         self._ask = session.rig.truth
         self._start = float(self._ask()["object_height"])
 
@@ -89,14 +90,15 @@ class TrueOutcome(Observer):
             self._came_along &= risen > _COMES_ALONG * float(self._last["lift_height"])
 
     def judged(self, summary: Mapping[str, Any]) -> dict[str, Any]:
-        """A run's summary with what is true in place of what the controller believes.
+        """Replace the controller's outcome in a run's summary by ground truth.
 
         Args:
-            summary: Of `mjtactile.runtime.grasp.GraspResult`.
+            summary: Summary of `mjtactile.runtime.grasp.GraspResult`.
 
         Returns:
-            The same, with `outcome` by what stands and what came along, and true forces, N, of the
-            moments of images. A hand that ends higher than it began may have found the table.
+            The summary with true forces, N, at the image times. The `outcome` is based on the final
+            and lifted height of the object. The gripper may end above its start height, stopped by
+            the table.
         """
         if not self._last:
             return dict(summary)

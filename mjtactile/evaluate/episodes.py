@@ -1,8 +1,7 @@
-"""An episode: one grasp of one object with one seed by one controller, and the line that is kept of
-it.
+"""Episode: one grasp of one object with one seed by one controller, and its result line.
 
-A line holds nothing that depends on when, where or beside what it was run: any number of workers
-gives the same lines.
+A line does not depend on time, machine or parallel runs. Any number of workers gives the same
+lines.
 """
 
 from __future__ import annotations
@@ -37,11 +36,12 @@ from mjtactile.sim.scenes.random_objects import object_text as object_text
 from mjtactile.sim.scenes.random_objects import random_object, seed_of
 
 STOPPED = ("unsafe", "hung", "raised")
-"""Failures of who controls that end a run before its end: the supervisor brought the hand to its
-safe state; a step did not return, or the run did not end in its time; a step raised."""
+"""Controller failures that end a run early. "unsafe": the supervisor brought the gripper to its
+safe state. "hung": a step did not return, or the run exceeded its time. "raised": a step raised an
+exception."""
 OUTCOMES = ("held", "dropped", "crushed", *STOPPED, "error")
-"""An error is what is not the controller's fault (the simulation failed, an object does not fit):
-no failure."""
+"""Outcomes of an episode. An error is not the controller's fault (the simulation failed, an object
+does not fit) and not a failure."""
 RANDOM = "random"
 """In place of an object: another one each time."""
 JUDGED = (
@@ -52,7 +52,7 @@ JUDGED = (
     "tilt_deg_true",
     "release_delay_s_true",
 )
-"""What a task measures by truth; null where it has none of it."""
+"""Ground-truth measures of a task; null if the task does not have the measure."""
 _KEPT = (
     "outcome",
     "peak_force_N",
@@ -74,7 +74,7 @@ class Episode:
     index: int
     scenario: Scenario
     recording: str = ""
-    """Folder to record it into; no recording without. What its line says does not depend on it."""
+    """Folder of the recording; empty: no recording. The result line does not depend on it."""
 
     @property
     def controller(self) -> str:
@@ -83,7 +83,7 @@ class Episode:
 
     @property
     def name(self) -> str:
-        """Of what is kept of it, unique within an evaluation."""
+        """Name of the stored results, unique within an evaluation."""
         return name_of(self.controller, self.index)
 
 
@@ -99,17 +99,17 @@ def plan(
     *,
     shard: tuple[int, int] = (1, 1),
 ) -> list[Episode]:
-    """The episodes of an evaluation.
+    """Return the episodes of an evaluation.
 
     Args:
-        scenario: Everything but controller and object; its seed is the first episode's.
+        scenario: Scenario without controller and object; its seed is the first episode's.
         count: Episodes for each controller.
-        controllers: Every one meets the same episodes.
-        objects: In turn; of "random" the one of each seed.
+        controllers: Controllers; all run the same episodes.
+        objects: Objects, used in turn; "random" is a random object for each seed.
         shard: (k, n): only the k-th of n parts.
 
     Returns:
-        Episode after episode, each with every controller.
+        The episodes in order, each with every controller.
     """
     part, parts = shard
     episodes = []
@@ -132,16 +132,16 @@ def run_episode(
     """Run one episode.
 
     Args:
-        episode: What to run.
-        controller: In place of the file of its scenario; its line has the file's name.
-        watching: Are told what happens.
+        episode: Episode to run.
+        controller: Replacement for the controller file of the scenario; the line keeps the file's
+            name.
+        watching: Observers of the run.
 
     Returns:
-        The episode's line; whatever fails is an error of this episode.
+        The result line of the episode. Any failure is recorded as an error of this episode.
 
     Raises:
-        Interrupted: It was told to end: then it has no line, and is run when the evaluation goes
-            on.
+        Interrupted: The run was stopped. It has no line and runs when the evaluation is resumed.
     """
     scenario = episode.scenario
     facts = _Facts()
@@ -154,8 +154,9 @@ def run_episode(
             recorder.close(outcome=summary["outcome"])
         elif recorder is not None:
             recorder.discard()  # it failed before it began
-    # a world is megabytes in a few hundred objects that know each other: Python would keep dozens
-    # of them; what is left now, modules above all, stays, and takes longer to look at than a world
+    # A world occupies megabytes in a few hundred objects with cyclic references. Python would keep
+    # dozens of them without a collection. The remaining objects, mainly modules, stay; scanning
+    # them takes longer than scanning a world.
     gc.collect()
     _set_aside()
     line: dict[str, Any] = {
@@ -171,8 +172,8 @@ def run_episode(
     return line | {
         "break_force_N": facts.break_force,
         "flags": dict(facts.flags),
-        "varied": _sampled_values(scenario),
-        "again": scenario.command(),
+        "randomized": _sampled_values(scenario),
+        "rerun_command": scenario.command(),
     }
 
 
@@ -183,7 +184,7 @@ def _set_aside() -> None:
 
 
 def _sampled_values(scenario: Scenario) -> dict[str, Any]:
-    """What the seed has drawn: of a random object, and from the variation."""
+    """Return the values sampled by the seed: of a random object, and of the variation."""
     seed = seed_of(scenario.object)
     thing = {} if seed is None else random_object(seed).values
     if emulated.check(scenario):
@@ -191,7 +192,7 @@ def _sampled_values(scenario: Scenario) -> dict[str, Any]:
     file = load_sim_rig(scenario.rig)
     task = load_task(scenario.task).draw(scenario.seed, len(file.fingers))
     thing = thing | dict(task.values)
-    return thing | dict(draw(scenario.vary, scenario.seed, scenario.design(), file).values)
+    return thing | dict(draw(scenario.randomization, scenario.seed, scenario.design(), file).values)
 
 
 def _run(
@@ -218,7 +219,7 @@ def _run(
 
 @contextlib.contextmanager
 def _recorder(episode: Episode) -> Iterator[Recorder | None]:
-    """Where the episode is recorded, in place of what an interrupted one left there."""
+    """Open the recording of the episode; it replaces that of an interrupted run."""
     if not episode.recording:
         yield None
         return
@@ -228,7 +229,7 @@ def _recorder(episode: Episode) -> Iterator[Recorder | None]:
 
 
 class _Facts(Observer):
-    """At what force the object breaks, which phases were gone through, and how long that took."""
+    """Facts of a run: breaking force of the object, phases and duration."""
 
     sees = False
 
@@ -236,11 +237,11 @@ class _Facts(Observer):
         self._begin = math.nan
         self.break_force: float | None = None
         self.flags: Mapping[str, str] = {}
-        """What makes the simulation's numbers worse than usual: the kind of doubt, its reason."""
+        """Flags of reduced simulation accuracy: kind and reason."""
         self.phases: list[str] = []
         self.is_crushed = False
         self.time = 0.0
-        """s in the simulation, from the first cycle to the last."""
+        """Simulated time from the first cycle to the last, s."""
 
     def begin(self, session: Session) -> None:
         """Episodes have a process each, and these fill the processors."""
@@ -261,7 +262,7 @@ class _Facts(Observer):
 
 
 def _json(value: Any) -> Any:
-    """`value` with null for what is not known."""
+    """Return `value`, or None (null) if it is not finite."""
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

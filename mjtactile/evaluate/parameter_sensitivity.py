@@ -1,5 +1,4 @@
-"""Success against each value that was drawn: in bins with intervals, and which values have to do
-with failures at all."""
+"""Success rate as a function of each sampled value: bins with intervals, and significance tests."""
 
 from __future__ import annotations
 
@@ -14,13 +13,15 @@ from mjtactile.evaluate.wilson import Line, wilson
 _BINS = 5
 _CATEGORIES = 6
 _LEVEL = 0.05
-MEASURES = ("slip_mm", "force_error_N", "peak_share_of_breaking")
-"""What goes on growing where nothing fails yet."""
+MEASURES = ("slip_mm", "force_error_N", "peak_to_break_ratio")
+"""Continuous measures that vary even where no episode fails."""
 
 
 def measures(line: Line) -> dict[str, float | None]:
-    """`MEASURES` of one episode: true slip, felt less true force of the hold, true peak over what
-    breaks the object."""
+    """Return `MEASURES` of one episode.
+
+    They are true slip, force error during the hold, and true peak force over the breaking force.
+    """
 
     def of(*keys: str) -> list[Any] | None:
         values = [line.get(key) for key in keys]
@@ -31,7 +32,7 @@ def measures(line: Line) -> dict[str, float | None]:
     return {
         "slip_mm": line.get("slip_mm_true"),
         "force_error_N": None if force is None else force[0] - force[1],
-        "peak_share_of_breaking": None if peak is None else peak[0] / peak[1],
+        "peak_to_break_ratio": None if peak is None else peak[0] / peak[1],
     }
 
 
@@ -39,7 +40,7 @@ def flat(line: Line) -> dict[str, float | str]:
     """The drawn values of one episode, one number or word a name: components of vectors by
     themselves, of lists how many."""
     values: dict[str, float | str] = {}
-    for name, value in line.get("varied", {}).items():
+    for name, value in line.get("randomized", {}).items():
         if name.endswith("missing_markers"):
             values[name] = float(len(value))
         elif isinstance(value, list):
@@ -50,13 +51,18 @@ def flat(line: Line) -> dict[str, float | str]:
 
 
 def against(lines: Sequence[Line], everybody: Sequence[Line] = ()) -> list[dict[str, Any]]:
-    """For each drawn value: `bins` (those of `everybody`'s lines) of the episodes that came to
-    their end; the chance `p` that failures and successes differ by accident as much as they do, in
-    it or (`both_ways`) in its distance from the middle (Mann and Whitney; None where nothing failed
-    or it is a word); whether it `stands_out` (p below 5 % shared by all names, Bonferroni);
-    Spearman's correlation with each of `MEASURES`.
+    """Analyze the outcome against each sampled value.
 
-    What stands out first, then by p, then by the strongest correlation.
+    Each entry covers the episodes without an error:
+
+    - `bins`: success rate per bin; the edges come from `everybody`'s lines.
+    - `p`: p-value of the Mann-Whitney test between failures and successes. None if nothing failed,
+      or if the value is a word.
+    - `both_ways`: True if the test is on the distance from the median instead of the value.
+    - `stands_out`: True if p is below 5 % divided by the number of tests (Bonferroni).
+    - `correlation`: Spearman's correlation with each of `MEASURES`.
+
+    The order is by p, so that significant values come first, then by the strongest correlation.
     """
     ended = [line for line in lines if line["outcome"] != "error"]
     table = [flat(line) for line in ended]
@@ -75,7 +81,7 @@ def against(lines: Sequence[Line], everybody: Sequence[Line] = ()) -> list[dict[
 
 
 def _rank(one: Mapping[str, Any]) -> tuple[float, float]:
-    """By chance, then by the strongest correlation."""
+    """Return the sort key: p-value, then strongest correlation."""
     chance = 1.0 if one["p"] is None else one["p"]
     strongest = max((abs(rho) for rho in one["correlation"].values()), default=0.0)
     return chance, -strongest
@@ -105,9 +111,12 @@ def _one(
 
 
 def _chance(numbers: np.ndarray, held: np.ndarray) -> tuple[float, bool]:
-    """How often accident alone parts failures and successes so far, in the value or in its distance
-    from the middle, and whether it is the distance: what is bad on both sides. Twice the smaller of
-    the two chances."""
+    """Return the p-value of the difference between failures and successes, and its kind.
+
+    The test is made on the value and on its distance from the median, which shows failures at both
+    ends. The p-value is twice the smaller of the two. The second result is True for the
+    distance.
+    """
     far = np.abs(numbers - np.median(numbers))
     plain = float(stats.mannwhitneyu(numbers[held], numbers[~held]).pvalue)
     distance = float(stats.mannwhitneyu(far[held], far[~held]).pvalue)

@@ -1,4 +1,4 @@
-"""Who runs the episodes: processes of this machine, or a cluster that the user has, both by joblib
+"""Execution of the episodes: processes of this machine or the user's cluster, both by joblib
 (decision 18)."""
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from mjtactile.evaluate.store import Store
 PROCESSES = "processes"
 DASK = "dask"
 BACKENDS = (PROCESSES, DASK)
-_CONNECT_TIME = 10.0  # s for a scheduler to answer
+_CONNECT_TIME = 10.0  # timeout for the scheduler's reply, s
 
 Say = Callable[[str], None]
 RunOne = Callable[[Episode], dict[str, Any]]
@@ -49,15 +49,15 @@ class Pool:
 
 @dataclass(frozen=True)
 class Running:
-    """How an evaluation's episodes are run.
+    """Execution settings of an evaluation.
 
     Args:
-        workers: Processes of this machine (None: one a processor; of an emulated rig one).
-        backend: Who runs the episodes, of `BACKENDS`.
-        scheduler: Of a cluster.
-        resume: Go on with what is in the folder.
-        say: Is given a line an episode.
-        run_one: Makes an episode's line, in another process.
+        workers: Processes of this machine (None: one per processor; one for an emulated rig).
+        backend: Backend that runs the episodes, of `BACKENDS`.
+        scheduler: Address of a cluster's scheduler.
+        resume: True to continue from the results in the folder.
+        say: Callback that receives one line per episode.
+        run_one: Function that computes an episode's line, in another process.
     """
 
     workers: int | None = None
@@ -69,7 +69,7 @@ class Running:
 
 
 HERE = Running()
-"""By one process a processor of this machine, in silence."""
+"""Default: one process per processor of this machine, without progress output."""
 
 
 @contextlib.contextmanager
@@ -102,7 +102,7 @@ def _dask(scheduler: str) -> Iterator[int]:
 
 
 def _line(episode: Episode, run: RunOne) -> dict[str, Any] | None:
-    """Of one episode; None where its worker was told to end."""
+    """Return the line of one episode; None if its worker was stopped."""
     try:
         return run(episode)
     except Interrupted:
@@ -118,18 +118,19 @@ def _progress(line: dict[str, Any], done: int, of: int, rate: float) -> str:
 
 
 def _left(seconds: float) -> str:
-    """Roughly, as people say it."""
+    """Format a remaining time roughly."""
     return f"{seconds / 60:.0f} min" if seconds > 90 else f"{seconds:.0f} s"
 
 
 def run_all(
     missing: Sequence[Episode], kept: Store, pool: Pool, say: Say, run: RunOne = run_episode
 ) -> None:
-    """Run what is `missing`; each line is kept when its episode ends. `run` gives it, in another
-    process.
+    """Run the `missing` episodes and store each line when its episode ends.
 
-    Raises InputError for a cluster that is not there, DeviceError when a worker was killed or told
-    to end, or the disk is full: what had ended is kept.
+    `run` computes the line, in another process.
+
+    Raises InputError if the cluster is not reachable. Raises DeviceError if a worker was killed or
+    stopped, or if the disk is full. Completed lines are kept.
     """
     from joblib import Parallel, delayed
     from joblib.externals.loky.process_executor import TerminatedWorkerError

@@ -1,5 +1,4 @@
-"""`report.html`: one file that says how often each controller holds, where it begins to fail, and
-shows the worst episodes."""
+"""`report.html`: one file with success rates, failure ranges and the worst episodes."""
 
 from __future__ import annotations
 
@@ -28,7 +27,7 @@ _SHOWN = 12  # drawings of varied values before the rest is folded away
 _LABELS = {
     "slip_mm": "slip, mm (true)",
     "force_error_N": "held force, felt less true, N",
-    "peak_share_of_breaking": "peak force over what breaks it (true)",
+    "peak_to_break_ratio": "peak force over what breaks it (true)",
 }
 
 
@@ -132,7 +131,7 @@ def _pairs(summary: Mapping[str, Any]) -> str:
 
 
 def _failures(lines: Sequence[Line]) -> str:
-    """What went wrong, alike reasons together."""
+    """Return the failures, grouped by similar reasons."""
     kinds: dict[tuple[str, ...], list[Line]] = {}
     for line in lines:
         if line["outcome"] != "held":
@@ -152,7 +151,7 @@ def _failures(lines: Sequence[Line]) -> str:
             *map(escape, key[:4]),
             escape(group[0]["reason"] or ""),
             len(group),
-            f"<code>{escape(group[0]['again'])}</code>",
+            f"<code>{escape(group[0]['rerun_command'])}</code>",
         ]
         for key, group in sorted(kinds.items(), key=lambda item: -len(item[1]))
     ]
@@ -172,8 +171,8 @@ def _failures(lines: Sequence[Line]) -> str:
 
 
 def _flags(summary: Mapping[str, Any], lines: Sequence[Line]) -> str:
-    """Episodes by what makes the simulation's numbers worse than usual, and how those went that
-    have it, and those that have not."""
+    """Return the episodes by flag of reduced simulation accuracy, with outcomes with and without
+    it."""
     reasons: dict[str, str] = {}
     for line in lines:
         reasons = dict(line.get("flags", {})) | reasons
@@ -208,7 +207,7 @@ def _distributions(lines: Sequence[Line]) -> str:
             value = measures(line)[measure]
             if value is not None:
                 series[line["controller"]].append(value)
-        marks = [(1.0, "breaks")] if measure == "peak_share_of_breaking" else []
+        marks = [(1.0, "breaks")] if measure == "peak_to_break_ratio" else []
         figures.append(
             _figure(
                 svg.histogram(series, label, marks),
@@ -228,9 +227,9 @@ def _quantiles(name: str, values: Sequence[float]) -> str:
 def _varied(summary: Mapping[str, Any]) -> str:
     """Success against each varied value; the order is that of the first controller."""
     controllers = summary["controllers"]
-    order = [one["name"] for mine in controllers.values() for one in mine["varied"]]
+    order = [one["name"] for mine in controllers.values() for one in mine["randomized"]]
     found = {
-        name: {one["name"]: one for one in mine["varied"]} for name, mine in controllers.items()
+        name: {one["name"]: one for one in mine["randomized"]} for name, mine in controllers.items()
     }
     figures = []
     for value in dict.fromkeys(order):
@@ -277,7 +276,7 @@ def _caption(value: str, mine: Mapping[str, Mapping[str, Any]]) -> str:
             for measure, short in (
                 ("slip_mm", "slip"),
                 ("force_error_N", "force"),
-                ("peak_share_of_breaking", "peak"),
+                ("peak_to_break_ratio", "peak"),
             )
             if abs(one["correlation"].get(measure, 0.0)) > 0.2
         ]
@@ -319,13 +318,13 @@ def _worst(worst: Iterable[Line], pictures: Mapping[str, Path | None]) -> str:
             f"<h3>{escape(line['controller'])}, {escape(line['object'])}, seed {line['seed']}: "
             f"{line['outcome']}</h3>"
             f"<p>{'; '.join(facts)}<br>{escape(line.get('phases', ''))}<br>"
-            f"<code>{escape(line['again'])}</code></p>"
+            f"<code>{escape(line['rerun_command'])}</code></p>"
         )
         picture = pictures.get(f"{line['controller']}-{line['episode']:06d}")
         if picture is not None:
             uri = data_uri("image/png", picture.read_bytes())
             parts.append(f'<img alt="scene, camera images, surfaces and forces" src="{uri}">')
-        drawn = ", ".join(f"{name} {value}" for name, value in line.get("varied", {}).items())
+        drawn = ", ".join(f"{name} {value}" for name, value in line.get("randomized", {}).items())
         if drawn:
             parts.append(
                 f"<details><summary>what was drawn</summary><p>{escape(drawn)}</p></details>"

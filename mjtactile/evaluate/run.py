@@ -1,4 +1,4 @@
-"""Runs what is missing of an evaluation, in processes, and joins parts of one."""
+"""Execution of the missing episodes of an evaluation, in processes, and merging of its shards."""
 
 from __future__ import annotations
 
@@ -36,26 +36,27 @@ def evaluate(
     record: bool = False,
     running: Running = HERE,
 ) -> dict[str, Any]:
-    """Run many grasps, and say how often they hold.
+    """Run many grasps and report the success rate.
 
     Args:
-        folder: Where a line an episode is kept.
-        scenario: Everything but controller and object; its seed is the first episode's.
+        folder: Output folder; it stores one line per episode.
+        scenario: Scenario without controller and object; its seed is the first episode's.
         count: Episodes for each controller.
-        controllers: Every one meets the same episodes.
+        controllers: Controllers; all run the same episodes.
         objects: Names and files, grasped in turn.
         shard: (k, n): only the k-th of n parts.
-        only: Numbers of the episodes that are run; None: all.
-        record: Keep each episode's recording in `folder`/recordings.
-        running: Who runs the episodes.
+        only: Numbers of the episodes to run; None: all.
+        record: True to store each episode's recording in `folder`/recordings.
+        running: Execution settings of the episodes.
 
     Returns:
-        The summary of all episodes that are there when they have ended.
+        The summary of all episodes in the folder at the end.
 
     Raises:
-        InputError: For a controller, sensor or object that is not to be had, before anything is
-            run, and for a folder that holds another evaluation.
-        DeviceError: When a worker was killed: what had ended is kept, and to resume goes on.
+        InputError: A controller, sensor or object is not available; this is checked before any run.
+            Or the folder holds another evaluation.
+        DeviceError: A worker was killed. Completed episodes are stored, and the evaluation can be
+            resumed.
     """
     options = {
         "count": count,
@@ -90,7 +91,7 @@ def _without_line(episodes: Sequence[Episode], kept: store.Store) -> list[Episod
 
 
 def _recorded(episode: Episode, folder: Path) -> Episode:
-    """The episode, to be recorded beside the results."""
+    """Return the episode with a recording folder next to the results."""
     return replace(episode, recording=str((folder / RECORDINGS / episode.name).absolute()))
 
 
@@ -122,7 +123,7 @@ def write_report(folder: Path, worst_count: int, say: Say = lambda _: None) -> P
 
 
 def _common(scenario: Scenario) -> dict[str, Any]:
-    """What of the scenario all episodes share; the seed is the first one's."""
+    """Return the scenario settings common to all episodes; the seed is the first one's."""
     said = scenario.to_dict()
     return {key: value for key, value in said.items() if key not in ("object", "controller")}
 
@@ -141,9 +142,10 @@ def _episode(manifest: Mapping[str, Any], line: Mapping[str, Any], source: Path)
 def merge(folders: Sequence[Path], out: Path, *, partial: bool = False) -> dict[str, Any]:
     """Join the shards of one evaluation in `folders` into `out`.
 
-    Returns the summary; with `partial` its "missing" counts the episodes that are in none of them.
-    Raises InputError where the shards are not of the same evaluation, where two have an episode
-    that does not say the same, and where episodes are missing without `partial`.
+    Returns the summary. With `partial`, its "missing" lists the episodes that no shard contains.
+
+    Raises InputError if the shards belong to different evaluations, or if two shards differ in an
+    episode. Missing episodes without `partial` also raise it.
     """
     parts = [store.read_manifest(folder) for folder in folders]
     for folder, part in zip(folders[1:], parts[1:], strict=True):
@@ -197,15 +199,17 @@ def _missing(options: Mapping[str, Any], lines: Collection[tuple[int, str]]) -> 
 
 
 def missing_text(missing: Sequence[str]) -> str:
-    """How many, and the first few by name."""
+    """Return the number of missing episodes and the first few names."""
     shown = ", ".join(missing[:_NAMED]) + (", …" if len(missing) > _NAMED else "")
     are = "episode is" if len(missing) == 1 else "episodes are"
     return f"{len(missing)} {are} missing: {shown}"
 
 
 def _files(scenario: Scenario, controllers: Sequence[str], objects: Sequence[str]) -> list[Path]:
-    """The files that are used, each once. Raises InputError for what is not to be had or cannot be
-    used."""
+    """Return the files in use, each once.
+
+    Raises InputError if one is not available or not valid.
+    """
     from mjtactile.sim.effects.catalog import choose
     from mjtactile.sim.scenes.objects import load_object
     from mjtactile.sim.scenes.random_objects import seed_of
@@ -225,7 +229,7 @@ def _files(scenario: Scenario, controllers: Sequence[str], objects: Sequence[str
         rig = load_sim_rig(scenario.rig)
         rig_files = [rig.path, rig.model]
     choose(scenario.design(), overrides=scenario.effects)
-    variation = load_variation(scenario.vary)
+    variation = load_variation(scenario.randomization)
     load_task(scenario.task)
     found = [resources.find(name, "controllers", ".py") for name in controllers]
     found += [

@@ -20,15 +20,17 @@ FORCES = {
     "hold_N": "hold_force_true_N",
     **{name.removesuffix("_true"): name for name in JUDGED},
 }
-"""On a finger, the largest and while holding, N: what a controller's touch is judged by where
-everything is held; and what a task measures."""
+"""Measures for controllers that hold every object: true peak and hold force on a finger, N, and the
+measures of the task."""
 
 
 def paired(first: Iterable[Line], second: Iterable[Line]) -> dict[str, Any]:
-    """The share that `second` holds more often than `first`, of the episodes that both came to the
-    end of, with its 95 % interval (`paired_interval`), in how many of them both ended alike, and
-    how many more episodes like these would put the interval to one side of zero (None: nothing
-    differs)."""
+    """Compare the success of two controllers over the episodes that both completed.
+
+    The result holds the success rate of `second` minus that of `first`, with its 95 % interval
+    (`paired_interval`), and the number of episodes with the same result. It also holds the number
+    of further similar episodes that would exclude zero from the interval (None: no difference).
+    """
     by_first = _held_by_episode(first)
     by_second = _held_by_episode(second)
     both = sorted(by_first.keys() & by_second.keys())
@@ -47,20 +49,21 @@ def paired(first: Iterable[Line], second: Iterable[Line]) -> dict[str, Any]:
 
 
 def _held_by_episode(lines: Iterable[Line]) -> dict[int, bool]:
-    """Whether each episode that came to its end was held."""
+    """Return True or False (held or not) for each episode without an error."""
     return {
         line["episode"]: line["outcome"] == "held" for line in lines if line["outcome"] != "error"
     }
 
 
 def paired_interval(only_first: float, only_second: float, n: float) -> tuple[float, float]:
-    """95 % interval of a difference of two shares of the same `n` episodes, of which the first
-    alone held `only_first` and the second alone `only_second`.
+    """Compute the 95 % interval of the difference of two success rates over the same `n` episodes.
 
-    The exact limits of these two shares (Clopper & Pearson, Biometrika 26, 1934), joined by what
-    each is off by, and by their correlation in a multinomial (Zou & Donner, Stat. Med. 27, 2008).
-    Counted out, it covers the truth with 95 % or more from 24 episodes on (94 % of 8), where
-    normal approximations cover down to 86 % when few episodes differ.
+    Only the first held in `only_first` of them, and only the second in `only_second`.
+
+    The exact limits of these two proportions (Clopper & Pearson, Biometrika 26, 1934) are combined
+    by their deviations and their correlation in a multinomial (Zou & Donner, Stat. Med. 27, 2008).
+    By full enumeration, the coverage is 95 % or more from 24 episodes on (94 % for 8). Normal
+    approximations drop to 86 % when few episodes differ.
     """
     if not n:
         return -1.0, 1.0
@@ -75,7 +78,7 @@ def paired_interval(only_first: float, only_second: float, n: float) -> tuple[fl
 
 
 def _joined(one: float, other: float, correlation: float) -> float:
-    """What the sum of two numbers is off by, each of which is off by so much."""
+    """Return the error of a sum of two numbers with these errors and this correlation."""
     return math.sqrt(one**2 + other**2 + 2 * correlation * one * other)
 
 
@@ -87,8 +90,10 @@ def exact_limits(count: float, n: float) -> tuple[float, float]:
 
 
 def _episodes_to_settle(only_first: int, only_second: int, n: int) -> int | None:
-    """How many more, with as many of each kind in them, put `paired_interval` to one side of
-    zero."""
+    """Return the number of further episodes that would exclude zero from `paired_interval`.
+
+    The proportions of the results are assumed constant.
+    """
     if only_first == only_second:
         return None
 
@@ -110,8 +115,8 @@ def _episodes_to_settle(only_first: int, only_second: int, n: int) -> int | None
 
 
 def summarise(lines: Sequence[Line]) -> dict[str, Any]:
-    """Of each controller its success, overall and by object; of each pair of controllers the
-    difference."""
+    """Return the success of each controller, overall and by object, and all pairwise
+    differences."""
     controllers = list(dict.fromkeys(line["controller"] for line in lines))
     own = {name: [line for line in lines if line["controller"] == name] for name in controllers}
     result: dict[str, Any] = {"episodes": len(lines), "controllers": {}, "paired": []}
@@ -122,7 +127,7 @@ def summarise(lines: Sequence[Line]) -> dict[str, Any]:
             by_object[one] = _group([line for line in mine if line["object"] == one])
         result["controllers"][name] = _group(mine) | {
             "objects": by_object,
-            "varied": against(mine, lines),
+            "randomized": against(mine, lines),
             "flags": _by_flag(mine),
         }
     for first, second in combinations(controllers, 2):
@@ -133,8 +138,8 @@ def summarise(lines: Sequence[Line]) -> dict[str, Any]:
 
 
 def _by_flag(lines: Sequence[Line]) -> dict[str, Any]:
-    """Of each kind of doubt that the simulation had of its own numbers, how the episodes with it
-    went, and those without; and of any of them."""
+    """Return outcomes with and without each flag of reduced simulation accuracy, and with any
+    flag."""
     kinds = dict.fromkeys(kind for line in lines for kind in line.get("flags", {}))
     found = {}
     for kind in sorted(kinds):
@@ -173,7 +178,7 @@ def _group(lines: Sequence[Line]) -> dict[str, Any]:
 
 
 def _spread(values: Iterable[float | None]) -> dict[str, float | None]:
-    """Quantiles of what is known."""
+    """Return quantiles of the available values."""
     known = [value for value in values if value is not None]
     shares = {"least": 0.0, "p5": 0.05, "median": 0.5, "p95": 0.95, "most": 1.0}
     return {
@@ -225,7 +230,7 @@ def _row(controller: str, label: str, group: Mapping[str, Any]) -> str:
 
 
 def _flags_text(group: Mapping[str, Any]) -> str:
-    """In how many episodes the simulation doubts its own numbers, by kind."""
+    """Return the number of episodes with reduced simulation accuracy, by kind."""
     flags = {kind: one["with"]["episodes"] for kind, one in group["flags"].items()}
     flagged = flags.pop("any")
     kinds = ", ".join(f"{kind} {count}" for kind, count in flags.items())
@@ -236,7 +241,7 @@ def _flags_text(group: Mapping[str, Any]) -> str:
 
 
 def stopped_text(group: Mapping[str, Any]) -> str:
-    """How many ended before their end, and how: "3 (2 hung, 1 raised)"."""
+    """Return the number of episodes stopped early, by kind: "3 (2 hung, 1 raised)"."""
     kinds = {kind: group.get(kind, 0) for kind in STOPPED}
     said = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
     return f"{sum(kinds.values())}" + (f" ({said})" if said else "")

@@ -1,8 +1,8 @@
-"""What an evaluation leaves in its folder: `manifest.json`, what was run; `episodes.jsonl`, a line
-an episode.
+"""Files of an evaluation: `manifest.json` with its settings, `episodes.jsonl` with one line per
+episode.
 
-A line is written when its episode ends; the file is put in order when all have. Whatever stops an
-evaluation loses the episodes that were being run, and nothing else.
+A line is written when its episode ends. The file is sorted when all episodes are complete. An
+interruption loses only the episodes in progress.
 """
 
 from __future__ import annotations
@@ -23,14 +23,16 @@ from mjtactile.core.errors import DeviceError, InputError
 MANIFEST = "manifest.json"
 EPISODES = "episodes.jsonl"
 RESULTS = (EPISODES, "summary.json", "summary.md", "report.html", "recordings", "worst")
-"""What else an evaluation leaves in its folder."""
-_SCENARIO = ("task", "sensor", "rig", "effects", "accuracy", "vary")
+"""Other results in the folder of an evaluation."""
+_SCENARIO = ("task", "sensor", "rig", "effects", "accuracy", "randomization")
 _PACKAGES = ("mjtactile", "mujoco", "numpy", "scipy", "opencv-contrib-python-headless")
 
 
 def manifest(options: Mapping[str, Any], files: Iterable[Path]) -> dict[str, Any]:
-    """What the lines depend on: options, versions, and the files' SHA-256; and how to run it again
-    from a shell."""
+    """Return the data that the lines depend on: options, versions and SHA-256 of the files.
+
+    It also holds the shell command that repeats the run.
+    """
     paths = list(files)
     names = [path.name for path in paths]
     return {
@@ -65,18 +67,19 @@ def command(options: Mapping[str, Any]) -> str:
         f"--episodes={options['count']}",
         f"--seed={scenario['seed']}",
         *(f"--{name}={scenario[name]}" for name in _SCENARIO if scenario.get(name)),
-        *(["--shapes"] if scenario.get("shapes") else []),
+        *(["--contact-shapes"] if scenario.get("contact_shapes") else []),
         *([f"--shard={part}/{parts}"] if parts > 1 else []),
     ]
     return shlex.join(words)
 
 
 class Store:
-    """The folder of one evaluation, opened to add to it. With `resume` it must hold the same
-    evaluation, begun before, of as many episodes or fewer.
+    """Folder of one evaluation, opened for appending.
 
-    Raises InputError where it holds another one, or one and `resume` is not asked for, or results
-    and no manifest: nobody knows what these are of.
+    With `resume` it must hold the same evaluation, started earlier, with as many episodes or fewer.
+
+    Raises InputError if it holds another evaluation, or one and `resume` is False. Results without
+    a manifest also raise it, because their settings are unknown.
     """
 
     def __init__(self, folder: Path, what: Mapping[str, Any], *, resume: bool):
@@ -127,7 +130,7 @@ def write_lines(folder: Path, lines: Sequence[Mapping[str, Any]]) -> None:
 
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """What fails to be written raises DeviceError."""
+    """Convert a failed write to DeviceError."""
     try:
         yield
     except OSError as error:
@@ -182,7 +185,7 @@ def _same(path: Path, what: Mapping[str, Any]) -> None:
     counts = [one.get("options", {}).get("count", 0) for one in (before, now)]
     if counts[0] < counts[1]:  # more of the same
         before["options"]["count"] = counts[1]
-    for part in (name for name in now if name != "command"):  # the options say it, one by one
+    for part in (name for name in now if name != "command"):  # the options contain its parts
         if before.get(part) != now[part]:
             if isinstance(now[part], dict):
                 names = [

@@ -13,7 +13,7 @@ _HEIGHT = 130
 _LEFT = 34
 _BOTTOM = 30
 _TOP = 8
-_FAR = 1.6  # times the range of 97 % of all values: what is farther is not drawn to scale
+_FAR = 1.6  # limit of the linear scale, as a multiple of the range of 97 % of the values
 
 
 def interval_bar(
@@ -60,9 +60,11 @@ def shares(
 def histogram(
     series: Mapping[str, Sequence[float]], unit: str, marks: Sequence[tuple[float, str]] = ()
 ) -> str:
-    """How often values fall into each of 24 bins, each of `series` in its colour; `marks` are lines
-    with a word. A few values far above the others are in the last bin, whose end then says how far
-    they go."""
+    """Render a histogram with 24 bins, one color for each of `series`.
+
+    `marks` are labeled lines. A few values far above the others fall into the last bin, whose end
+    is labeled with their maximum.
+    """
     everything = np.concatenate(
         [np.asarray(values, float) for values in series.values()] or [np.zeros(0)]
     )

@@ -1,8 +1,9 @@
-"""Many episodes cheaply, and those of them that matter again at full fidelity: `evaluate --screen`.
+"""Two-stage evaluation: cheap screening, then relevant episodes at full fidelity: `evaluate
+--screening-sample`.
 
-The cheap level leaves out the sheet's mesh and the sensing chain. All its failures, and a sample of
-what it held, are run again as asked for; from both strata follows how often the controller would
-have held all of them, with the sample's exact limits (Clopper & Pearson 1934).
+The cheap level omits the membrane mesh and the sensing chain. All its failures, and a sample of the
+held episodes, are run again with the requested settings. Both strata together give the success rate
+over all episodes, with the sample's exact limits (Clopper & Pearson 1934).
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from mjtactile.evaluate.statistics import exact_limits
 from mjtactile.evaluate.store import read_lines
 from mjtactile.evaluate.wilson import Line
 
-LEVEL = "-sheet,-chain"
+LEVEL = "-mesh,-pipeline"
 """Effects of the cheap level."""
 SCREEN = "screen"
 FULL = "full"
@@ -40,25 +41,25 @@ def screen(
     objects: Sequence[str],
     running: Running = HERE,
 ) -> dict[str, Any]:
-    """Screen many episodes, and run what matters again.
+    """Screen many episodes, and run the relevant ones again.
 
     Args:
-        folder: Where both evaluations go.
-        scenario: Everything but controller and object, as it is to be run in full.
-        sample: How many of what every controller held are run again, too.
-        controllers: Every one meets the same episodes.
+        folder: Output folder of both evaluations.
+        scenario: Scenario without controller and object, at full fidelity.
+        sample: Number of episodes to run again among those that every controller held.
+        controllers: Controllers; all run the same episodes.
         count: Episodes for each.
         objects: Names and files, grasped in turn.
-        running: Who runs the episodes.
+        running: Execution settings of the episodes.
 
     Returns:
-        The report's numbers.
+        The numbers of the report.
 
     Raises:
-        InputError: As `evaluate`; or the scenario leaves out the sheet already.
-        DeviceError: When a worker was killed.
+        InputError: Raised by `evaluate`, or if the scenario already omits the membrane mesh.
+        DeviceError: A worker was killed.
     """
-    if "-sheet" in scenario.effects.split(","):
+    if "-mesh" in scenario.effects.split(","):
         raise InputError(
             "leaves out the sheet already: nothing is left to screen", field="--effects"
         )
@@ -98,15 +99,15 @@ def to_run_again(lines: Sequence[Line], sample: int) -> list[int]:
 
 
 def compare(screened: Sequence[Line], full: Sequence[Line]) -> dict[str, Any]:
-    """Both levels beside each other.
+    """Compare the results of both levels.
 
     Args:
         screened: Lines of the cheap level.
-        full: Of what was run again.
+        full: Lines of the full level.
 
     Returns:
-        By controller: outcomes of both levels, in how many they differ with the exact 95 % limits,
-        and how often it holds at full fidelity, of all episodes.
+        Results by controller: outcomes of both levels, the number that differ with exact 95 %
+        limits, and the success rate at full fidelity over all episodes.
     """
     names = list(dict.fromkeys(line["controller"] for line in screened))
     return {
@@ -194,5 +195,5 @@ def _percent(share: float, low: float, high: float) -> str:
 
 
 def _resumed(running: Running, folder: Path) -> Running:
-    """As asked; where the first of both had not ended, the second has not begun."""
+    """Return the settings; they resume only if this level was started before."""
     return replace(running, resume=running.resume and folder.exists())

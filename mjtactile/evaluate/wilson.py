@@ -20,7 +20,7 @@ def wilson(count: int, of: int) -> tuple[float, float]:
     z2 = Z * Z
     middle = p + z2 / (2 * of)
     half = Z * math.sqrt(p * (1 - p) / of + z2 / (4 * of * of))
-    # at 0 and 1 the bound is exact, whatever rounding says
+    # at 0 and 1 the bound is exact; avoid rounding errors
     return (
         max((middle - half) / (1 + z2 / of), 0.0) if count else 0.0,
         min((middle + half) / (1 + z2 / of), 1.0) if count < of else 1.0,

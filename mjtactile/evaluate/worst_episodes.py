@@ -22,9 +22,11 @@ _SLIP = 5.0  # mm that are as bad as breaking
 
 
 def worst(lines: Sequence[Line], count: int) -> list[Line]:
-    """`count` lines: failures, then errors, then what came nearest to a failure. Of several kinds
-    (controller, object, outcome) each has its turn, so that one that happens often does not hide
-    the others."""
+    """Return the `count` worst lines: failures, then errors, then episodes closest to a failure.
+
+    The kinds (controller, object, outcome) alternate, so that a frequent kind does not hide the
+    others.
+    """
     chosen: list[Line] = []
     for rank in (2, 1, 0):
         own = [line for line in lines if _RANKS[line["outcome"]] == rank]
@@ -51,16 +53,18 @@ def _in_turn(kinds: Sequence[Sequence[Line]]) -> Iterator[Line]:
 
 
 def _badness(line: Line) -> float:
-    """How near it came to a failure: 1 is broken, or slipped far."""
+    """Return the closeness to a failure; 1 is the breaking force, or a large slip."""
     found = measures(line)
-    squeezed = found["peak_share_of_breaking"] or 0.0
+    squeezed = found["peak_to_break_ratio"] or 0.0
     slipped = (found["slip_mm"] or 0.0) / _SLIP
     return max(squeezed, slipped)
 
 
 def draw(episode: Episode, folder: Path) -> Path | None:
-    """Run the episode again, record it into `folder` and draw its picture there; None where there
-    is none to draw."""
+    """Repeat the episode, record it into `folder` and plot its summary image there.
+
+    Returns None if there is no image.
+    """
     picture = folder / "summary.png"
     if picture.exists():
         return picture

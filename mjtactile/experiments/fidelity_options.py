@@ -1,5 +1,4 @@
-"""What `--accuracy` and `--effects` mean for a scene: which effects are on, which mesh and time
-step."""
+"""Scene settings from `--accuracy` and `--effects`: active effects, mesh and time step."""
 
 from __future__ import annotations
 

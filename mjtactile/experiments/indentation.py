@@ -1,8 +1,7 @@
-"""The two experiments on one fixed sensor: inflate it (bulge test), and drive an indenter into it,
-as the paper does.
+"""Two experiments on one fixed sensor: bulge test, and indentation as in the paper.
 
-Both report the truth next to what theory or the sensing chain says; they are experiments, so they
-may see the truth.
+Both report ground truth next to theory or the sensing chain's estimate. They are experiments, so
+access to ground truth is allowed.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.sensor.effect_switches import Effect
 
-_COARSEST = 1.7e-3  # m between vertices: heights of markers 25 um off, as from pixels
+_COARSEST = 1.7e-3  # vertex spacing, m; marker heights are then 25 um off, as from pixel noise
 _NOWHERE = Indenter("sphere", 1e-3)
 
 Say = Callable[[str], None]
@@ -60,8 +59,12 @@ def inflate(
 
 @dataclass(frozen=True)
 class IndentationPlan:
-    """Where and how the indenter goes: `at` m in S, `depths` m below first touch, `tilt` rad,
-    `shear` m along x after each depth, chamber sealed or with its valve open to the supply."""
+    """Path of the indenter.
+
+    `at` is the position in S, m. `depths` are below first contact, m. `tilt` is in rad. `shear` is
+    a motion along x after each depth, m. The chamber is sealed, or its valve is open to the
+    supply.
+    """
 
     indenter: Indenter
     depths: Sequence[float]
@@ -96,7 +99,7 @@ def press(
         converged = world.press(depth)
         if plan.shear:
             converged = world.press(depth, plan.shear)
-        view.touch()  # what has just come is doubted; it is at rest, as a second image shows
+        view.touch()  # skip the first image: the covariance of a sudden load change is inflated
         touches.append(view.touch())
         steps.append(_step(world, touches[-1], converged))
         if plan.shear:
@@ -121,13 +124,13 @@ def press(
 
 
 def shape_report(shape: ContactShape) -> dict[str, Any]:
-    """A shape as JSON has it, in mm and degrees; None where a number is not known.
+    """Convert a shape to JSON, in mm and degrees; unknown numbers become None.
 
     Args:
-        shape: What was felt.
+        shape: Estimated shape.
 
     Returns:
-        The JSON's "shape".
+        The "shape" entry of the JSON.
     """
 
     def known(value: float, factor: float = 1.0) -> float | None:

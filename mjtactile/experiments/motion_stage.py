@@ -1,9 +1,8 @@
-"""A simulated sensor on a stand, an indenter on a stage that follows a protocol, and a recording of
-it.
+"""Simulated sensor on a stand, an indenter on a stage that follows a protocol, and its recording.
 
-The recording is what `mjtactile record` writes of a real rig: images, pressures, times, and what
-was done. Nothing in it says what the sensor truly is: `specimen` may differ from the sensor file
-that the recording names.
+The recording has the format of `mjtactile record` on a real rig: images, pressures, times and stage
+moves. It contains no true sensor parameters: `specimen` may differ from the sensor file named in
+the recording.
 """
 
 from __future__ import annotations
@@ -24,9 +23,9 @@ from mjtactile.sim.rendering.renderer import Renderer
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.scenes.stage_drive import StageDrive, current
 
-PRESSURE_NOISE = 5.0  # Pa, sd; of the emulated valve board, too
-LOAD_CELL_NOISE = 2e-3  # N, sd of a reading
-_LARGEST_STEP = 4e-3  # s
+PRESSURE_NOISE = 5.0  # standard deviation, Pa; same value as in the emulated valve board
+LOAD_CELL_NOISE = 2e-3  # standard deviation of a reading, N
+_LARGEST_STEP = 4e-3  # limit of the time step, s
 # readings of the load cell at the end of a hold
 _REFERENCE_IMAGES = 10
 _LOADS = 10
@@ -54,8 +53,8 @@ class _Cycle:
 
 
 class StageWorld:
-    """The specimen on its stand: what its camera, its pressure sensor and a load cell on the stage
-    say."""
+    """Test sensor on its stand, with readings of its camera, pressure sensor and stage load
+    cell."""
 
     def __init__(self, specimen: SensorDesign, stage: Stage, *, seed: int = 0, **world: Any):
         """`world` goes to `PressWorld`, such as the mesh."""
@@ -74,15 +73,15 @@ class StageWorld:
         return self._renderer.render(*self.world.marker_poses(0), self.world.time)
 
     def pressure(self) -> float:
-        """What the pressure sensor shows, Pa."""
+        """Return the reading of the pressure sensor, Pa."""
         return self.world.sensors[0].gauge_pressure + float(self._rng.normal(0.0, PRESSURE_NOISE))
 
     def load(self) -> float:
-        """What the load cell shows, N, positive for a press."""
+        """Return the reading of the load cell, N, positive in compression."""
         return -float(self.world.drive_force[2]) + float(self._rng.normal(0.0, LOAD_CELL_NOISE))
 
     def cycle(self) -> _Cycle:
-        """What the devices say now."""
+        """Return the current readings of the devices."""
         image = self.image()
         time = self.world.time
         valve = ValveState(self.world.sensors[0].valve_is_open, self.pressure(), time, 0.0)
@@ -101,8 +100,10 @@ def record_stage(
     say: Say = lambda _: None,
     **world: Any,
 ) -> int:
-    """Record references and `seconds` s of the stage's moves; the number of cycles. With a
-    `load_cell` the recording says what it showed at the end of each hold."""
+    """Record references and `seconds` s of the stage's moves; return the number of cycles.
+
+    With a `load_cell` the recording contains its reading at the end of each hold.
+    """
     bench = StageWorld(specimen, stage, seed=seed, **world)
     recorder.note(fingers=["left"], stage=stage.note())
     say("reference: flat, valve open")

@@ -1,5 +1,5 @@
-"""A simulated sensor on a stand, what its camera and its sensing chain see of it (`View`), and a
-drive with a load cell over it (`TestBench`)."""
+"""Simulated sensor on a stand, its camera and sensing chain (`View`), and a drive with a load cell
+(`TestBench`)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _REFERENCE_IMAGES = 10
 
 
 class View:
-    """Camera and perception of the sensor in `world`; `design` is what its sensing takes it for."""
+    """Camera and perception of the sensor in `world`; perception assumes `design`."""
 
     def __init__(
         self, world: PressWorld, design: SensorDesign, *, seed: int = 0, shadows: bool = False
@@ -31,23 +31,26 @@ class View:
         self.perception = StatefulPipeline.of(design)
 
     def image(self) -> Image:
-        """What the camera sees now."""
+        """Return the current camera image."""
         return self.renderer.render(*self.world.marker_poses(0), self.world.time)
 
     def images(self) -> list[Image]:
-        """As many as a reference is taken from."""
+        """Return the images of one reference."""
         return [self.image() for _ in range(_REFERENCE_IMAGES)]
 
     def touch(self) -> Touch:
-        """What perception makes of one image."""
+        """Return the touch estimated from one image."""
         return self.perception.perceive(self.image(), self.world.time)
 
 
 def take_references(
     world: PressWorld, views: Sequence[View], gauge_pressure: float, *, sealed: bool = True
 ) -> None:
-    """Flat with the valve open to the air, then inflated to `gauge_pressure` Pa and settled, sealed
-    or not: what a session does with a rig, in a world that has no clock to wait for."""
+    """Take the flat reference (valve open to the air) and the inflated reference.
+
+    The membrane is inflated to `gauge_pressure` Pa and settled, sealed or not. A session does the
+    same with a rig; this world has no clock to wait for.
+    """
     world.inflate(0.0, seal=False)
     for view in views:
         view.perception.measure_flat_reference(view.images())
@@ -73,11 +76,11 @@ class TestBench:
         self._rest_height = float(surface.z.max()) if surface is not None else 0.0
 
     def image(self) -> Image:
-        """What the camera sees now."""
+        """Return the current camera image."""
         return self._view.image()
 
     def touch(self) -> Touch:
-        """What the sensing chain makes of one image."""
+        """Return the touch estimated from one image."""
         return self._view.touch()
 
     def load_cell(self) -> float:

@@ -1,4 +1,4 @@
-"""How much an explored object gives way, here and there."""
+"""Local compliance of an explored object."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mjtactile.core.types import Array
 from mjtactile.explore.next_best_touch import Mesh
 from mjtactile.explore.surface_patch import Patch
 
-_REACH = 8e-3  # m: so far a touch speaks for its neighbourhood
+_REACH = 8e-3  # range of influence of a touch, m
 _TOLD = 2.0  # sd
 
 
@@ -28,8 +28,7 @@ class ComplianceMap:
 
     @classmethod
     def of(cls, patches: Sequence[Patch], mesh: Mesh) -> ComplianceMap:
-        """From what gave way where it was touched: near a touch as that touch says, far from all
-        the mean."""
+        """Interpolate the compliance from touches: local value near a touch, mean far from all."""
         told = [patch for patch in patches if math.isfinite(patch.compliance)]
         if not told:
             return cls(np.full(len(mesh.vertices), math.nan), math.nan, math.nan)
@@ -45,8 +44,10 @@ class ComplianceMap:
         return cls(np.maximum(by_vertex, 0.0), mean, float(weights.sum() ** -0.5))
 
     def summary(self) -> dict[str, Any]:
-        """`stiffness_N_m`, unknown where the object gave way by less than can be seen, and then
-        `stiffness_least_N_m` says what it has at least."""
+        """Return `stiffness_N_m`, or a lower bound `stiffness_least_N_m` if it is unknown.
+
+        The stiffness is unknown if the measured compliance is not significant.
+        """
         if not math.isfinite(self.mean):
             return {"stiffness_N_m": math.nan, "stiffness_least_N_m": math.nan}
         least = 1 / (max(self.mean, 0.0) + _TOLD * self.mean_sd)

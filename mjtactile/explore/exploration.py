@@ -1,4 +1,5 @@
-"""Exploring: touch where the surface is least known, fuse, until it is known or enough."""
+"""Exploration loop: touch the most uncertain surface area, fuse, and repeat until a stop
+criterion."""
 
 from __future__ import annotations
 
@@ -22,15 +23,15 @@ from mjtactile.explore.surface_patch import Patch
 from mjtactile.explore.surface_posterior import SurfacePosterior
 from mjtactile.recording.files import to_json
 
-_PLAN_EDGE = 1.5e-3  # m, of triangles while it goes on
-_EDGE = 0.8e-3  # m, of the result's
-_IN_VAIN = 6  # touches in a row that find nothing, after which there is nothing
+_PLAN_EDGE = 1.5e-3  # triangle edge during exploration, m
+_EDGE = 0.8e-3  # triangle edge of the result, m
+_IN_VAIN = 6  # limit of successive touches without contact
 
 Say = Callable[[str], None]
 
 
 class Bench(Protocol):
-    """Where an object is touched: a stage, a gripper."""
+    """Device that touches the object: a stage or a gripper."""
 
     @property
     def design(self) -> SensorDesign: ...
@@ -39,18 +40,21 @@ class Bench(Protocol):
     def flags(self) -> Mapping[str, str]: ...
 
     def reaches(self, aim: Aim) -> bool:
-        """Whether the sensor gets there."""
+        """Return True if the sensor can reach the position."""
         ...
 
     def touch(self, aim: Aim, force: float) -> tuple[Pressed, ...]:
-        """Press there up to a force, N, and let go."""
+        """Touch the position up to a force, N, and retract."""
         ...
 
 
 @dataclass(frozen=True)
 class ExplorationGoal:
-    """When to stop: after so many `touches`, or when the surface is as sure as `accuracy` m (root
-    mean square of its own standard deviation); `force` N is what a touch presses with."""
+    """Stop criteria: number of `touches`, or surface `accuracy`, m.
+
+    The accuracy is the root mean square of the surface's own standard deviation. `force` is the
+    contact force of a touch, N.
+    """
 
     touches: int = 12
     accuracy: float = 0.0
@@ -59,8 +63,11 @@ class ExplorationGoal:
 
 @dataclass(frozen=True, eq=False)
 class ExplorationResult:
-    """What was found. `outcome`: "accurate", "touches" (as many as were asked), "nothing left",
-    "nothing there" or "interrupted". `families` has the probability of each kind of body."""
+    """Result of an exploration.
+
+    `outcome`: "accurate", "touches" (the requested number), "nothing left", "nothing there" or
+    "interrupted". `families` holds the probability of each shape model.
+    """
 
     patches: tuple[Patch, ...]
     surface: SurfacePosterior
@@ -107,7 +114,7 @@ def _row(patch: Patch) -> dict[str, Any]:
 
 
 def volume(mesh: Mesh) -> float:
-    """m^3 inside of a closed mesh."""
+    """Return the volume of a closed mesh, m^3."""
     a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
     return float(np.einsum("ni,ni->", a, np.cross(b, c)) / 6)
 
@@ -125,16 +132,16 @@ def explore(
     """Explore an object.
 
     Args:
-        bench: Where it is touched.
-        wanted: When to stop.
-        known: Patches from before.
-        begun: Touches that these took.
-        say: Is given a line for each touch.
-        keep: Is given each patch as soon as it is known.
-        stopped: Asked between touches whether somebody wants to stop.
+        bench: Device that touches the object.
+        wanted: Stop criteria.
+        known: Patches from earlier touches.
+        begun: Number of these earlier touches.
+        say: Callback that receives a line for each touch.
+        keep: Callback that receives each new patch.
+        stopped: Callback between touches; True stops the exploration.
 
     Returns:
-        What was found, also when it was stopped.
+        The result, also after a stop.
     """
     patches = list(known)
     believed: Sequence[SurfacePosterior] = fuse(patches)
@@ -179,7 +186,7 @@ def explore(
 def _with(
     new: Sequence[Patch], patches: Sequence[Patch], before: Sequence[SurfacePosterior]
 ) -> Sequence[SurfacePosterior]:
-    """What is believed now."""
+    """Return the updated surface hypotheses."""
     return fuse(patches, before) if new else before
 
 
@@ -219,8 +226,10 @@ def _line(number: int, new: Sequence[Patch], surface: SurfacePosterior) -> str:
 
 
 class PatchStore:
-    """The patches of an exploration in a file, a line each, written as they come: what was touched
-    is not lost, whatever happens next."""
+    """File with the patches of an exploration, one line each.
+
+    Each patch is written immediately, so that an abort loses no data.
+    """
 
     def __init__(self, path: Path):
         self.path = path

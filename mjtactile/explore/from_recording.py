@@ -1,5 +1,4 @@
-"""What was recorded, as patches: grips of any rig of two fingers, and presses of one sensor on a
-stage."""
+"""Conversion of recordings to patches: grips of a two-finger rig, and indentations on a stage."""
 
 from __future__ import annotations
 
@@ -22,27 +21,29 @@ from mjtactile.rig.registry import build_rig
 from mjtactile.runtime.session import Session
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
-_SEEN = 0.08  # N, from which on images tell of the body
-_MOST = 8  # images of a press, its whole way
-_LIFTED = 3e-3  # m above where it goes to, that a lifted indenter comes from
+_SEEN = 0.08  # minimum force for a shape estimate, N
+_MOST = 8  # images of one indentation, over its whole path
+_LIFTED = 3e-3  # start height of a lifted indenter above its goal, m
 
 
 def patches_of_recording(recording: Recording, group: int, yaw: float = 0.0) -> list[Patch]:
-    """What a recording says of a surface: the grips of two fingers (`probe`, `grasp` or `explore
-    --out`, a real rig's `record`), or presses on a stage (`record --steps`).
+    """Compute surface patches from a recording.
+
+    It contains grips of two fingers (`probe`, `grasp` or `explore --out`, a real rig's `record`),
+    or indentations on a stage (`record --protocol`).
 
     Args:
-        recording: With its images and its references.
-        group: A number that no other grip has, nor the numbers after it.
-        yaw: rad by which the object was turned about z against its own frame.
+        recording: Recording with images and references.
+        group: Group number of the first grip; it and all larger numbers must be unused.
+        yaw: Rotation of the object about z relative to its own frame, rad.
 
     Returns:
-        A patch for each finger of each grip, in the object's frame: its origin is the place between
-        the fingers, where the hand began. Of presses one patch, in the frame of the stage: its
-        origin is the place of the indenter that touched first, its axes are the sensor's.
+        A patch for each finger of each grip, in the object's frame. Its origin is the point between
+        the fingers at the start of the gripper motion. For a stage, one patch in the frame of the
+        stage: the origin is the first contact point of the indenter, the axes are the sensor's.
 
     Raises:
-        InputError: Where images or references are missing, or it is neither.
+        InputError: Images or references are missing, or it is neither kind of recording.
     """
     recording.require_images()
     stages = {reference.stage for reference in recording.references}
@@ -67,7 +68,7 @@ def patches_of_recording(recording: Recording, group: int, yaw: float = 0.0) -> 
 
 
 def _re_estimate(recording: Recording, session: Session) -> list[GripCycle]:
-    """What every cycle's images say, with where the jaws and the hand were."""
+    """Estimate touches again from every cycle's images, with opening and gripper height."""
     moments = []
     for cycle, images in enumerate(recording.images()):
         now = float(recording.column("time")[cycle, 0])
@@ -116,8 +117,10 @@ def _of_presses(recording: Recording) -> list[Patch]:
 
 
 def _direction_to_stiffest(felt: Array) -> NDArray[np.int64]:
-    """Cycles from where something is felt for good to the firmest hold, at most `_MOST` and that
-    one, of the forces `felt` (k,) N."""
+    """Return the cycles from permanent contact to the largest force.
+
+    At most `_MOST` cycles, plus that of the largest force. `felt` (k,) are the forces, N.
+    """
     firmest = int(felt.argmax())
     quiet = np.flatnonzero(felt[:firmest] < _SEEN)
     begin = quiet[-1] + 1 if len(quiet) else 0
@@ -150,8 +153,10 @@ def _zeroed(recording: Recording, finger: int, design: SensorDesign) -> Stateful
 
 
 def _driven(moves: tuple[Move, ...], times: Array) -> tuple[Array, Array]:
-    """Depths, m below first touch, and shears, m, of a stage at some times, s; NaN where it is
-    lifted off, or loaded with a weight."""
+    """Return depth below first contact and shear of a stage at given times, s, both in m.
+
+    The depth is NaN while the indenter is lifted or loaded with a weight.
+    """
     depths = np.full(len(times), np.nan)
     shears = np.zeros(len(times))
     depth = math.nan

@@ -1,5 +1,4 @@
-"""Two fingers that squeeze an object, at one height after the other: what grips say of its
-surface."""
+"""Grips of an object by two fingers at several heights, and the surface patches from them."""
 
 from __future__ import annotations
 
@@ -21,18 +20,19 @@ from mjtactile.runtime.perception_threads import Perceiver
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
 LOOSE = 1e-3
-"""m, sd: so far a grip may have pushed the object aside, both of its patches alike."""
+"""Standard deviation of the object displacement by a grip, m; common to both of its patches."""
 HEIGHTS = (0.0, 6e-3, 12e-3, 18e-3)
-"""m above where the hand begins: lower, the sensors' frames would meet the table."""
-_SEEN = 0.08  # N
-_RISE_SPEED = 0.040  # m/s
+"""Heights above the start of the gripper, m. At lower heights the sensors' frames would touch the
+table."""
+_SEEN = 0.08  # contact threshold, N
+_RISE_SPEED = 0.040  # lift speed, m/s
 _CLOSE_SPEED = 0.015
 _PRESS_SPEED = 0.003
 _OPEN_SPEED = 0.030
-_CLEAR = 0.012  # m to open beyond the grip
-_STILL_TIME = 0.3  # s that the jaws stand before the last image
-_MIN_OPENING = 1e-3  # m
-_LIFTED = 1e-3  # m that a hand goes up with what it grips, which then is where it no longer stood
+_CLEAR = 0.012  # opening beyond that of the grip, m
+_STILL_TIME = 0.3  # hold time before the last image, s
+_MIN_OPENING = 1e-3
+_LIFTED = 1e-3  # gripper rise after which the object no longer stands at its original position, m
 _TOO_STRONG = 1.5  # of the wanted force, on one finger alone
 # of the first finger and of the second: axes of S in the hand's, x along the closing, z up
 _FACING = (
@@ -53,8 +53,11 @@ class GripCycle:
 
 @dataclass(frozen=True)
 class GripController:
-    """A controller: at each of the `heights` m, close until each finger feels `force` N, stand
-    still, open; then down. One finger alone is pressed with half more at most."""
+    """Controller of a grip scan.
+
+    At each of the `heights`, m, it closes until each finger measures `force` N, holds, and opens;
+    then it lowers the gripper. A single finger is loaded with at most 1.5 times this force.
+    """
 
     heights: tuple[float, ...]
     force: float
@@ -123,14 +126,15 @@ def require_two(fingers: int) -> None:
 
 
 def grips_of(moments: Sequence[GripCycle]) -> list[list[GripCycle]]:
-    """Each grip of a run by itself: from the first finger that feels something to the last, as far
-    as the hand stays where it met the object.
+    """Split a run into its grips.
+
+    A grip lasts from the first contact to the last, while the gripper stays at its contact height.
 
     Args:
-        moments: The run's cycles.
+        moments: Cycles of the run.
 
     Returns:
-        The cycles of each grip in which both fingers felt something.
+        The cycles of each grip with contact on both fingers.
     """
     grips: list[list[GripCycle]] = []
     now: list[GripCycle] = []
@@ -161,21 +165,21 @@ def patches_of_grip(
     yaw: float = 0.0,
     group: int = 1,
 ) -> list[Patch]:
-    """What one grip says of the surface.
+    """Compute the surface patches of one grip.
 
     Args:
-        moments: Its cycles.
-        perceptions: The chains that felt it.
-        designs: The fingers' sensors: two that face each other.
-        yaw: rad by which the object was turned about z against its own frame.
-        group: Of the grip: what both patches have in common is known to be so.
+        moments: Cycles of the grip.
+        perceptions: Sensing chains that estimated the touches.
+        designs: Sensors of two opposite fingers.
+        yaw: Rotation of the object about z relative to its own frame, rad.
+        group: Group number of the grip; its patches have a common displacement.
 
     Returns:
-        A patch for each finger that felt something, in the object's frame: its origin is the place
-        between the fingers, where the hand began.
+        A patch for each finger in contact, in the object's frame. Its origin is the point between
+        the fingers at the start of the gripper motion.
 
     Raises:
-        InputError: For hands of another number of fingers.
+        InputError: The gripper has another number of fingers.
     """
     require_two(len(designs))
     end = _strongest(moments)
@@ -208,7 +212,7 @@ def patches_of_grip(
 
 
 def _strongest(moments: Sequence[GripCycle]) -> int | None:
-    """The last moment of the firmest part of a grip; None where not both fingers felt something."""
+    """Return the last cycle near the maximum grip force; None without contact on both fingers."""
     least = np.array([min((t.force_normal for t in m.touch), default=0.0) for m in moments])
     least = np.where(np.isfinite(least), least, 0.0)
     if not len(least) or least.max() < _SEEN:

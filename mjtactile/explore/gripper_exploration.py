@@ -1,5 +1,7 @@
-"""Exploring with a hand that cannot turn what it grips: emulated and real ones. It goes up and down
-beside the object; who stands by may turn the object between two explorations."""
+"""Exploration by a gripper that cannot rotate the object, emulated or real.
+
+It moves up and down next to the object. The user may rotate the object between two explorations.
+"""
 
 from __future__ import annotations
 
@@ -24,17 +26,17 @@ from mjtactile.rig.finger import Rig
 from mjtactile.rig.simulated import SimRigFile
 from mjtactile.runtime.session import open_session
 
-_GRIP_TIME = 30.0  # s
+_GRIP_TIME = 30.0  # time limit of a grip, s
 
 
 def recorded_folder(scenario: Scenario) -> Path | None:
-    """Where a replayed rig's recording is; None: it is no replay."""
+    """Return the folder of a replayed rig's recording; None if it is not a replay."""
     kind, _, folder = scenario.rig.partition(":")
     return Path(folder) if kind == "replay" else None
 
 
 def is_simulated(scenario: Scenario) -> bool:
-    """Whether the rig is a world of this process, in which the object can be turned."""
+    """Return True if the rig is simulated in this process, where the object can be rotated."""
     return scenario.rig == "sim" or isinstance(read_rig_file(scenario.rig), SimRigFile)
 
 
@@ -48,23 +50,23 @@ def explore_by_gripper(
     keep: Callable[[Patch], None] = lambda _: None,
     observer: Observer | None = None,
 ) -> ExplorationResult:
-    """Grip an object where it stands, at one height after the other, in one run.
+    """Grip an object in place at several heights, in one run.
 
     Args:
-        scenario: Rig of two fingers and sensor; an emulated one's object and seed.
-        wanted: `touches`, grips with those before, at most one at each height; `force`.
-        yaw: rad by which somebody turned the object about the vertical since the first grips.
-        known: Patches from before.
-        say: Is given a line for each grip.
-        keep: Is given each patch.
-        observer: A recorder, for example.
+        scenario: Two-finger rig and sensor; for an emulated rig, also object and seed.
+        wanted: Goal: `touches`, the grips including earlier ones, at most one per height; `force`.
+        yaw: Rotation of the object about the vertical since the first grips, by the user, rad.
+        known: Patches from earlier grips.
+        say: Callback that receives a line for each grip.
+        keep: Callback that receives each patch.
+        observer: Observer, for example a recorder.
 
     Returns:
-        What was found, also when it was stopped.
+        The result, also after a stop.
 
     Raises:
-        InputError: For names, another number of fingers, nothing left to do.
-        DeviceError: For a fault; the rig is brought to its safe state on every way out.
+        InputError: Unknown names, another number of fingers, or no grips left to do.
+        DeviceError: A device fault. The rig is always brought to its safe state at the end.
     """
     before = max((patch.group for patch in known), default=0)
     log = Log()
@@ -99,7 +101,7 @@ def explore_by_gripper(
 
 
 def _heights(rig: Rig, count: int) -> tuple[float, ...]:
-    """Where to grip."""
+    """Return the heights of the grips."""
     reached = [height for height in HEIGHTS if height <= rig.limits.lift[1]]
     if count < 1:
         raise InputError("as many as are asked for were made before", field="--touches")

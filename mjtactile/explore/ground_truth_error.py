@@ -1,4 +1,4 @@
-"""How far an explored surface is from the true one, which only a simulation knows."""
+"""Deviation of an explored surface from ground truth, available only in simulation."""
 
 from __future__ import annotations
 
@@ -13,28 +13,26 @@ from mjtactile.explore.next_best_touch import Mesh
 from mjtactile.explore.object_size import principal_sizes
 from mjtactile.sim.true_surface import TrueSurface
 
-_FACETS = 5e-5  # m, that a triangle's edge takes off a size
-_TOUCHED_SD = 3e-5  # m, that the triangles are off by themselves
-_APART = (
-    2e-3  # m: a true point that is farther than this from all vertices is not beside the surface
-)
+_FACETS = 5e-5  # reduction of a size by flat triangles, m
+_TOUCHED_SD = 3e-5  # error of the triangulation itself, m
+_APART = 2e-3  # distance to the nearest vertex above which the plane is not used, m
 
 
 def score(found: ExplorationResult, true: TrueSurface, p_HO: Array, R_HO: Array) -> dict[str, Any]:
-    """Compare with the truth.
+    """Compare with ground truth.
 
     Args:
-        found: What was explored.
-        true: The object's surface.
-        p_HO: (3,) m, where the object truly is in the holder.
-        R_HO: (3, 3) how it truly lies there.
+        found: Explored surface.
+        true: Surface of the object.
+        p_HO: (3,) True position of the object in the holder, m.
+        R_HO: (3, 3) True rotation of the object in the holder.
 
     Returns:
-        `surface_error_mm_true` (root mean square of distances from either surface to the other),
-        `surface_error_worst_mm_true` (95 % are below), `size_error_true` (of three extents along
-        the object's axes, the worst share), `within_1_sd_true`, `within_2_sd_true`
-        (share of the believed surface), `sizes_within_true` (share of the three believed sizes
-        whose 68 % interval has the true one), `sizes_within_2_sd_true`.
+        `surface_error_mm_true` (root mean square of the distances from either surface to the
+        other), `surface_error_95_mm_true` (95 % quantile), `size_error_true` (largest relative
+        error of three extents along the object's axes), `within_1_sd_true`, `within_2_sd_true`
+        (fractions of the estimated surface), `sizes_within_true` (fraction of the three estimated
+        sizes whose 68 % interval contains the true one), `sizes_within_2_sd_true`.
     """
     mesh = found.mesh
     vertices = (mesh.vertices - p_HO) @ R_HO
@@ -57,8 +55,11 @@ def score(found: ExplorationResult, true: TrueSurface, p_HO: Array, R_HO: Array)
 
 
 def _sizes_within(found: ExplorationResult, surface: TrueSurface, R_HO: Array) -> dict[str, float]:
-    """Share of the sizes along the believed axes that are within their intervals, and within twice
-    their sd; one that is known to less than the triangles' own 0.05 mm is given these."""
+    """Return the fraction of sizes within their intervals, and within twice their sd.
+
+    The sizes are along the estimated axes. A tolerance of 0.05 mm covers the triangulation
+    error.
+    """
     _, axes = principal_sizes(found.mesh)
     true = surface.extents(R_HO.T @ axes)
     low, high = found.sizes.interval.T
@@ -70,8 +71,10 @@ def _sizes_within(found: ExplorationResult, surface: TrueSurface, R_HO: Array) -
 
 
 def _missed(mesh: Mesh, points: Array) -> Array:
-    """How far true points are from the believed surface, (N,) m: from the plane of its nearest
-    vertex, or from that vertex where they are not beside it."""
+    """Return the distances of true points from the estimated surface, (N,) m.
+
+    The distance is to the plane of the nearest vertex, or to that vertex if it is far away.
+    """
     way, nearest = cKDTree(mesh.vertices).query(points)
     across = np.einsum("ni,ni->n", points - mesh.vertices[nearest], mesh.normals[nearest])
     return np.where(way < _APART, across, way)

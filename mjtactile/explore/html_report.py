@@ -22,8 +22,8 @@ from mjtactile.explore.surface_export import SOFT, colours
 from mjtactile.recording.files import to_json
 from mjtactile.report.html import document, table
 
-_EDGE = 1.6e-3  # m, of triangles that a browser turns smoothly
-_UNSURE = 1e-3  # m of sd: the darkest
+_EDGE = 1.6e-3  # triangle edge, m; a browser can rotate this mesh smoothly
+_UNSURE = 1e-3  # standard deviation of the darkest color, m
 _ELEVATION = 12  # deg
 _AZIMUTH = -55  # deg
 _LEVEL = math.cos(math.radians(_ELEVATION))
@@ -55,9 +55,9 @@ def write_page(path: Path, found: ExplorationResult, summary: Mapping[str, Any])
     """Write the page of an exploration.
 
     Args:
-        path: Of the page.
-        found: What was explored.
-        summary: Its JSON.
+        path: Path of the page.
+        found: Result of the exploration.
+        summary: JSON summary of the result.
     """
     mesh = mesh_of(found.surface, _EDGE)
     soft = ComplianceMap.of(found.patches, mesh).by_vertex
@@ -166,7 +166,7 @@ def _paint(axes: Any, mesh: Mesh, colour: Array, found: ExplorationResult) -> No
     half = float((high - low).max()) / 2
     for set_limits, at in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), middle, strict=True):
         set_limits(at - half, at + half)
-    axes.set_box_aspect((1, 1, 1), zoom=0.88)  # the unit of the upright axis stands beside it
+    axes.set_box_aspect((1, 1, 1), zoom=0.88)  # leaves room for the unit of the vertical axis
     axes.computed_zorder = False
     axes.set(xlabel="mm", ylabel="mm", zlabel="mm")
     axes.view_init(elev=_ELEVATION, azim=_AZIMUTH)

@@ -1,4 +1,4 @@
-"""A believed surface in triangles, and files of it."""
+"""Triangle mesh of an estimated surface."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from mjtactile.core.types import Array
 from mjtactile.explore.next_best_touch import Mesh
 from mjtactile.explore.surface_posterior import SurfacePosterior
 
-_MARGIN = 4e-3  # m around what was touched and believed
+_MARGIN = 4e-3  # margin around the estimated surface, m
 _ACROSS = 90  # triangles along its longest side, at most
-_SLOPE_STEP = 5e-5  # m
+_SLOPE_STEP = 5e-5  # step of the numerical gradient, m
 
 
 def mesh_of(surface: SurfacePosterior, edge: float = 1e-3) -> Mesh:
-    """Triangles of a surface.
+    """Triangulate a surface.
 
     Args:
-        surface: The surface.
-        edge: m, of a triangle; longer where the thing is more than ninety of them long.
+        surface: Surface to triangulate.
+        edge: Edge of a triangle, m; longer if the object spans more than ninety edges.
 
     Returns:
-        The mesh: closed.
+        The closed mesh.
 
     Raises:
-        InputError: Where manifold3d is not installed.
+        InputError: manifold3d is not installed.
     """
     try:
         from manifold3d import Manifold
@@ -50,8 +50,11 @@ def mesh_of(surface: SurfacePosterior, edge: float = 1e-3) -> Mesh:
 def _between(
     outside: list[float], counts: list[int], low: list[float], edge: float
 ) -> Callable[[float, float, float], float]:
-    """How far a place is inside, between the nodes of a grid; in plain numbers, since it is asked
-    place by place, a hundred thousand times."""
+    """Return a function for the depth inside the surface, interpolated between grid nodes.
+
+    It uses plain Python numbers, since it is called about a hundred thousand times for single
+    points.
+    """
     nx, ny, nz = (count - 2 for count in counts)
     row = counts[2]
     plane = counts[1] * counts[2]

@@ -1,4 +1,4 @@
-"""Where to touch next: where the surface is least known, of what can be reached."""
+"""Next touch: the reachable point where the surface is most uncertain."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from scipy.spatial import cKDTree
 from mjtactile.core.types import Array
 from mjtactile.explore.surface_patch import Patch, tangents
 
-_REACH = 5e-3  # m, of a touch
+_REACH = 5e-3  # radius of a touch, m
 _BENT = 6.0  # power of the mean normal's length: 0.1 on a right angle's edge
-_NEAR = 4e-3  # m: nearer to a patch there is little news
+_NEAR = 4e-3  # distance from a patch below which a touch has little value, m
 
 
 @dataclass(frozen=True, eq=False)
 class Aim:
-    """A place `p_H` (3,) m to touch, and the outward normal `n_H` that is believed there."""
+    """Target point `p_H` (3,), m, and the estimated outward normal `n_H` at it."""
 
     p_H: Array
     n_H: Array
@@ -31,8 +31,11 @@ class Aim:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A believed surface in triangles: `vertices` (V, 3) m, `triangles` (T, 3), outward `normals`
-    (V, 3), and `sd` (V,) m of each vertex along its normal."""
+    """Estimated surface as triangles.
+
+    `vertices` (V, 3), m, `triangles` (T, 3), outward `normals` (V, 3), and `sd` (V,) of each vertex
+    along its normal, m.
+    """
 
     vertices: Array
     triangles: Array
@@ -51,8 +54,11 @@ class Mesh:
 
 
 def _around(mesh: Mesh, told: Array) -> Array:
-    """What a touch at each vertex is worth, m: the mean of what is told (V,) as far as a touch
-    reaches; less where the surface is bent, since an edge or a corner tells little but itself."""
+    """Return the value of a touch at each vertex, m.
+
+    This is the mean of `told` (V,) over the area of a touch. It is reduced on curved areas, since
+    an edge or a corner gives information only about itself.
+    """
     tree = cKDTree(mesh.vertices)
     near = tree.query_ball_point(mesh.vertices, _REACH)
     areas = mesh.areas()
@@ -71,17 +77,17 @@ def next_aim(
     reaches: Callable[[Aim], bool],
     news: Array | None = None,
 ) -> Aim | None:
-    """Choose where to touch.
+    """Choose the next point to touch.
 
     Args:
-        mesh: The surface as it is believed.
-        patches: What was felt.
-        tried: What was aimed at, also in vain.
-        reaches: Whether a rig gets there.
-        news: (V,) m, what a touch at each vertex would tell beside what is there: of the sizes.
+        mesh: Estimated surface.
+        patches: Patches from earlier touches.
+        tried: Earlier targets, including touches without contact.
+        reaches: Function that returns True if the rig can reach the target.
+        news: (V,) Additional information from a touch at each vertex, on the sizes, m.
 
     Returns:
-        The place; None where none is left.
+        The target; None if none is left.
     """
     past = [patch.middle for patch in patches] + [aim.p_H for aim in tried]
     worth = _around(mesh, mesh.sd if news is None else mesh.sd + news)

@@ -1,4 +1,4 @@
-"""How large an explored object is, how sure that is, and where a touch would tell more of it."""
+"""Size of an explored object, its uncertainty, and the information gain of a touch about it."""
 
 from __future__ import annotations
 
@@ -14,21 +14,23 @@ from mjtactile.explore.surface_fusion import shares
 from mjtactile.explore.surface_patch import Patch
 from mjtactile.explore.surface_posterior import ALIKE, SurfacePosterior
 
-_END = 5e-4  # m from the outermost point: what counts as an end
+_END = 5e-4  # distance from the outermost point that counts as an end, m
 _FACING = 0.8  # cosine of an end's normal with the axis
 _SAMPLES = 24  # places of an end
-_OBSERVED_SD = 5e-5  # m, of what a touch says
-_BEYOND = 0.15  # of the way beyond `_NEAR` from what was touched, that an end may be off, as sd
-_NEAR = 5e-3  # m, that a touch reaches
+_OBSERVED_SD = 5e-5  # standard deviation of a touch, m
+_BEYOND = 0.15  # standard deviation of an end per distance from the touched points, beyond `_NEAR`
+_NEAR = 5e-3  # radius of a touch, m
 _UNEXPLAINED = 0.4  # of the field that a body needs, that its ends may be off, as sd
 _RIVAL = 0.02  # share from which on another family counts
 
 
 @dataclass(frozen=True, eq=False)
 class Sizes:
-    """Extents along the surface's principal axes, the largest first: `mean` (3,) m, `sd` (3,) m
-    over what is not known of it and which family it is, and `interval` (3, 2) m, 68 %, which has
-    at least the extent of what was touched."""
+    """Extents along the surface's principal axes, the largest first.
+
+    `mean` (3,), m, and `sd` (3,), m, cover the uncertainty of surface and shape model. `interval`
+    (3, 2), m, is the 68 % interval; it contains the extent of the touched points.
+    """
 
     mean: Array
     sd: Array
@@ -47,12 +49,12 @@ def principal_sizes(mesh: Mesh) -> tuple[Array, Array]:
 def sizes(
     meshes: Sequence[Mesh], surfaces: Sequence[SurfacePosterior], patches: Sequence[Patch]
 ) -> Sizes:
-    """How large it is.
+    """Estimate the sizes of the object.
 
     Args:
-        meshes: Of the likeliest surface, and of those of its rivals that count.
-        surfaces: The surfaces, the likeliest first.
-        patches: What was touched.
+        meshes: Meshes of the most likely surface and of its relevant rivals.
+        surfaces: Surfaces, the most likely first.
+        patches: Patches from the touches.
 
     Returns:
         The sizes.
@@ -79,8 +81,10 @@ def rivals(surfaces: Sequence[SurfacePosterior]) -> list[SurfacePosterior]:
 
 
 def size_information_gain(mesh: Mesh, surface: SurfacePosterior) -> Array:
-    """By how much a touch at each vertex would make the three sizes better known, (V,) m: root of
-    what it takes off their variances."""
+    """Return the information gain of a touch at each vertex about the three sizes, (V,) m.
+
+    It is the square root of the reduction of their variances.
+    """
     _, axes = principal_sizes(mesh)
     doubt = mesh.sd**2 + _OBSERVED_SD**2
     told = np.zeros(len(mesh.vertices))
@@ -105,9 +109,11 @@ def _ends(mesh: Mesh, axis: Array) -> list[Array]:
 
 
 def _variance(surface: SurfacePosterior, ends: Sequence[Array], touched: Array) -> float:
-    """m^2, of the distance between two ends: of body and field, and of what these leave: of an end
-    that nobody came near, of a body that explains little by itself, and of touches that are all off
-    alike."""
+    """Return the variance of the distance between two ends, m^2.
+
+    It includes shape and field, and three model errors: ends far from any touch, a poorly fitting
+    shape, and a common error of all touches.
+    """
     places = np.concatenate(list(ends))
     weight = np.concatenate([np.full(len(end), 1 / len(end)) for end in ends])
     told = max(float(weight @ surface.distance_cov(places, places) @ weight), 0.0)

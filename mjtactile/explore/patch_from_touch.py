@@ -1,4 +1,4 @@
-"""From what a sensor felt in one press to a patch of the object's surface."""
+"""Conversion of one contact of one sensor to a patch of the object's surface."""
 
 from __future__ import annotations
 
@@ -12,32 +12,33 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, ContactShape, Surface, Touch
 from mjtactile.explore.surface_patch import Patch
 
-_RINGS = (0.45, 0.85)  # of the way from a patch's middle to its border, where points are taken
+# sample radii, as fractions of the distance from a patch's center to its border
+_RINGS = (0.45, 0.85)
 _SPOKES = 8
 _LINE = 7  # points along an edge
 _SHRINK = 0.9  # of a face with a rim: its border is where the sheet leaves it
-_CLEAR = 2e-3  # m from a patch, from where on the sheet is called free
+_CLEAR = 2e-3  # minimum distance of free membrane from a patch, m
 _FREE_STEP = 4  # of the surface's grid
-_STAGE = 2e-5  # m, sd of a stage's or jaws' own place
-_FACE_SD = 4e-5  # m, of the sheet's height on what it touches, from image to image
-_AGREES = 1e-4  # m between the believed body and the sheet that lies on it
+_STAGE = 2e-5  # positioning error (sd) of stage or jaws, m
+_FACE_SD = 4e-5  # height noise (sd) of the membrane on the object from image to image, m
+_AGREES = 1e-4  # tolerance between the estimated shape and the membrane on it, m
 _MOST = 0.6  # of a patch's points, that agree
 _HARD = 0.25  # of the strongest node's force
 _SHEET_SPREAD = (5e-5, 0.01, 15.0, 6e-5)
-_TOLD = 3.0  # sd from which on an object is said to give way
+_TOLD = 3.0  # significance threshold of a compliance, in sd
 
 
 @dataclass(frozen=True, eq=False)
 class Pressed:
-    """One press of one sensor.
+    """One contact of one sensor.
 
     Attributes:
-        touches: Images of it, oldest first.
-        R_SH: (3, 3) From the holder's axes to the sensor's.
-        p_SH: (n, 3) m, the holder's origin in S at each image.
-        shape: What body the newest shows.
-        group: Of the presses that share a shift of the object: as `Patch` has it.
-        loose: m, sd of that shift.
+        touches: Touches of the contact, oldest first.
+        R_SH: (3, 3) Rotation from the holder's axes to the sensor's.
+        p_SH: (n, 3) Holder's origin in S at each image, m.
+        shape: Contact shape estimated for the newest image.
+        group: Group of contacts with a common displacement of the object, as in `Patch`.
+        loose: Standard deviation of that displacement, m.
     """
 
     touches: tuple[Touch, ...]
@@ -49,14 +50,14 @@ class Pressed:
 
 
 def patch_from_press(pressed: Pressed, design: SensorDesign) -> Patch | None:
-    """What a press says of the surface.
+    """Compute the surface patch of one contact.
 
     Args:
-        pressed: The press.
-        design: The sensor.
+        pressed: Contact of the sensor.
+        design: Sensor.
 
     Returns:
-        The patch; None where nothing was felt.
+        The patch; None without contact.
     """
     touch = pressed.touches[-1]
     if touch.surface is None or touch.contact is None or not touch.touching:
@@ -86,14 +87,14 @@ def patch_from_press(pressed: Pressed, design: SensorDesign) -> Patch | None:
 
 
 def give(pressed: Pressed) -> tuple[float, float]:
-    """By how much an object gives way, from a press.
+    """Estimate the compliance of the object from one contact.
 
     Args:
-        pressed: The press.
+        pressed: Contact of the sensor.
 
     Returns:
-        m/N and its sd: the way of the holder that the sheet did not go where it was touched first,
-        over the force; NaN where it was seen in fewer than three images.
+        Compliance and its sd, m/N: the motion of the holder minus that of the membrane at the first
+        contact point, over the force. NaN with fewer than three images.
     """
     first = pressed.touches[0].traction
     if first is None or len(pressed.touches) < 3:
@@ -126,13 +127,16 @@ _Told = tuple[Array, Array, tuple[float, float, float, float]]
 
 
 def _of_body(shape: ContactShape, touch: Touch, design: SensorDesign) -> _Told | None:
-    """Points of the believed body inside its outline; None where the sheet is not on it, since then
-    it is the wrong body."""
+    """Return points of the estimated shape inside its outline; None if the membrane does not lie on
+    it.
+
+    In that case the shape is wrong.
+    """
     middle = shape.outline.mean(axis=0)
     if shape.kind == "edge":
         xy = _along(shape, middle)
     else:
-        shrink = _SHRINK if shape.kind == "face" else 1.0
+        shrink = _SHRINK if shape.kind == "flat" else 1.0
         xy = _inside(shape.outline, middle, shrink)
     x, y = (xy - shape.p_SO[:2]).T
     z, slope = _heights(shape, x, y)
@@ -147,9 +151,8 @@ def _of_body(shape: ContactShape, touch: Touch, design: SensorDesign) -> _Told |
 
 
 def _heights(shape: ContactShape, x: Array, y: Array) -> tuple[Array, Array]:
-    """Of a body over its own point that is nearest the sensor, and its slope (2,) in the middle of
-    these places."""
-    if shape.kind == "face" or shape.family == "cylinder":
+    """Return heights of a shape over its point nearest the sensor, and its mean slope (2,)."""
+    if shape.kind == "flat" or shape.family == "cylinder":
         z_axis = shape.R_SO[:, 2]
         plane = -z_axis[:2] / z_axis[2]
     else:
@@ -170,7 +173,11 @@ def _heights(shape: ContactShape, x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def _bent(curvature: float, way: Array) -> Array:
-    """What a circle of a curvature rises over its lowest point; no further than half its radius."""
+    """Return the height of a circle over its lowest point.
+
+    The horizontal distance is limited to 0.8 of the radius, so that the rise stays below half of
+    it.
+    """
     if abs(curvature) < 1e-3:
         return 0.5 * curvature * way**2
     radius = 1 / curvature
@@ -191,7 +198,7 @@ def _inside(outline: Array, middle: Array, shrink: float) -> Array:
 
 
 def _along(shape: ContactShape, middle: Array) -> Array:
-    """Places along an edge, as far as it touches."""
+    """Return points along the contacting part of an edge."""
     ray = np.array([math.cos(shape.direction), math.sin(shape.direction)])
     across = np.array([-ray[1], ray[0]])
     on = middle + across * (across @ (shape.p_SO[:2] - middle))
@@ -200,14 +207,14 @@ def _along(shape: ContactShape, middle: Array) -> Array:
 
 
 def _spread(shape: ContactShape) -> tuple[float, float, float, float]:
-    """What is not known of the body's place, tilt and curvatures."""
+    """Return the uncertainty of the shape's position, tilt and curvatures."""
     variance = np.nan_to_num(np.diag(shape.pose_cov))
     height = math.hypot(math.sqrt(max(variance[2], 0.0)), _STAGE)
     bent = float(np.nanmax(np.abs(np.nan_to_num(shape.curvatures))))
     aside = math.sqrt(max(variance[0], variance[1], 0.0))
     tilt = math.sqrt(max(variance[3], variance[4], 0.0) + (bent * aside) ** 2)
     curvature = float(np.nanmax(np.nan_to_num(shape.curvatures_sd)))
-    if shape.kind in ("edge", "tip"):  # how far the faces turn is not told by what they touch
+    if shape.kind in ("edge", "point"):  # the contact does not show how far the faces are tilted
         return height + 5e-5, 0.1, curvature, 5e-5
     return height, max(tilt, 3e-3), max(curvature, 1.0), 2e-5
 

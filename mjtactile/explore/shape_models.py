@@ -1,10 +1,9 @@
-"""What an explored body may be: round, round with a flat end, a cylinder, a box, of few numbers
-each, or anything.
+"""Shape models of an explored object: round, round with a flat end, cylinder, cone, box, or free.
 
-All are the superquadric of `mjtactile.explore.superquadric`; a family says beforehand which of its
-fourteen numbers are free, and how much of a field on top it needs. The evidence decides
-(docs/theory/exploration.md, Eq. E5): what few numbers explain as well is believed, since it told
-more beforehand.
+All are the superquadric of `mjtactile.explore.superquadric`. A family defines the free parameters
+among the fourteen, and the amplitude of the additional field. The evidence selects the family
+(docs/theory/exploration.md, Eq. E5). At equal fit it favors few parameters, because they make
+sharper predictions.
 """
 
 from __future__ import annotations
@@ -17,30 +16,32 @@ from mjtactile.core.types import Array
 from mjtactile.explore.superquadric import WHOLE
 
 HALF = 15.0
-"""mm: half size of what a hand explores, before it is touched."""
+"""Prior half size of a graspable object, mm."""
 _PLACE_SD = 15.0  # mm
 _SIZE_SD = 0.6  # of the logarithm of all sizes together
 _ASPECT_SD = 0.4  # and of each alone
 _ROTATION_SD = 2.0  # rad
-_TIED = 0.01  # sd of what a family fixes: exponents, tapers, sizes that are alike
+_TIED = 0.01  # standard deviation of parameters fixed by a family: exponents, tapers, equal sizes
 _ALIKE = 3e-3  # sd of the logarithm of sizes that a family has alike
 _SMALL_FIELDS = ((0.0, 10.0), (0.05, 8.0), (0.15, 8.0))
-"""mm: sd and length of what a body of few numbers leaves over, of which the likeliest is taken."""
+"""Standard deviation and correlation length of the residual field of a simple shape, mm; the most
+likely one is selected."""
 _FIELDS = (*_SMALL_FIELDS, (0.5, 8.0), (1.2, 8.0), (0.5, 14.0), (1.5, 14.0))
 
 
 @dataclass(frozen=True, eq=False)
 class ObjectFamily:
-    """Bodies that are alike.
+    """Family of similar shapes.
 
     Attributes:
-        name: Of the family.
-        mean: (14,) of its numbers before anything was touched.
-        cov: (14, 14).
-        root: (14, 14) by which a difference from the mean becomes one of unit covariance.
-        starts: Exponents to start from.
-        cut: Whether one of its ends may be flat.
-        fields: mm, sd and length of the fields on top that are tried.
+        name: Name of the family.
+        mean: (14,) Prior mean of the parameters.
+        cov: (14, 14) Prior covariance.
+        root: (14, 14) Whitening matrix for a deviation from the mean.
+        starts: Start values of the exponents.
+        cut: True if one of its ends may be flat.
+        fields: Candidate standard deviations and correlation lengths of the additional field,
+            mm.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Exploring on a simulated stage, and how true what was found is."""
+"""Exploration on a simulated stage or gripper, and its ground-truth error."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from mjtactile.sim.rig import build_sim_rig
 from mjtactile.sim.scenes.objects import ObjectModel, load_object
 from mjtactile.sim.true_surface import TrueSurface
 
-_ASIDE = 3e-3  # m: an object is held so far from the holder's origin, along each axis
+_ASIDE = 3e-3  # maximum offset of an object from the holder's origin, along each axis, m
 TURNS = tuple(math.radians(turn) for turn in (0, 90, 45, 135, 22.5, 67.5, 112.5, 157.5))
-_PLAN_EDGE = 2e-3  # m
-_FINGER = 6e-3  # m around a finger's axis that it meets
-_FACES = 0.6  # cosine of what a finger can lie on
-_GRIP_TIME = 30.0  # s
+_PLAN_EDGE = 2e-3  # triangle edge during exploration, m
+_FINGER = 6e-3  # contact radius around a finger's axis, m
+_FACES = 0.6  # minimum cosine between a finger's axis and a contact normal
+_GRIP_TIME = 30.0  # time limit of a grip, s
 _GENTLE = 0.5  # of the force that breaks it, at most
 
 
@@ -43,16 +43,17 @@ def explore_on_stage(
     """Explore a simulated object.
 
     Args:
-        scenario: Its object, sensor and seed, which says how the object lies in its holder.
-        wanted: When to stop.
-        known: Patches from before.
-        told: `say`, `keep`, `stopped` as `explore` takes them.
+        scenario: Object, sensor and seed; the seed defines the object pose in its holder.
+        wanted: Stop criteria.
+        known: Patches from earlier touches.
+        told: `say`, `keep`, `stopped`; see `explore`.
 
     Returns:
-        What was found, and how true it is.
+        The result and its ground-truth error.
 
     Raises:
-        InputError: For names, an object that no holder holds, a force that may break it.
+        InputError: Unknown names, an object that does not fit a holder, or a force that may break
+            it.
     """
     model = _checked(scenario, wanted)
     p_HO, R_HO = placed(scenario.seed)
@@ -76,7 +77,7 @@ def _checked(scenario: Scenario, wanted: ExplorationGoal) -> ObjectModel:
 
 
 def placed(seed: int) -> tuple[Array, Array]:
-    """How an object lies in its holder: p_HO (3,) m and R_HO (3, 3)."""
+    """Return the pose of an object in its holder: p_HO (3,), m, and R_HO (3, 3)."""
     rng = np.random.default_rng([seed, 31])
     return rng.uniform(-_ASIDE, _ASIDE, 3), Rotation.random(rng=rng).as_matrix()
 
@@ -90,21 +91,22 @@ def explore_in_gripper(
     keep: Callable[[Patch], None] = lambda _: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> tuple[ExplorationResult, dict[str, Any]]:
-    """Grip a simulated object at other heights and turns.
+    """Grip a simulated object at several heights and rotations.
 
     Args:
         scenario: Object, sensor, rig (two fingers) and seed.
-        wanted: When to stop; a grip counts as one touch.
-        known: Patches from before.
-        say: Is given a line for each grip.
-        keep: Is given each patch.
-        stopped: Whether somebody wants to stop.
+        wanted: Stop criteria; a grip counts as one touch.
+        known: Patches from earlier grips.
+        say: Callback that receives a line for each grip.
+        keep: Callback that receives each patch.
+        stopped: Callback that returns True to stop.
 
     Returns:
-        What was found, and how true it is.
+        The result and its ground-truth error.
 
     Raises:
-        InputError: For names, another rig than a simulated one, a force that may break the object.
+        InputError: Unknown names, a rig that is not simulated, or a force that may break the
+            object.
     """
     model = _checked(scenario, wanted)
     require_two(len(load_sim_rig(scenario.rig).fingers))
@@ -143,15 +145,17 @@ def explore_in_gripper(
 
 
 def next_grip(mesh: Mesh, tried: Sequence[tuple[float, float]], begun: bool) -> tuple[float, float]:
-    """Choose turn (rad) and height (m) of a grip: where what the fingers would meet is least known.
+    """Choose rotation (rad) and height (m) of a grip.
+
+    The fingers should meet the most uncertain part of the surface.
 
     Args:
-        mesh: The surface as it is believed.
-        tried: Grips that were done.
-        begun: Whether anything was felt.
+        mesh: Estimated surface.
+        tried: Earlier grips.
+        begun: True if there was any contact before.
 
     Returns:
-        Turn and height.
+        Rotation and height.
     """
     if not begun:
         return TURNS[len(tried) % len(TURNS)], HEIGHTS[0]
@@ -175,7 +179,7 @@ def _grip(
     scenario: Scenario, turn: float, height: float, force: float, number: int, flags: dict[str, str]
 ) -> list[Patch]:
     """One grip in a world in which the object stands turned."""
-    # the first things that a seed draws are cameras' noise: each grip has its own
+    # a seed first samples the camera noise, so each grip gets its own seed
     file = load_sim_rig(scenario.rig)
     drawn = Drawn(object=ObjectChange(place=(0.0, 0.0), yaw=turn))
     rig = build_sim_rig(replace(scenario, seed=scenario.seed + number), file=file, drawn=drawn)

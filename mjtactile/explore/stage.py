@@ -1,7 +1,7 @@
-"""A simulated stage: an object in a holder, turned and lowered onto one sensor that looks up.
+"""Simulated stage: an object in a holder, rotated and lowered onto one upward-facing sensor.
 
-What the holder covers is touched after the object was put in the other way up: it sits a little
-elsewhere then, which nobody knows.
+The area covered by the holder is touched after the object was turned upside down. Its position in
+the holder then changes slightly; the exploration does not have this offset.
 """
 
 from __future__ import annotations
@@ -20,11 +20,12 @@ from mjtactile.sim.scenes.object_on_stage import ObjectOnStage, ObjectOnStageWor
 from mjtactile.sim.scenes.objects import ObjectModel
 
 MESH = (25, 21)
-"""On which the simulated sheet has the shape that rubber has (`mjtactile press` says so, too)."""
-_STEP = 2.5e-4  # m, by which the stage goes down between images
-_TRAVEL = 2.6e-3  # m below first touch: before the frame's rim
-_STILL = 0.1  # s that it stands before an image
-_SEEN = 0.08  # N, from which on images tell of the body
+"""Mesh on which the simulated membrane has the shape of rubber; `mjtactile press` warns for a
+coarser mesh."""
+_STEP = 2.5e-4  # lowering step of the stage between images, m
+_TRAVEL = 2.6e-3  # maximum depth below first contact, m; the frame's rim is deeper
+_STILL = 0.1  # settling time before an image, s
+_SEEN = 0.08  # minimum force for a shape estimate, N
 
 Say = Callable[[str], None]
 
@@ -33,13 +34,13 @@ class SimulatedStage:
     """One sensor under a stage.
 
     Args:
-        design: The sensor.
-        model: The object.
-        p_HO: (3,) m, where it is in the holder: nobody tells who explores.
-        R_HO: (3, 3) how it is turned there.
-        mesh: Vertices of the simulated sheet.
-        seed: Of the camera's noise.
-        world: More for the world (`timestep`, `effects`).
+        design: Sensor.
+        model: Object.
+        p_HO: (3,) Position of the object in the holder, m; hidden from the exploration.
+        R_HO: (3, 3) Rotation of the object in the holder.
+        mesh: Vertices of the simulated membrane.
+        seed: Seed of the camera's noise.
+        world: More options of the world (`timestep`, `effects`).
     """
 
     def __init__(
@@ -57,30 +58,32 @@ class SimulatedStage:
         self.world = ObjectOnStageWorld(
             design, ObjectOnStage(model, p_HO, R_HO), mesh=mesh, **world
         )
-        # how the object sits when it was put in the other way up, which nobody knows
+        # unknown offset of the object after it was turned upside down
         self._seat = _SEAT_SD * np.random.default_rng([seed, 32]).normal(size=3)
         self._view = View(self.world, design, seed=seed)
         take_references(self.world, [self._view], design.chamber.supply_gauge)
 
     @property
     def flags(self) -> dict[str, str]:
-        """What makes the simulation's numbers worse than usual."""
+        """Flags of reduced simulation accuracy."""
         return dict(self.world.flags)
 
     def reaches(self, aim: Aim) -> bool:
-        """Whether the sensor gets there: what the holder covers is touched after it was put in the
-        other way up."""
+        """Return True if the sensor can reach the target.
+
+        It always can: the area under the holder is touched with the object upside down.
+        """
         return True
 
     def touch(self, aim: Aim, force: float) -> tuple[Pressed, ...]:
-        """Touch at one place.
+        """Touch one point.
 
         Args:
-            aim: Where.
-            force: N, up to which the object is pressed.
+            aim: Target of the touch.
+            force: Contact force at which the stage stops, N.
 
         Returns:
-            The press; nothing where nothing was felt.
+            The contact; empty without contact.
         """
         R_SH = aim.R_SH()
         is_over = aim.n_H[2] < -math.cos(_HOLDER)
@@ -108,7 +111,7 @@ class SimulatedStage:
         return (Pressed(tuple(touches), R_SH, np.array(places), shape, group, loose),)
 
     def _above_center(self, R_SH: Array, p_H: Array) -> Array:
-        """Feel lightly where the object is first met, and have that over the sensor's middle."""
+        """Find the first contact point with a light touch, and move it over the sensor's center."""
         for _ in range(_LOOKS):
             self.world.turn(R_SH, p_H)
             depth = 0.0
@@ -132,7 +135,7 @@ class SimulatedStage:
 
 
 _LOOKS = 2
-_ASIDE = 5e-3  # m from the sensor's middle, from where on another look is worth it
+_ASIDE = 5e-3  # distance of the contact from the sensor's center that requires a second approach, m
 _HOLDER = math.radians(35)
 _OVER = -1  # the group of patches that were touched the other way up
-_SEAT_SD = 1e-4  # m, by which the object then sits elsewhere
+_SEAT_SD = 1e-4  # standard deviation of the offset after turning the object upside down, m

@@ -1,7 +1,7 @@
-"""The body that an explored surface is near to: a superquadric that tapers, fourteen numbers.
+"""Base shape of an explored surface: a tapered superquadric with fourteen parameters.
 
-An ellipsoid, a box with round edges, a cylinder, a cone's stump are exact or nearly so; what a
-touch shows beside it is for the field on top (docs/theory/exploration.md, Eq. E1 and E2).
+Ellipsoid, box with round edges, cylinder and truncated cone are exact or nearly so. The remaining
+deviation is modeled by the additional field (docs/theory/exploration.md, Eq. E1 and E2).
 """
 
 from __future__ import annotations
@@ -27,9 +27,10 @@ NAMES = (
     "taper_y",
     "cut",
 )
-"""Of its numbers: place in mm, turn as a rotation vector, logarithms of half sizes in mm, exponents
-(1: round, 0: sharp) along and across its axis z, share by which it is wider at its upper end; share
-of its lower half that is there, up to a flat end (`WHOLE`: it has none)."""
+"""Names of the parameters. They are position in mm, rotation vector, logarithms of half sizes in
+mm, and exponents (1: round, 0: sharp) along and across its axis z. The tapers are the relative
+increase of the width at its upper end. The cut is the remaining fraction of its lower half, up to a
+flat end (`WHOLE`: no cut)."""
 COUNT = len(NAMES)
 WHOLE = 1.3
 LOW = np.array([-200.0] * 3 + [-7.0] * 3 + [0.7] * 3 + [0.05] * 2 + [-0.8] * 2 + [0.2])
@@ -40,14 +41,14 @@ _TINY = 1e-9
 
 
 def distance(theta: Array, p: Array) -> Array:
-    """How far points are outside of the body, to first order.
+    """Return the first-order distance of points outside the shape.
 
     Args:
-        theta: (14,) The body's numbers, or (K, 14) those of some bodies.
-        p: (N, 3) mm.
+        theta: (14,) Parameters of the shape, or (K, 14) for several shapes.
+        p: (N, 3) Points, mm.
 
     Returns:
-        (N,) or (K, N) mm, negative inside; exact beside a flat face (Eq. E2).
+        (N,) or (K, N) Distances, mm, negative inside; exact next to a flat face (Eq. E2).
     """
     many = np.atleast_2d(theta)
     level, slope = _level(many, p)
@@ -57,14 +58,14 @@ def distance(theta: Array, p: Array) -> Array:
 
 
 def beyond_cut(theta: Array, p: Array) -> Array:
-    """How far points are below a body's flat end.
+    """Return the distance of points below a shape's flat end.
 
     Args:
-        theta: (K, 14) Numbers of some bodies.
-        p: (N, 3) mm.
+        theta: (K, 14) Parameters of several shapes.
+        p: (N, 3) Points, mm.
 
     Returns:
-        (K, N) mm, negative above it.
+        (K, N) Distances, mm, negative above it.
     """
     axes = Rotation.from_rotvec(theta[:, 3:6]).as_matrix()[:, :, 2]
     up = np.einsum("kni,ki->kn", p[None] - theta[:, None, :3], axes)
@@ -72,15 +73,17 @@ def beyond_cut(theta: Array, p: Array) -> Array:
 
 
 def _level(theta: Array, p: Array) -> tuple[Array, Array]:
-    """By what each body (K, 14) must grow to reach each point (Eq. E1), (K, N), and that number's
-    gradient, (K, N, 3) 1/mm, in the body's axes."""
+    """Return the scale factor at which each shape (K, 14) reaches each point (Eq. E1), (K, N).
+
+    The second result is its gradient, (K, N, 3), 1/mm, in the axes of the shape.
+    """
     R = Rotation.from_rotvec(theta[:, 3:6]).as_matrix()
     q = (p[None] - theta[:, None, :3]) @ R
     a, b, c = np.moveaxis(np.exp(theta[:, 6:9]), 1, 0)[..., None]
     along, across = np.moveaxis(2 / theta[:, 9:11], 1, 0)[..., None]
     tapers = np.moveaxis(theta[:, 11:13], 1, 0)[..., None]
     w = q[..., 2] / c
-    # what lies beyond its ends tapers no further
+    # the taper is constant beyond the ends
     inside = np.abs(w) < 1
     held = np.clip(w, -1, 1)
     x_by, y_by = 1 + tapers * held

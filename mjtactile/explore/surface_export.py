@@ -1,4 +1,4 @@
-"""Files of an explored surface: PLY with what is known of each vertex, and STL for a printer."""
+"""Export of an explored surface: PLY with the uncertainty of each vertex, and STL for printing."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mjtactile.core.types import Array
 from mjtactile.explore.exploration import ExplorationResult
 
 SOFT = 4e-3
-"""m/N: what gives way so much has the colour of the softest."""
+"""Compliance with the color of the softest material, m/N."""
 _STIFF_COLOUR = np.array([58, 96, 170])
 _SOFT_COLOUR = np.array([214, 72, 56])
 _UNKNOWN_COLOUR = np.array([150, 150, 150])

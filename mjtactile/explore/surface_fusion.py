@@ -1,5 +1,8 @@
-"""One surface out of patches: each family of bodies fitted, with a field of what it leaves over,
-and weighed by its evidence (docs/theory/exploration.md, Eq. E3 to E5)."""
+"""Fusion of patches to one surface.
+
+Each family of shapes is fitted, with a field for the residual, and weighted by its evidence
+(docs/theory/exploration.md, Eq. E3 to E5).
+"""
 
 from __future__ import annotations
 
@@ -21,10 +24,10 @@ from mjtactile.explore.surface_posterior import SurfacePosterior, kernel, unknow
 from mjtactile.explore.variance_inflation import excess
 
 _MM = 1e3
-_FIRST_FIELD = (0.05, 8.0)  # mm: with more, bumps take up what is of doubtful patches
-_FREE_SD = 0.5  # mm: how sharply what was free is outside; neighbours tell the same
+_FIRST_FIELD = (0.05, 8.0)  # mm; a larger field would absorb the errors of outlier patches
+_FREE_SD = 0.5  # standard deviation of a free-space residual, mm; neighboring points are correlated
 _FREE_MAX = 1.0  # mm: no further does one such point pull
-_FREE_OUT = 0.3  # mm: what was free is so far outside, give or take the same
+_FREE_OUT = 0.3  # distance of free points outside the surface, and its standard deviation, mm
 _FREE_APART = 2.5  # mm between such points
 _WIDE = 3.0  # sd beyond which a point pulls less and less
 _ALLOWED = 0.1  # mm that a patch of the right kind may be off a body
@@ -40,21 +43,21 @@ _UNTOUCHED = 1e3  # of the log of evidence, that a flat end costs which was not
 _ROUNDS = 40
 _FIRST_ROUNDS = 12
 _STARTS = 2  # that are followed to the end
-_PLACES = 3  # from which it is tried again where a body is known
+_PLACES = 3  # start poses in addition to a known shape
 _SCALE = np.array([1.0] * 3 + [0.1] * 3 + [0.05] * 3 + [0.1] * 2 + [0.05] * 3)
 
 
 def fuse(
     patches: Sequence[Patch], before: Sequence[SurfacePosterior] = ()
 ) -> list[SurfacePosterior]:
-    """The surfaces that patches may lie on.
+    """Estimate the surface hypotheses of an object.
 
     Args:
-        patches: Of one object.
-        before: What was believed without the newest of them: where to start from.
+        patches: Patches of one object.
+        before: Earlier estimates without the newest patches, used as start values.
 
     Returns:
-        The likeliest surface of each family, the likeliest family first.
+        The most likely surface of each family, the most likely family first.
     """
     if not patches:
         return [unknown()]
@@ -101,7 +104,10 @@ def _of_family(
 
 
 def _ends_flat(data: _Data, theta: Array) -> bool:
-    """Whether a body's flat end was touched: what nobody touched may as well be round."""
+    """Return True if the flat end of a shape was touched.
+
+    Without a touch, the end may as well be round.
+    """
     touched = data.points[: data.parts[-1].stop]
     off = superquadric.beyond_cut(theta[None], touched)[0]
     return bool((np.abs(off) < _ON_END).sum() >= _END_POINTS)
@@ -118,8 +124,11 @@ def _cost(found: OptimizeResult) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Data:
-    """Points in mm, how far each is outside, mm, with its covariance mm^2; what is free; the points
-    of each patch; and the logarithm of the odds of all that was doubted."""
+    """Data of the fit.
+
+    Points in mm, their distances outside, mm, with covariance, mm^2; free-space points; the points
+    of each patch; and the log odds of all outliers.
+    """
 
     points: Array
     outside: Array
@@ -142,12 +151,15 @@ class _Data:
         return cls(points, np.zeros(len(points)), noise, free, parts)
 
     def left(self, theta: Array) -> Array:
-        """What a body leaves unexplained at the points, mm."""
+        """Return the residuals of a shape at the points, mm."""
         return self.outside - superquadric.distance(theta, self.points)
 
     def with_uncertainty(self, theta: Array) -> _Data:
-        """With less belief in patches, and then in points, that a body says are elsewhere: where an
-        edge was taken for a face, a patch to be wider than it is. What is doubted costs odds."""
+        """Inflate the covariance of patches, then of points, that contradict a shape.
+
+        Causes are an edge mistaken for a face, or an overestimated patch width. Each outlier
+        reduces the log odds.
+        """
         left = self.left(theta)
         noise = self.noise.copy()
         odds = self.odds
@@ -171,7 +183,7 @@ class _Data:
         return replace(self, noise=noise, odds=odds)
 
     def with_free(self, theta: Array) -> _Data:
-        """With some of what was free, where the body would be there: as points a little outside."""
+        """Add free-space points inside the shape as points slightly outside it."""
         inside = superquadric.distance(theta, self.free)
         chosen: list[Array] = []
         for index in np.argsort(inside)[: np.count_nonzero(inside < 0)]:
@@ -195,7 +207,7 @@ def _thinned(places: Array) -> Array:
 
 
 TaskGoal = Callable[[Array], Array]
-"""Of the body's numbers: what is left, (N,), or its derivatives (N, 14)."""
+"""Function of the shape parameters: the residuals, (N,), or their derivatives (N, 14)."""
 
 
 def _least_squares(left: TaskGoal, slopes: Any, start: Array, rounds: int) -> OptimizeResult:
@@ -216,7 +228,10 @@ def _free_and_prior(data: _Data, family: ObjectFamily, theta: Array) -> list[Arr
 
 
 def _slopes(data: _Data, family: ObjectFamily, theta: Array) -> tuple[Array, list[Array]]:
-    """By the body's numbers: of its distances at the points, and of what is free and the prior."""
+    """Return derivatives with respect to the shape parameters.
+
+    They are those of the distances at the points, of the free-space residuals and of the prior.
+    """
     inside = superquadric.distance(theta, data.free)
     pulls = np.flatnonzero((inside < 0) & (inside > -_FREE_MAX))
     rows = superquadric.by_numbers(theta, np.concatenate([data.points, data.free[pulls]]))
@@ -268,7 +283,7 @@ def _solve(
 
 
 def _expected(data: _Data, family: ObjectFamily, theta: Array) -> Array:
-    """What is left at the points of the body that the family expects, mm, to first order."""
+    """Return the residuals at the points for the family's mean shape, mm, to first order."""
     rows = superquadric.by_numbers(theta, data.points)
     return data.left(theta) - rows @ (family.mean - theta)
 
@@ -276,8 +291,10 @@ def _expected(data: _Data, family: ObjectFamily, theta: Array) -> Array:
 def _with_field(
     data: _Data, family: ObjectFamily, theta: Array, field: tuple[float, float]
 ) -> SurfacePosterior:
-    """The field and the body's numbers about `theta`, from what was touched (Eq. E3), and how
-    likely all of it is (Eq. E5)."""
+    """Compute the posterior of field and shape parameters about `theta` (Eq. E3).
+
+    It includes the evidence (Eq. E5).
+    """
     rows = superquadric.by_numbers(theta, data.points)
     own = kernel(data.points, data.points, *field) + data.noise
     cov = rows @ family.cov @ rows.T + own
@@ -288,7 +305,7 @@ def _with_field(
     )
     free = _free_and_prior(data, family, theta)[0]
     evidence += data.odds - 0.5 * float(free @ free)
-    # at the likeliest body its own share of what is left over is nothing
+    # at the most likely shape the parameter correction is zero, so the field explains the residual
     weights = cho_solve(cho_factor(own, lower=True), data.left(theta))
     return SurfacePosterior(family, theta, field, data.points, weights, factor, evidence)
 
@@ -307,8 +324,10 @@ def _starts(patches: Sequence[Patch]) -> list[Array]:
 
 
 def _meeting(middles: Array, normals: Array) -> tuple[Array, float]:
-    """Centre and radius, mm, of the ball that the patches are on, as far as they say, else of 15
-    mm."""
+    """Fit center and radius of a sphere to the patches, mm.
+
+    The prior radius is 15 mm.
+    """
     rows = np.concatenate([np.tile(np.eye(3), (len(middles), 1)), np.zeros((1, 3))])
     rows = np.column_stack([rows, np.append(normals.ravel(), 0.0)])
     rows[-1, 3] = 0.5

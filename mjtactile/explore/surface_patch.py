@@ -1,4 +1,4 @@
-"""`Patch`: what one touch says of an object's surface, in the object's own frame."""
+"""`Patch`: surface information from one touch, in the object's own frame."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ _KEPT = (
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """Points of a surface that one touch found, frame H (the holder's, in which the object rests).
+    """Surface points from one touch, frame H (the holder's, in which the object is fixed).
 
     Attributes:
-        points: (N, 3) m, on the surface.
-        free: (M, 3) m, where the sheet was and touched nothing: outside of the object.
-        normal: (3,) outward, of the patch.
-        kind: What touched (`ContactShape.kind`); "unknown": points are the sheet's own heights.
-        force: N, at which the points were seen.
-        compliance: m/N by which the object gave way under the touch; NaN: unknown.
-        compliance_sd: m/N.
-        spread: (4,) sd of the patch as one, m; of its tilt, rad; of its curvature, 1/m; of each
-            point alone, m.
-        group: Patches of one grip have the same; 0: none of them.
-        loose: m, sd of a shift that all patches of the group have in common.
+        points: (N, 3) Points on the surface, m.
+        free: (M, 3) Points of the membrane without contact, outside the object, m.
+        normal: (3,) Outward normal of the patch.
+        kind: Kind of contact (`ContactShape.kind`); "unknown": the points are membrane heights.
+        force: Contact force of the points, N.
+        compliance: Compliance of the object at the touch, m/N; NaN: unknown.
+        compliance_sd: Its standard deviation, m/N.
+        spread: (4,) Standard deviations: of the patch as a whole, m; of its tilt, rad; of its
+            curvature, 1/m; of each single point, m.
+        group: Group number of the patches of one grip; 0: no group.
+        loose: Standard deviation of a displacement common to all patches of the group, m.
     """
 
     points: Array
@@ -60,8 +60,10 @@ class Patch:
         return self.points.mean(axis=0)
 
     def covariance(self) -> Array:
-        """Of its points along the normal, (N, N) m^2: they lie on one face whose height, tilt and
-        curvatures are not known exactly."""
+        """Return the covariance of the points along the normal, (N, N) m^2.
+
+        The points lie on one face with uncertain height, tilt and curvatures.
+        """
         axes = tangents(self.normal)
         u, v = axes @ (self.points - self.middle).T
         height, tilt, curvature, alone = self.spread
@@ -78,7 +80,7 @@ class Patch:
         return rows.T @ rows + alone**2 * np.eye(len(u))
 
     def to_dict(self) -> dict[str, Any]:
-        """As plain values, for a file; lengths m."""
+        """Return plain values for a file; lengths in m."""
         return {
             name: value.tolist() if isinstance(value := getattr(self, name), np.ndarray) else value
             for name in _KEPT
@@ -115,8 +117,10 @@ def tangents(normal: Array) -> Array:
 
 
 def between(patch: Patch, other: Patch) -> Array:
-    """Covariance (N, M) m^2 of two patches' points along their normals, by what their grip did to
-    both."""
+    """Return the covariance (N, M), m^2, of two patches' points along their normals.
+
+    It is caused by the common displacement of the object in a grip.
+    """
     if not patch.group or patch.group != other.group:
         return np.zeros((len(patch.points), len(other.points)))
     alike = patch.loose * other.loose * float(patch.normal @ other.normal)

@@ -1,5 +1,5 @@
-"""A surface that is believed: a body of few numbers and, on top, a field of what it leaves over
-(docs/theory/exploration.md, Eq. E1 to E3)."""
+"""Estimated surface: a parametric shape and a residual field (docs/theory/exploration.md, Eq. E1 to
+E3)."""
 
 from __future__ import annotations
 
@@ -15,23 +15,25 @@ from mjtactile.explore.shape_models import FREE, ObjectFamily
 
 _MM = 1e3
 ALIKE = 0.04
-"""mm, sd by which all touches are off alike: a thing is as much larger all around, which no touch
-can say of another. Of the shipped sensors, from sizes of eggs, vials and random things."""
+"""Standard deviation of the error common to all touches, mm. It scales the whole object and is not
+observable by comparing touches. The value holds for the shipped sensors, from sizes of eggs, vials
+and random objects."""
 
 
 @dataclass(frozen=True, eq=False)
 class SurfacePosterior:
-    """What is believed of an object's surface.
+    """Posterior of an object's surface.
 
     Attributes:
-        family: What the body is one of.
-        theta: (14,) The body's numbers (`mjtactile.explore.superquadric.NAMES`).
-        field: mm, sd and length of the field on top.
-        points: (N, 3) mm, that were touched.
-        weights: (N,) 1/mm, of the field's covariances with the points.
-        factor: Of the covariance of the points' distances, with the body's numbers unknown.
-        log_evidence: Of the field.
-        excess: By what variances are larger than those of the Gaussian (Eq. E6).
+        family: Family of the shape.
+        theta: (14,) Shape parameters (`mjtactile.explore.superquadric.NAMES`).
+        field: Standard deviation and correlation length of the additional field, mm.
+        points: (N, 3) Touched points, mm.
+        weights: (N,) Weights of the field's covariances with the points, 1/mm.
+        factor: Cholesky factor of the covariance of the points' distances, with unknown shape
+            parameters.
+        log_evidence: Log evidence of shape and field.
+        excess: Variance inflation factor (Eq. E6).
     """
 
     family: ObjectFamily
@@ -44,12 +46,14 @@ class SurfacePosterior:
     excess: float = 1.0
 
     def distance(self, p: Array) -> Array:
-        """How far points (N, 3) m are outside, (N,) m; 0 on the surface."""
+        """Return the distance of points (N, 3), m, outside the surface, (N,) m; 0 on the
+        surface."""
         across = kernel(_MM * p, self.points, *self.field)
         return (superquadric.distance(self.theta, _MM * p) + across @ self.weights) / _MM
 
     def distance_sd(self, p: Array) -> Array:
-        """Its standard deviation, (N,) m, with what all touches share."""
+        """Return the standard deviation of the distance, (N,) m, with the error common to all
+        touches."""
         p_mm = _MM * p
         rows = superquadric.by_numbers(self.theta, p_mm)
         across = self._across(p_mm, rows)
@@ -58,8 +62,10 @@ class SurfacePosterior:
         return np.sqrt(self.excess * np.maximum(before - told, 1e-8) + ALIKE**2) / _MM
 
     def distance_cov(self, p: Array, q: Array) -> Array:
-        """Covariance (N, M) m^2 of the distances at points with those at others, without what all
-        touches share: another touch tells nothing of that."""
+        """Return the covariance (N, M), m^2, of the distances at points `p` and `q`.
+
+        The error common to all touches is excluded, because another touch cannot reduce it.
+        """
         p_mm, q_mm = _MM * p, _MM * q
         rows, others = (superquadric.by_numbers(self.theta, at) for at in (p_mm, q_mm))
         before = rows @ self.family.cov @ others.T + kernel(p_mm, q_mm, *self.field)

@@ -1,5 +1,5 @@
-"""How much wider than it says a surface's doubt has to be: by what each touch was off from what all
-others foretold (docs/theory/exploration.md, Eq. E6)."""
+"""Variance inflation of an estimated surface by leave-one-out errors (docs/theory/exploration.md,
+Eq. E6)."""
 
 from __future__ import annotations
 
@@ -10,29 +10,31 @@ from scipy.linalg import cho_solve
 
 from mjtactile.core.types import Array
 
-_BEFORE = 2.0  # touches, that count as foretold as well as was said, before there was any
+_BEFORE = 2.0  # prior weight, in touches with a prediction error of 1 sd
 _BETWEEN = 2.0  # by which an excess counts: no touch is at an edge, where it is largest
 
 
 def excess(
     factor: tuple[Array, bool], expected: Array, noise: Array, said: Array, parts: Sequence[slice]
 ) -> float:
-    """By what the variances of a Gaussian surface are to be multiplied.
+    """Compute the variance inflation factor of a Gaussian surface.
 
-    A body that is of the wrong family, or touches that are wrong together, leave it as sure as the
-    right ones do: covariances do not look at what was measured. What a touch finds where the others
-    had said what it will find does.
+    A wrong shape family, or a common error of the touches, does not change the posterior
+    covariance: it does not depend on the measured values. The error of predicting each touch from
+    the others does.
 
     Args:
-        factor: Of the covariance of the points' distances (`cho_factor`), (N, N) mm^2.
-        expected: (N,) mm, their distances less what was expected before any touch.
-        noise: (N, N) mm^2, of the points, as far as they are believed.
-        said: (M, M) mm^2, of those that were touched, the first ones, as the touches said it.
-        parts: The points of each touch.
+        factor: Cholesky factor of the covariance of the points' distances (`cho_factor`), (N, N)
+            mm^2.
+        expected: (N,) Distances minus their prior mean, mm.
+        noise: (N, N) Covariance of the points with inflated outliers, mm^2.
+        said: (M, M) Covariance reported by the touches for the touched points, the first M, mm^2.
+        parts: Point ranges of each touch.
 
     Returns:
-        1 and twice what the mean square of the touches' heights, less what all others foretell, in
-        its own sd, is beyond 1; nearer to 1 where touches are few.
+        1 plus twice the excess over 1 of the mean square prediction error. The error is the height
+        of a touch minus its prediction from all others, in sd. With few touches the factor is
+        closer to 1.
     """
     inverse = cho_solve(factor, np.eye(len(expected)))
     pulls = inverse @ expected
@@ -42,7 +44,10 @@ def excess(
 
 
 def _square(part: slice, inverse: Array, pulls: Array, noise: Array, said: Array) -> float:
-    """Of a touch's mean height, in sd of what the others leave open and of its own."""
+    """Return the squared prediction error of a touch's mean height.
+
+    It is normalized by the prediction variance plus the touch's own variance.
+    """
     within = np.linalg.inv(inverse[part, part])  # its covariance, given all others
     miss = float((within @ pulls[part]).mean())
     foretold = max(float((within - noise[part, part]).mean()), 0.0)

@@ -1,8 +1,7 @@
-"""An episode to export: a recording, the sensors that it names, and what they see in its images
-again.
+"""Episode to export: a recording, its sensors, and touches estimated again from its images.
 
-A recording keeps what was felt, but no surface and no markers. Where it has all of its images the
-sensing chain looks at them again, as a replay does, and gives these too.
+A recording contains the touch results, but no surface and no markers. If all of its images are
+available, the sensing chain processes them again, as in a replay, and adds these.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 NOT_OF_A_FINGER = ("object_position_true", "object_quaternion_true")
 """Columns of several numbers that are not one set a finger."""
 LISTS = ("patches", "shape_outline")
-"""Columns of any number of things a finger."""
+"""Columns with a variable number of entries per finger."""
 _PARTS = {
     "wrench": ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm"),
     "contact_centroid": ("x_m", "y_m"),
@@ -49,9 +48,12 @@ _PARTS |= dict.fromkeys(("wrench_sd", "wrench_true"), _PARTS["wrench"])
 
 @dataclass(frozen=True, eq=False)
 class Perceived:
-    """One cycle: its `row` of the log (null: unknown), the images that were kept, with their
-    `files`, and each finger's touch as the chain sees it again, () where it cannot, with the
-    `ellipses` that it follows in the image; of a run that goes on, the scene at that time."""
+    """One cycle of an episode.
+
+    It holds the `row` of the log (null: unknown) and the stored images with their `files`. It also
+    holds the re-estimated touch of each finger, () if not available, with the tracked `ellipses` in
+    the image. For a live simulated run it holds the current scene.
+    """
 
     time: float
     row: Mapping[str, Any]
@@ -75,8 +77,8 @@ class RecordedEpisode:
             raise InputError("has no cycles to export", source=folder)
         self.design = _design(self.recording)
         self.estimate_difference = math.nan
-        """The most, N, by which normal forces felt again differ from those recorded, of the cycles
-        that were asked for so far."""
+        """Largest difference between re-estimated and recorded normal forces over the cycles read
+        so far, N."""
         tables = self.recording.notes.get("calibration", {})
         self.calibrations: dict[str, Calibration | None] = {
             name: calibration_from_table(tables[name], str(folder)) if name in tables else None
@@ -89,7 +91,7 @@ class RecordedEpisode:
 
     @property
     def re_estimate(self) -> bool:
-        """Whether the chain sees this recording's images again."""
+        """True if the sensing chain processes the images of this recording again."""
         return bool(self._perceptions)
 
     @property
@@ -107,14 +109,14 @@ class RecordedEpisode:
 
     @property
     def task(self) -> str:
-        """What was to be done, in words."""
+        """Description of the task in words."""
         grasped = self.recording.header.get("object")
         return f"grasp the {Path(grasped).stem}" if grasped else "record"
 
     @property
     def facts(self) -> dict[str, Any]:
-        """Everything that the recording says once: header with versions and files, notes with
-        calibrations, problems."""
+        """Metadata of the recording: header with versions and files, notes with calibrations,
+        problems."""
         recording = self.recording
         return to_json(
             {
@@ -166,8 +168,11 @@ class RecordedEpisode:
 
     @property
     def camera_poses(self) -> dict[str, tuple[Array, Array]]:
-        """`R_SC` (3, 3) and `p_SC` (3,) m of each finger's camera: as this recording's flat
-        reference shows it, else as it was calibrated, else as the sensor file says."""
+        """`R_SC` (3, 3) and `p_SC` (3,), m, of each finger's camera.
+
+        The source is this recording's flat reference, otherwise the calibration, otherwise the
+        sensor file.
+        """
         return self._camera_poses
 
     @cached_property
@@ -207,11 +212,11 @@ class RecordedEpisode:
         elif calibration is not None:
             gauge = calibration.pressure(gauge)
         perception.measure_rest_reference(list(rest.images(number)), gauge)
-        perception.shapes = self.recording.has_shapes
+        perception.contact_shapes = self.recording.has_shapes
         return perception
 
     def _readings(self, cycle: int) -> list[PressureReading | None]:
-        """What the chambers' gauges said in that cycle, of every finger."""
+        """Return the pressure readings of that cycle, for each finger."""
         valves = dict(zip(self.fingers, self.recording.valves(cycle), strict=False))
         return [
             pressure_reading(valves[name], self.calibrations[name]) if name in valves else None
@@ -247,9 +252,11 @@ class RecordedEpisode:
 
 
 def find_episodes(path: Path) -> list[RecordedEpisode]:
-    """The recording in `path`, or all those in the folders below it, in order of their names; of an
-    evaluation those of its episodes, not those that were run again for pictures. Raises InputError
-    for none."""
+    """Return the recording in `path`, or all recordings in its subfolders, sorted by name.
+
+    For an evaluation, these are its episodes, without those repeated for images. Raises InputError
+    if there are none.
+    """
     within = path / RECORDINGS if (path / RECORDINGS).is_dir() else path
     if (path / LOG).is_file() or (path / "recording" / LOG).is_file():
         found = [path]
@@ -265,7 +272,7 @@ def find_episodes(path: Path) -> list[RecordedEpisode]:
 
 
 def part_names(episode: RecordedEpisode, key: str) -> list[str]:
-    """What the numbers of a column are called, one for each, with units, left to right."""
+    """Return a name with unit for each number of a column, left to right."""
     unit = (SENSED[key][0] if key in SENSED else TRUE[key][0]).replace("^", "").replace("/", "_")
     own = _PARTS.get(key, (unit or key,))
     column = episode.recording.columns[key]
@@ -286,7 +293,8 @@ def meanings() -> dict[str, dict[str, str]]:
 
 
 def _design(recording: Recording) -> SensorDesign:
-    """The sensor as the recording keeps it; of one without, as its file says now."""
+    """Return the sensor design stored in the recording, otherwise that of the current sensor
+    file."""
     kept = recording.header.get("files", {}).get("sensor")
     if kept is None:
         return load_sensor(recording.header.get("sensor") or "dense")

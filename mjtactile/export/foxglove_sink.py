@@ -1,8 +1,8 @@
-"""Foxglove's messages, and where they go: a file, or the viewer that is open.
+"""Foxglove messages, written to a file or sent to an open viewer.
 
-Written with foxglove-sdk, which brings these schemas; the plain mcap package would want them
-written out by hand. What Foxglove has no schema for (a felt wrench, a touch, a line of the log) is
-JSON with a schema of its own.
+It uses foxglove-sdk, which contains these schemas; the plain mcap package would require writing
+them by hand. Data without a Foxglove schema (a wrench, a touch, a line of the log) are JSON with a
+custom schema.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from mjtactile.export.viewer_entities import FLAGGED, TRUSTED, Arrows, ImageCurv
 from mjtactile.recording.files import to_json
 
 PORT = 8765
-_ARROW_WIDTH = 8e-4  # m
+_ARROW_WIDTH = 8e-4  # width of arrows, m
 _WRENCH = {"fx": "N", "fy": "N", "fz": "N", "tx": "N m", "ty": "N m", "tz": "N m"}
 
 
 class FoxgloveSink:
-    """Sends items to whoever listens to a `context` of foxglove-sdk; a channel a topic."""
+    """Sender of items to the listeners of a foxglove-sdk `context`; one channel per topic."""
 
     def __init__(self) -> None:
         import foxglove
@@ -199,7 +199,7 @@ def _arrows(item: messages.Message) -> Any:
 
 
 def _entity(item: messages.Message, **drawn: Any) -> Any:
-    """A thing in a 3D scene, in place of what was drawn of it before."""
+    """Return an entity of a 3D scene; it replaces the earlier one of the same topic."""
     from foxglove.messages import SceneEntity, SceneUpdate
 
     entity = SceneEntity(

@@ -32,14 +32,17 @@ TARGETS = (
 )
 _MODULES = {"rerun": "rerun", "foxglove": "foxglove"}
 _WAITING = 8  # cycles that wait for the viewer
-_AGAIN = 1.0  # s after which what stands still is sent once more, for who looks since then
-_FLUSH_TIME = 10.0  # s that the end of a run waits for what is still to be sent
+_AGAIN = 1.0  # period after which static items are sent again, for late viewers, s
+_FLUSH_TIME = 10.0  # wait for unsent items at the end of a run, s
 _logger = logging.getLogger(__name__)
 
 
 class Sink(Protocol):
-    """Where items go. `where` says what to open to see them; what `forgets` shows who comes later
-    only what is sent from then on."""
+    """Destination of items.
+
+    `where` is the address or file to open. A sink that `forgets` shows a late viewer only later
+    items.
+    """
 
     where: str
     forgets: bool
@@ -49,28 +52,28 @@ class Sink(Protocol):
 
 
 class LiveView(Observer):
-    """Shows images with ellipses, membranes, tractions, forces and the scene, cycle by cycle.
+    """Live display of images with ellipses, membranes, tractions, forces and the scene.
 
-    Nothing here fails or holds up a run: a simulated world waits for a viewer that is behind, a
-    real one's cycles are left out, and a viewer that fails is given up with a warning. Use it as a
-    context manager, or call `close`.
+    It never fails or delays a run on real devices. A simulated world waits for a slow viewer; on a
+    real rig cycles are dropped. A failing viewer is disabled with a warning. Use it as a context
+    manager, or call `close`.
 
     Args:
-        target: "rerun" (the viewer that is open, else a new one), "rerun:FILE.rrd",
-            "rerun+http://HOST:9876/proxy" (a viewer elsewhere), "foxglove" (a server on port 8765
-            that Foxglove connects to), "foxglove:PORT", "foxglove:FILE.mcap".
-        say: Is given a line that says what to open.
+        target: "rerun" (the open viewer, else a new one), "rerun:FILE.rrd",
+            "rerun+http://HOST:9876/proxy" (a remote viewer), "foxglove" (a server on port 8765 that
+            Foxglove connects to), "foxglove:PORT", "foxglove:FILE.mcap".
+        say: Callback that receives a line with the address or file to open.
 
     Raises:
-        InputError: For another target, a file that is there, or a package that is not.
+        InputError: The target is unknown, the file exists, or a package is missing.
     """
 
     def __init__(self, target: str, say: Callable[[str], None] = lambda _: None):
         self.viewer, self._to = _parsed(target)
         self.where = ""
-        """What to open to see it; known once the run has begun."""
+        """Address or file to open; set when the run starts."""
         self.left_out = 0
-        """Cycles that nobody was shown."""
+        """Number of dropped cycles."""
         self.problem = ""
         self._patience = 0.0
         self._sink: Sink | None = None
@@ -106,9 +109,9 @@ class LiveView(Observer):
         """Show one cycle.
 
         Args:
-            cycle: What was seen, felt, asked for and sent.
-            view: The scene at that time; of a simulation alone.
-            **truth: Ground truth by column; of a simulation alone.
+            cycle: Images, touches and commands of the cycle.
+            view: Scene at that time, in simulation only.
+            **truth: Ground truth by column, in simulation only.
         """
         if self._thread is None or self.problem:
             return
@@ -131,7 +134,7 @@ class LiveView(Observer):
             self.left_out += 1
 
     def close(self) -> None:
-        """Show what is left, and let go of the viewer; later calls do nothing."""
+        """Show the remaining cycles and close the viewer; later calls have no effect."""
         thread = self._thread
         self._thread = None
         if thread is not None and self._sink is not None:
@@ -172,7 +175,7 @@ class LiveView(Observer):
             self._attempt(lambda seen=seen, first=is_first: _show(sink, drawing, seen, first=first))
 
     def _attempt(self, act: Callable[[], None]) -> None:
-        """Do what may fail: a viewer's fault is no reason to end a run."""
+        """Call a function that may fail; a viewer error does not stop the run."""
         try:
             act()
         except Exception as error:  # noqa: BLE001
@@ -210,8 +213,8 @@ class _Running:
 
     @property
     def camera_poses(self) -> dict[str, tuple[Array, Array]]:
-        """R_SC and p_SC of each finger's camera, as its flat reference shows it, else as its
-        sensor file says."""
+        """R_SC and p_SC of each finger's camera, from its flat reference, otherwise from its sensor
+        file."""
         poses = {}
         for chain, name in zip(self._session.perceptions, self.fingers, strict=True):
             flat = getattr(getattr(chain, "state", None), "flat", None)

@@ -70,7 +70,7 @@ def items(episode: RecordedEpisode) -> Iterator[Message]:
 
 
 def cameras(source: Source, time: float) -> Message:
-    """Where each finger's camera stands in its sensor."""
+    """Return the pose of each finger's camera in its sensor."""
     placed = [
         Transform(f"{name}_sensor", f"{name}_camera", R, p)
         for name, (R, p) in source.camera_poses.items()
@@ -97,7 +97,7 @@ def of_cycle(source: Source, seen: Perceived) -> Iterator[Message]:
 
 
 def stamp_of(seen: Perceived, finger: int) -> float:
-    """s, when that finger's image was captured."""
+    """Return the capture time of that finger's image, s."""
     stamp = float(seen.row["image_time"][finger])
     return stamp if np.isfinite(stamp) else seen.time
 
@@ -160,8 +160,11 @@ def _clouds(touch: Touch) -> Iterator[tuple[str, Cloud]]:
 
 
 def _frames(source: Source, seen: Perceived) -> Iterator[Transform]:
-    """Where the gripper is above its start, the two sensors of a pair in it, and, in simulation,
-    the object in the world; and with the scene at that time, where it has the sensors."""
+    """Return the transforms of one cycle.
+
+    They are the gripper relative to its start, and the two sensors of a pair in it. In simulation
+    they include the object in the world, and with a scene also the sensors.
+    """
     row = seen.row
     height = float(row["lift_height"])
     opening = float(row["opening"])

@@ -20,13 +20,13 @@ from mjtactile.export import messages
 from mjtactile.export.viewer_entities import FLAGGED, TRUSTED, Arrows, ImageCurves, RenderedMesh
 
 PORT = 9876
-_ARROW_RADIUS = 3e-4  # m
-_POINT_RADIUS = 2e-4  # m
+_ARROW_RADIUS = 3e-4  # radius of arrows, m
+_POINT_RADIUS = 2e-4  # radius of points, m
 _ROOTS = ("world", "gripper_start")
 
 
 class RerunSink:
-    """Sends items to a recording stream of rerun-sdk. `fingers` are what the views are of."""
+    """Sender of items to a recording stream of rerun-sdk; `fingers` defines the camera views."""
 
     forgets = False
     where = "Rerun"
@@ -65,7 +65,7 @@ class RerunSink:
         self.stream.disconnect()
 
     def blueprint(self) -> Any:
-        """What is shown where, until somebody arranges it in another way."""
+        """Return the initial layout of the views; the user may change it."""
         views: Any = import_module("rerun.blueprint")
         cameras = [
             views.Spatial2DView(name=finger, origin=f"/{self._place(f'{finger}_camera')}")
@@ -91,7 +91,7 @@ class RerunSink:
         self.stream.log(path.split("/"), what, static=static)  # parts are escaped
 
     def _in_frame(self, item: messages.Message) -> str:
-        """The entity of what is drawn in a frame."""
+        """Return the entity path of an item in its frame."""
         place = self._place(item.frame)
         name = item.topic.strip("/").removesuffix("/drawn").split("/")[-1]
         return place if item.topic == f"/{item.frame}" else f"{place}/{name}"
@@ -176,7 +176,7 @@ class RerunSink:
             self._number(f"force/{finger}_true", true)
 
     def _number(self, path: str, value: Any) -> None:
-        """What is unknown is left out, so that its curve has a gap."""
+        """Send a number; an unknown one is skipped and leaves a gap in its curve."""
         if value is not None and np.isfinite(value):
             self._send(path, self._rr.Scalars(float(value)))
 
@@ -205,7 +205,7 @@ def to_viewer(sink: RerunSink, url: str = "") -> None:
 
 
 def _is_open() -> bool:
-    """Whether something on this computer listens where Rerun's viewer does."""
+    """Return True if a local process listens on the port of Rerun's viewer."""
     with socket.socket() as end:
         end.settimeout(0.5)
         return end.connect_ex(("127.0.0.1", PORT)) == 0

@@ -1,5 +1,7 @@
-"""ROS 2 bags, an episode a bag: standard messages for what they can say, `mjtactile_msgs` for a
-touch and a command, and each line of the log as JSON text.
+"""ROS 2 bags, one per episode.
+
+They use standard messages where possible, `mjtactile_msgs` for touches and commands, and JSON text
+for each line of the log.
 """
 
 from __future__ import annotations
@@ -153,7 +155,7 @@ class _Bag:
             (path / name).write_text(text, encoding="utf-8")
 
     def _items(self) -> Any:
-        """The episode's, its reference images before, and commands beside the log's lines."""
+        """Yield the reference images, the items of the episode, and a command for each log line."""
         recording = self._episode.recording
         for reference in recording.references:
             for k, finger in enumerate(self._episode.fingers):
@@ -316,7 +318,7 @@ class _Bag:
 
 
 def _value(value: Any, field: str, kind: Any) -> Any:
-    """As a field of a message has it; NaN and "" where it is not known."""
+    """Convert a value to a message field; unknown values become NaN or ""."""
     if field in _TEXT:
         return "" if value is None else str(value)
     if field in ("touching", "valve_open"):

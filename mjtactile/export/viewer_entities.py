@@ -1,5 +1,7 @@
-"""What a viewer draws of a cycle beside its data: fitted ellipses, membranes as surfaces, forces as
-arrows, and of a simulated run the scene."""
+"""Graphics of a cycle for a viewer, in addition to its data.
+
+They are fitted ellipses, membrane surfaces, force arrows and, for a simulated run, the scene.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,8 @@ from mjtactile.export.episode import Perceived, RecordedEpisode
 from mjtactile.export.messages import Message, Source, Transform, cameras, of_cycle, stamp_of
 from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
 
-FORCE = 0.02  # m of arrow for each N
-TRACTION = 2e-6  # m of arrow for each Pa
+FORCE = 0.02  # arrow length per force, m/N
+TRACTION = 2e-6  # arrow length per traction, m/Pa
 MEMBRANE = (0.62, 0.78, 0.95, 1.0)
 TRUSTED = (0.22, 0.83, 0.33, 1.0)
 FLAGGED = (0.9, 0.24, 0.24, 1.0)
@@ -58,7 +60,7 @@ class Drawing:
     _placed: dict[str, Array] = field(default_factory=dict)
 
     def again(self) -> None:
-        """Draw the scene once more: somebody looks who has not seen it."""
+        """Send the whole scene again with the next cycle, for a new viewer."""
         self._placed.clear()
 
     def of(self, seen: Perceived) -> Iterator[Message]:
@@ -103,7 +105,7 @@ class Drawing:
 
 
 def rendered_items(episode: RecordedEpisode) -> Iterator[Message]:
-    """All messages of a recording, and what is drawn of each cycle."""
+    """Yield all messages of a recording and the graphics of each cycle."""
     drawing = Drawing(episode)
     yield cameras(episode, float(episode.recording.columns["time"][0]))
     for seen in episode.cycles():
@@ -133,7 +135,7 @@ def surface_mesh(surface: Surface) -> RenderedMesh:
 
 
 def traction_arrows(traction: Traction, surface: Surface) -> Arrows:
-    """Force per area of membrane at the nodes that feel one, tips on the membrane."""
+    """Return arrows of the traction at the loaded nodes, with tips on the membrane."""
     x, y = np.meshgrid(traction.x, traction.y)
     node_area = (traction.x[1] - traction.x[0]) * (traction.y[1] - traction.y[0])
     pressure = traction.force.reshape(-1, 3) / node_area
@@ -146,8 +148,11 @@ def traction_arrows(traction: Traction, surface: Surface) -> Arrows:
 
 
 def force_arrow(traction: Traction, surface: Surface) -> Arrows:
-    """The net force on the membrane, its tip where it pushes: on the axis on which its torque is
-    the felt one, (x, y) = (-t_y, t_x) / f_z. Nothing of a force that is unknown or tiny."""
+    """Return an arrow of the net force on the membrane.
+
+    Its tip is the center of pressure, where the force produces the measured torque: (x, y) = (-t_y,
+    t_x) / f_z. There is no arrow for an unknown or tiny force.
+    """
     force = traction.wrench[:3]
     if not np.isfinite(traction.wrench).all() or abs(force[2]) < 0.02:
         return Arrows(np.zeros((0, 3)), np.zeros((0, 3)), PRESSED)

@@ -1,3 +1,5 @@
-"""`mjtactile fabricate`: from a sensor file to what a bench needs. Lengths in this room are mm, as
-in drawings, STEP and STL files; `Layout.of` and `Optics.of` convert the design's SI values,
-once."""
+"""`mjtactile fabricate`: fabrication data from a sensor file.
+
+Lengths in this package are mm, as in drawings, STEP and STL files. `Layout.of` and `Optics.of`
+convert the design's SI values, once.
+"""

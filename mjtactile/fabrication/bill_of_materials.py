@@ -1,5 +1,7 @@
-"""What is to be bought, with the numbers that matter, worked out of the sensor file; typical kinds
-of parts, no shop."""
+"""Bill of materials with specifications computed from the sensor file.
+
+It lists typical kinds of parts, without suppliers.
+"""
 
 from __future__ import annotations
 
@@ -11,16 +13,17 @@ from mjtactile.fabrication.housing_layout import Layout
 from mjtactile.fabrication.manufacturability import MM
 from mjtactile.fabrication.print_templates import page_size
 
-_FORCE = 2.5  # N, the most of the paper's measurements
-_FORCE_STEP = 0.004  # N: a tenth of the paper's error, for the pressure sensor's resolution
-_PINION = 0.010  # m
+_FORCE = 2.5  # largest force in the paper's measurements, N
+# force resolution required of the pressure sensor, N: a tenth of the paper's error
+_FORCE_STEP = 0.004
+_PINION = 0.010  # pinion radius, m
 _USB2 = 35e6  # byte/s that USB 2 really carries
-_HOSE = 0.5  # m
+_HOSE = 0.5  # hose length, m
 
 
 @dataclass(frozen=True)
 class Item:
-    """One line: what, how many, the numbers wanted, what is typically taken."""
+    """One line: part, count, required specification and typical product."""
 
     what: str
     count: str
@@ -41,7 +44,7 @@ def hose_volume(layout: Layout) -> float:
 
 
 def bill(layout: Layout, optics: Optics) -> list[Item]:
-    """Of one finger, but for what a gripper has once."""
+    """Return the bill of one finger, plus the parts needed once per gripper."""
     return [*_mechanics(layout), *_seeing(layout, optics), *_air(layout), *_driving()]
 
 

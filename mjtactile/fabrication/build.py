@@ -44,8 +44,10 @@ def build(
     say: Callable[[str], None] = lambda _: None,
     states_of: Callable[..., list[MembraneState]] = simulate,
 ) -> Build:
-    """All files for `design`, read from `source` with the given `text`. Raises InputError for what
-    cannot be built."""
+    """Write all files for `design`, read from `source` with the given `text`.
+
+    Raises InputError for a design that cannot be built.
+    """
     mesh.require_libraries()
     layout = Layout.of(design, hardware, source)
     parts = make_parts(layout)
@@ -165,7 +167,7 @@ def _pictures(layout: Layout, optics: Optics, parts: dict[str, Part]) -> dict[st
 
 
 def _camera_view(design: SensorDesign, optics: Optics) -> bytes | None:
-    """What the camera should see of the flat membrane, the LEDs' mirror images marked."""
+    """Return the expected camera view of the flat membrane, with the LED reflections marked."""
     figure = new_figure("camera_view.png", (6.4, 4.8), dpi=100)
     if figure is None:
         return None

@@ -1,9 +1,8 @@
-"""Whether the camera can do it: every marker in the picture, sharp, without smear, lit; and what
-its lens has to be.
+"""Check of the camera: all markers in the image, sharp, unsmeared and lit; and the required lens.
 
 Blur, px: a pixel's own square (sd 1/sqrt 12), diffraction (a Gaussian of sd 0.42 lambda N fits the
 Airy disc: Zhang, Zerubia, Olivo-Marin, Applied Optics 46, 2007) and defocus. A thin lens of focal
-length f and f-number N, focused on Z_f, shows a point at Z as a disc of diameter
+length f and f-number N is focused on Z_f. It shows a point at Z as a disc of diameter
 
     c = f^2 / (N (Z_f - f)) |Z - Z_f| / Z,                                             sd c / 4,
 
@@ -11,8 +10,8 @@ on the sensor (Born and Wolf; any text on depth of field). Focus on the harmonic
 and farthest Z makes both ends equally blurred. Smear: a marker at speed v across the axis moves by
 f_px v t / Z in the exposure t.
 
-Light: a pixel of area A under the irradiance E gets E A t QE lambda / (h c) electrons (EMVA 1288);
-a matte white membrane under E_m gives E = E_m / (4 N^2) on the axis; a Lambertian LED of flux P
+Light: a pixel of area A under the irradiance E gets E A t QE lambda / (h c) electrons (EMVA 1288).
+A matte white membrane under E_m gives E = E_m / (4 N^2) on the axis. A Lambertian LED of flux P
 gives E_m = P cos^4(theta) / (pi D^2).
 """
 
@@ -37,17 +36,19 @@ _AROUND = 24  # points of a marker's edge
 _STOPS = (2.0, 2.8, 4.0, 5.6, 8.0)
 _WAVELENGTH = 0.55e-3  # mm, green
 _PHOTON = 3.61e-19  # J, of that wavelength: h c / lambda
-_SHORTEST = 1e-5  # s, exposure that small cameras have
+_SHORTEST = 1e-5  # shortest exposure of small cameras, s
 
 
 @dataclass(frozen=True)
 class Optics:
-    """What the camera module has to have, and how much of it is used.
+    """Requirements of the camera module, and the margins.
 
-    `margin` px from the markers' edges to the picture's; `worst` when; `fov` deg in x, y and
-    across; `focal` mm; `stop` f-number; `near`, `far`, `focus` mm from the pupil; `blur` px sd at
-    the ends of that range; `exposure` s; `flux` W of light from each LED while it lasts; `noise`
-    grey levels, of photons, in the membrane's; `mirrors` px: the LEDs' images in the pane.
+    `margin`: distance from the markers' edges to the image border, px; `worst`: state with the
+    smallest margin. `fov`: field of view in x, y and diagonal, deg. `focal`: focal length, mm;
+    `stop`: f-number. `near`, `far`, `focus`: distances from the pupil, mm; `blur`: sd at the ends
+    of that range, px. `exposure` in s; `flux`: light from each LED during the exposure, W. `noise`:
+    photon noise at the membrane's gray level, in gray levels. `mirrors`: reflections of the LEDs in
+    the glass, px.
     """
 
     margin: float
@@ -101,7 +102,7 @@ def plan_camera(
 
 
 def marker_edges(design: SensorDesign, state: MembraneState) -> Array:
-    """Points (N, k, 2) of the markers' edges in the picture, px, through pane and lens."""
+    """Return points (N, k, 2) on the marker edges in the image, px, through glass and lens."""
     camera = optics.Camera.from_design(design.camera, design.glass)
     across = np.cross(
         state.n_S, np.where(np.abs(state.n_S[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]])
@@ -153,7 +154,8 @@ def _margins(
 
 
 def _range(design: SensorDesign, states: Sequence[MembraneState]) -> tuple[float, float]:
-    """Nearest and farthest marker, mm from the pupil, as the pane makes them seem."""
+    """Return the apparent distances of the nearest and farthest marker through the glass, mm from
+    the pupil."""
     z = np.concatenate([state.p_SM[:, 2] for state in states])
     shown = 1e3 * (
         design.camera.distance - design.apparent_glass_thickness + np.array([z.min(), z.max()])
@@ -230,8 +232,11 @@ def _fov(design: SensorDesign) -> tuple[float, float, float]:
 
 
 def led_mirrors(design: SensorDesign) -> Array:
-    """Where the pane's near face shows the LEDs, (count, 2) px: as far behind it as they are before
-    it."""
+    """Return the image positions of the LED reflections in the near face of the glass, (count, 2)
+    px.
+
+    The virtual LEDs are as far behind the face as the LEDs are in front of it.
+    """
     count = design.leds.count
     camera = design.camera
     turn = 2 * np.pi * (np.arange(count) + 0.5) / count
@@ -247,6 +252,6 @@ def led_mirrors(design: SensorDesign) -> Array:
 
 
 def mirrored_in_image(design: SensorDesign, mirrors: Array) -> int:
-    """How many of them are in the picture."""
+    """Return the number of LED reflections inside the image."""
     inside = (mirrors > -0.5) & (mirrors < (design.camera.width - 0.5, design.camera.height - 0.5))
     return int(inside.all(axis=1).sum())

@@ -1,9 +1,10 @@
-"""`Layout`: every dimension of the housing, from the sensor file's and the hardware's, what cannot
-be built refused. mm, frame S.
+"""`Layout`: all dimensions of the housing from the sensor file and the hardware, mm, frame S.
 
-From the front: membrane at z = 0 over the rim, clamping ring behind it, frame, gasket, pane in its
-seat, mount with LED ring and camera. One set of bolts goes through all; the mount's tube lies
-inside of them.
+Designs that cannot be built are rejected.
+
+From the front: membrane at z = 0 over the rim, clamping ring behind it, frame, gasket, glass in its
+seat, mount with LED ring and camera. One set of bolts passes through all parts; the mount's tube
+lies inside of them.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from mjtactile.fabrication import purchased_parts as hw
 from mjtactile.fabrication.manufacturability import MM, Limit, check_all, limits_of
 from mjtactile.fabrication.purchased_parts import BOLTS, PORTS, AirPort, Bolt, Hardware
 
-_FLAT = 0.5  # mm of a wall beside the port's bore
+_FLAT = 0.5  # wall width next to the port's bore, mm
 _SMALL = 25.0  # mm: openings below it get the smaller bolts
 
 
@@ -39,7 +40,7 @@ class Layout:
         return layout
 
     def limits(self) -> Iterator[Limit]:
-        """What depends on where things came to be."""
+        """Return the limits that depend on the computed layout."""
         chamber = self.design.chamber
         near = MM * self.design.glass.distance
         need = 2 * (PORTS[-1].radius + PORTS[-1].wall)
@@ -64,7 +65,7 @@ class Layout:
 
     @property
     def is_traced(self) -> bool:
-        """Whether the opening is drawn as a polygon of many corners."""
+        """True if the opening is modeled as a polygon of many corners."""
         return self.design.frame.shape not in (FrameShape.RECTANGLE, FrameShape.ROUNDED)
 
     @property
@@ -124,7 +125,7 @@ class Layout:
 
     @property
     def hold(self) -> float:
-        """Width on which the pane lies on the frame."""
+        """Width of the glass support on the frame."""
         return min(max(self.rim, hw.GLASS_HOLD), 2 * hw.GLASS_HOLD)
 
     @property
@@ -168,8 +169,7 @@ class Layout:
 
     @property
     def line_x(self) -> float:
-        """Where the bolts are: outside of the ring's inner edge, of the pane's seat and of the
-        tube."""
+        """Position of the bolts: outside of the ring's inner edge, the glass seat and the tube."""
         return self._line(self.open_x, self.tube_x)
 
     @property
@@ -195,57 +195,57 @@ class Layout:
 
     @property
     def z_flange(self) -> float:
-        """Of the frame, where the clamping ring presses."""
+        """Frame surface under the clamping ring."""
         return -(hw.RING + self.sheet + self.bolt.head_height + hw.RECESS)
 
     @property
     def z_glass(self) -> float:
-        """Of the pane's front."""
+        """Front of the glass."""
         return -MM * self.design.chamber.depth
 
     @property
     def z_block(self) -> float:
-        """Of the frame's back."""
+        """Back of the frame."""
         return self.z_glass + hw.GASKET
 
     @property
     def z_glass_plane(self) -> float:
-        """Of the pane's back."""
+        """Back of the glass."""
         return self.z_glass - MM * self.design.glass.thickness
 
     @property
     def z_seat(self) -> float:
-        """Of the glass seat's back."""
+        """Back of the glass seat."""
         return self.z_glass_plane - hw.SEAT
 
     @property
     def z_mount(self) -> float:
-        """Of the back of the mount's flange."""
+        """Back of the mount's flange."""
         return self.z_seat - hw.FLANGE
 
     @property
     def z_camera(self) -> float:
-        """Of the camera's centre, and of the LEDs' faces."""
+        """Center of the camera, and faces of the LEDs."""
         return -MM * self.design.camera.distance
 
     @property
     def z_leds(self) -> float:
-        """Of the front of the LEDs' circuit board."""
+        """Front of the LED circuit board."""
         return self.z_camera - hw.LED_BODY[2]
 
     @property
     def z_plate(self) -> float:
-        """Of the front of the mount's back plate."""
+        """Front of the mount's back plate."""
         return self.z_leds - hw.LED_BOARD
 
     @property
     def z_back(self) -> float:
-        """Of its back."""
+        """Back of the mount's back plate."""
         return self.z_camera - self.hardware.pupil + hw.SPACER
 
     @property
     def bolts(self) -> list[tuple[float, float]]:
-        """Where the bolts go, around the frame; none at y = 0, where the air comes in from +x."""
+        """Positions of the bolts around the frame; none at y = 0, where the air enters from +x."""
         across, along = (
             math.ceil(2 * line / hw.BOLT_SPACING) for line in (self.line_x, self.line_y)
         )

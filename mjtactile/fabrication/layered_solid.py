@@ -1,9 +1,9 @@
-"""Solids as stacks of plates: each layer is bounded by rounded rectangles, circles and convex
-polygons, which may be nested but never cross.
+"""Solids as stacks of plates.
 
-That is all that a milled, printed or laser-cut housing needs, and it keeps the exact shape: `step`
-writes its planes and cylinders, `mesh` its triangles, and its volume is a closed form. mm, frame S
-of the sensor: z outward, flat membrane at z = 0.
+Each layer is bounded by rounded rectangles, circles and convex polygons, which may be nested but
+never cross. This is sufficient for a milled, printed or laser-cut housing, and it keeps the exact
+shape. `step` writes its planes and cylinders, `mesh` its triangles, and its volume has a closed
+form. mm, frame S of the sensor: z outward, flat membrane at z = 0.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from mjtactile.core.outline import Outline
 from mjtactile.core.types import Array
 
 _APART = 1e-3  # mm
-_STRAIGHT = 5e-3  # mm: what an outline's harmonics leave of a straight side
+_STRAIGHT = 5e-3  # deviation of an outline's harmonics from a straight side, mm
 _CORNERS = 240  # of a polygon for an outline: 1 um off a circle of 30 mm
 
 
@@ -97,19 +97,23 @@ class Contour:
 
 @dataclass(frozen=True)
 class Traced(Contour):
-    """A convex polygon around the origin, counter-clockwise, in place of an outline that is no
-    rectangle; `x`, `y`, `hx`, `hy` are those of the box around it.
+    """Convex polygon around the origin, counter-clockwise, for an outline that is not a rectangle.
+
+    `x`, `y`, `hx`, `hy` describe its bounding box.
 
     Attributes:
-        points: (x, y) of each corner, mm.
+        points: Corners (x, y), mm.
     """
 
     points: tuple[tuple[float, float], ...] = ()
 
     @classmethod
     def around(cls, outline: Outline, by: float = 0.0, flat: float = 0.0) -> Traced:
-        """The polygon `by` mm outside of an outline (m); with `flat`, mm, its +x side is straight
-        that far to both sides of the axis, for a bore."""
+        """Return the polygon `by` mm outside of an outline (m).
+
+        With `flat`, mm, its +x side is straight over that distance on both sides of the axis, for a
+        bore.
+        """
         at = 1e3 * outline.points(_CORNERS)
         along = np.roll(at, -1, axis=0) - np.roll(at, 1, axis=0)
         along /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -138,7 +142,7 @@ class Traced(Contour):
 
     @property
     def east(self) -> tuple[float, float]:
-        """Of a straight side there its middle."""
+        """Farthest point along x; the midpoint if that side is straight."""
         at = np.array(self.points)
         x = at[:, 0].max()
         return float(x), float(at[at[:, 0] == x, 1].mean())
@@ -160,7 +164,7 @@ class Traced(Contour):
         return float((off[:, 0] * along[:, 1] - off[:, 1] * along[:, 0]).max())
 
     def edges(self) -> list[tuple[Array, Array, Array | None]]:
-        """As of a rectangle, all straight."""
+        """Return the edges in the format of a rectangle, all straight."""
         at = np.array(self.points)
         return [(a, b, None) for a, b in zip(at, np.roll(at, -1, axis=0), strict=True)]
 
@@ -176,7 +180,7 @@ def circle(radius: float, x: float = 0.0, y: float = 0.0) -> Contour:
 
 @dataclass(frozen=True)
 class Region:
-    """What is inside `outer` and outside of every one of `holes`."""
+    """Area inside `outer` and outside of all `holes`."""
 
     outer: Contour
     holes: tuple[Contour, ...] = ()

@@ -1,5 +1,5 @@
-"""`README.md` and `assembly.md` of an output folder: what is what, the numbers that were checked,
-and the steps with pictures."""
+"""`README.md` and `assembly.md` of an output folder: file list, checked numbers, and illustrated
+steps."""
 
 from __future__ import annotations
 
@@ -190,7 +190,7 @@ def steps_of(layout: Layout) -> tuple[ManualStep, ...]:
 
 
 def facts(layout: Layout, optics: Optics) -> dict[str, Any]:
-    """What the steps' texts say."""
+    """Return the values used in the texts of the steps."""
     design = layout.design
     half = page_size(layout)
     seen = mirrored_in_image(design, optics.mirrors)
@@ -309,7 +309,7 @@ frame, so that they open in place |
 def checks(
     layout: Layout, optics: Optics, press: float, states: Sequence[MembraneState], gap: float
 ) -> dict[str, str]:
-    """What was checked, for people."""
+    """Return the checked numbers as readable text."""
     design = layout.design
     hardware = layout.hardware
     grown = growth(layout.design, states)

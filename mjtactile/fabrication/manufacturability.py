@@ -1,5 +1,7 @@
-"""What can be built: each number with its limits. One that is outside of them is refused in a line
-that says both."""
+"""Manufacturability limits of the design.
+
+A number outside its limits is rejected with a message that states both.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,7 @@ from mjtactile.fabrication import purchased_parts as hw
 from mjtactile.fabrication.purchased_parts import Hardware
 
 MM = 1e3  # mm in a m
-# mm: what a stencil's film can be cut to, and a sheet be laid to by hand
+# minimum web of a cut stencil and accuracy of placing a sheet by hand, mm
 _WEB = 0.3
 _MARGIN = 0.3
 _DIGITS = 4  # of a limit, rounded so that it holds
@@ -21,8 +23,11 @@ _DIGITS = 4  # of a limit, rounded so that it holds
 
 @dataclass(frozen=True)
 class Limit:
-    """The `field` of the sensor file (or an option) has `value`, in the file's unit, and must be
-    from `low` to `high`; `why` goes on after the value."""
+    """Limits of one `field` of the sensor file (or an option).
+
+    Its `value`, in the file's unit, must be from `low` to `high`; `why` continues the message after
+    the value.
+    """
 
     field: str
     value: float
@@ -197,9 +202,12 @@ def marker_shrink(design: SensorDesign, hardware: Hardware) -> float:
 
 
 def glass_stress(design: SensorDesign) -> float:
-    """Largest bending stress, N/mm^2, of the pane, simply supported on the opening's edge under the
-    supply's pressure: beta p b^2 / t^2 with beta = 0.75 / (1 + 1.61 (b/a)^3) (Roark's formulas for
-    stress and strain, flat rectangular plates)."""
+    """Return the largest bending stress of the glass, N/mm^2.
+
+    It is simply supported on the opening's edge under the supply's pressure: beta p b^2 / t^2 with
+    beta = 0.75 / (1 + 1.61 (b/a)^3) (Roark's formulas for stress and strain, flat rectangular
+    plates).
+    """
     b, a = sorted((design.frame.length, design.frame.width))
     beta = 0.75 / (1 + 1.61 * (b / a) ** 3)
     return (

@@ -1,5 +1,4 @@
-"""Where the markers are in use: flat, inflated, and pressed at the middle, the edges and a corner,
-as the simulator has it."""
+"""Simulated marker positions in use: flat, inflated, and indented at center, edges and a corner."""
 
 from __future__ import annotations
 
@@ -16,8 +15,8 @@ from mjtactile.fabrication.manufacturability import Limit
 from mjtactile.fabrication.purchased_parts import Hardware
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
-_BALL = 0.008  # m, of the indenter, or a quarter of the frame's shorter side
-# m, or share of the chamber's depth and of the shorter side
+_BALL = 0.008  # indenter radius, m; limited to a quarter of the frame's shorter side
+# indentation depth, m, and its limit as a fraction of the chamber's depth and of the shorter side
 _PRESS = 0.004
 _SHARE = 0.25
 _REACH = 0.45  # of a side of the frame: the farthest that the ball's middle goes, less its radius
@@ -25,8 +24,10 @@ _REACH = 0.45  # of a side of the frame: the farthest that the ball's middle goe
 
 @dataclass(frozen=True, eq=False)
 class MembraneState:
-    """Marker centres (N, 3) m and outward normals (N, 3) in S; `name` says when; `stretch` is the
-    sheet's largest."""
+    """Marker centers (N, 3), m, and outward normals (N, 3) in S.
+
+    `name` describes the state; `stretch` is the largest stretch of the membrane.
+    """
 
     name: str
     p_SM: Array
@@ -36,8 +37,10 @@ class MembraneState:
 
 
 def growth(design: SensorDesign, states: Sequence[MembraneState]) -> float:
-    """Largest mean growth, over the states, of the distances between neighbouring markers: what
-    elastic markers grow by."""
+    """Return the largest mean growth of the distances between neighboring markers over the states.
+
+    Elastic markers grow by this ratio.
+    """
     markers = design.markers
     flat = markers.p_SM[:, :2]
     pairs = [
@@ -54,7 +57,7 @@ def growth(design: SensorDesign, states: Sequence[MembraneState]) -> float:
 
 
 def press_depth(design: SensorDesign, hardware: Hardware) -> float:
-    """How deep the deepest press is, m."""
+    """Return the largest indentation depth, m."""
     if hardware.press is not None:
         return 1e-3 * hardware.press
     return min(
@@ -63,7 +66,7 @@ def press_depth(design: SensorDesign, hardware: Hardware) -> float:
 
 
 PLACES = {"the middle": (0, 0), "the +x edge": (1, 0), "the +y edge": (0, 1), "a corner": (1, 1)}
-"""Where the ball presses, of the way from the middle to where it nearly touches the frame."""
+"""Indentation positions, as fractions of the distance from the center to close to the frame."""
 
 
 def simulate(

@@ -21,8 +21,8 @@ _TOUCH = 1e-3  # mm^3 that rounding may make of faces that touch
 
 
 def require_libraries() -> None:
-    """Raises InputError that says how to get what solids and pages are made with, where it is not
-    there."""
+    """Raise InputError with installation instructions if the libraries for solids and pages are
+    missing."""
     missing = [name for name in ("manifold3d", "matplotlib") if find_spec(name) is None]
     if missing:
         raise InputError(

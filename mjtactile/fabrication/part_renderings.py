@@ -26,11 +26,11 @@ _BORDER = 1.06
 # between parts, of their width; of a bolt's length that stays in its hole
 _GAP = 0.16
 _BOLT = 0.35
-_OUTLINE = 0.012  # of the picture's half width: a jump in depth that is drawn as a line
+_OUTLINE = 0.012  # depth jump rendered as a line, as a fraction of the image's half width
 FRONT = (0.62, 0.42, 0.66), (0.0, 1.0, 0.0)
 SIDE = (0.22, -0.93, 0.30), (1.0, 0.0, 0.0)
-"""Directions in S to the viewer, and up: of the front and the +x side, where the air comes in; of a
-cut through the middle."""
+"""Directions in S towards the viewer, and up. Two views: front and +x side, where the air enters;
+and a section through the center."""
 View = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
@@ -55,8 +55,11 @@ def view_axes(view: View) -> Array:
 def draw(
     bodies: Sequence[Body], *, view: View = FRONT, pixels: int = 800, cut: bool = False
 ) -> tuple[Array, list[Array | None]]:
-    """An image (h, w, 3) from 0 to 1, and where each body is seen in it, px (right, down), None for
-    one that is hidden. `cut`: without what is at y < 0."""
+    """Render an image (h, w, 3) with values from 0 to 1.
+
+    Also return an image point inside each solid, px (right, down), None for a hidden one. `cut`
+    removes the half y < 0.
+    """
     axes = view_axes(view)
     solids = [
         body.solid.trim_by_plane((0.0, 1.0, 0.0), 0.0) if cut else body.solid for body in bodies
@@ -102,7 +105,7 @@ def _paint(corners: Array, size: tuple[int, int]) -> tuple[NDArray[np.int64], Ar
 
 
 def _depth_edges(depth: Array) -> Array:
-    """Where (h, w) the depth jumps: edges of things before others."""
+    """Return a mask (h, w) of depth jumps: silhouettes of parts in front of others."""
     near = np.where(np.isfinite(depth), depth, -10.0)
     found = np.zeros(depth.shape, bool)
     found[1:-1, :] |= np.abs(np.diff(near, 2, axis=0)) > _OUTLINE
@@ -111,8 +114,8 @@ def _depth_edges(depth: Array) -> Array:
 
 
 def _anchor(seen: Array) -> Array | None:
-    """A pixel (right, down) of the picture, well inside of what is seen of a body; None where
-    nothing is."""
+    """Return a pixel (right, down) well inside the visible area of a solid; None if it is
+    hidden."""
     if not seen.any():
         return None
     distance = cv2.distanceTransform(np.pad(seen, 1).astype(np.uint8), cv2.DIST_L2, 3)[1:-1, 1:-1]
@@ -120,7 +123,7 @@ def _anchor(seen: Array) -> Array | None:
 
 
 def save_png(bodies: Sequence[Body], name: str, **view: Any) -> bytes | None:
-    """The picture with its labels as a PNG; None, said on stderr, without matplotlib."""
+    """Return the labeled image as PNG; None, with a message on stderr, without matplotlib."""
     image, places = draw(bodies, **view)
     rows, columns = image.shape[:2]
     margin = 60

@@ -1,5 +1,4 @@
-"""The parts of a sensor as solids, made of a `Layout`: those to be made, and those to be bought, as
-far as pictures need them."""
+"""Sensor parts as solids from a `Layout`: parts to make, and purchased parts for the figures."""
 
 from __future__ import annotations
 
@@ -33,7 +32,7 @@ CAMERA_HOLE = 1.1  # M2, clear
 
 
 def make_parts(layout: Layout) -> dict[str, Part]:
-    """By name, from the front to the back."""
+    """Return the parts by name, from front to back."""
     makers = (
         _clamp_ring,
         _membrane,
@@ -87,7 +86,7 @@ def _outline(layout: Layout, by: float, flat: float = 0.0) -> Contour:
 
 
 def pegs(layout: Layout) -> list[tuple[float, float]]:
-    """Where the stretching jig holds the stretched sheet: around the flange, evenly."""
+    """Return the peg positions of the stretching jig, evenly spaced around the flange."""
     hx = layout.outer_x + 6
     hy = layout.outer_y + 6
     across, along = (max(2, round(2 * half / _PEG_SPACING)) for half in (hx, hy))

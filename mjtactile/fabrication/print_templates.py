@@ -1,10 +1,10 @@
-"""What is printed or cut at 1:1: markers, stencil, the sheet as mounted, gasket, LED ring, ChArUco
+"""Templates printed or cut at 1:1: markers, stencil, mounted sheet, gasket, LED ring, ChArUco
 board.
 
-The sheet is stretched alike in all directions, so that what is printed at X lies at s X when it is
-mounted (s the pre-stretch; the middle stays, and with it the centre of gravity of the pattern), and
-circles stay circles: of radius s times the printed one where the ink is stretched with the rubber,
-of the printed one where a marker is a disc that is stiffer than it.
+The sheet is stretched equally in all directions. A point printed at X lies at s X after mounting, s
+being the pre-stretch. The center stays, and with it the centroid of the pattern. Circles stay
+circles. Their radius is s times the printed one if the ink is stretched with the rubber. It is the
+printed one for a marker disc that is stiffer than the rubber.
 """
 
 from __future__ import annotations
@@ -138,8 +138,11 @@ def _register(layout: Layout, scale: float) -> list[DrawingShape]:
 
 
 def fiducial_page(layout: Layout) -> PrintedPage | None:
-    """The circles that do not move, as the camera sees them: on the lip's inner face, cut out and
-    glued there, or on the pane, as a transfer print; None: there are none."""
+    """Return the page of the fixed fiducial circles, as the camera sees them.
+
+    They are cut out and glued to the lip's inner face, or transfer-printed on the glass. None
+    without fiducials.
+    """
     fiducials = layout.design.fiducials
     if fiducials is None:
         return None

@@ -1,5 +1,7 @@
-"""What a bench needs that the sensor file does not say: camera module, screws, fittings. Typical
-parts. mm."""
+"""Purchased parts that the sensor file does not define: camera module, screws, fittings.
+
+Typical parts; lengths in mm.
+"""
 
 from __future__ import annotations
 
@@ -8,18 +10,18 @@ from dataclasses import dataclass
 PRINT_WALL = 1.2  # three lines of a 0.4 mm nozzle: the thinnest wall that is airtight and stiff
 CLEARANCE = 0.3  # between printed parts that slide into each other
 GASKET = 0.4  # silicone sheet of 0.5 mm, squeezed by a fifth
-# thickness of clamping ring, of the glass seat behind the pane, of the mount's flange
+# thickness of clamping ring, of the glass seat and of the mount's flange
 RING = 3.0
 SEAT = 3.0
 FLANGE = 4.0
 TUBE_WALL = 2.0  # of the camera mount
 RECESS = 0.5  # of the bolts' heads behind the membrane, so that nothing but rubber stands in front
-GLASS_HOLD = 2.0  # the least width on which the pane rests
-GLASS_PLAY = 0.2  # of the pane in its seat, each side
-# N/mm^2, allowable in bending of annealed glass under a lasting load (EN 16612 has 6 to 8)
+GLASS_HOLD = 2.0  # minimum width of the glass support
+GLASS_PLAY = 0.2  # clearance of the glass in its seat, each side
+# allowable bending stress of annealed glass under a lasting load, N/mm^2 (EN 16612 has 6 to 8)
 GLASS_STRESS = 7.0
 BOLT_SPACING = 34.0  # the farthest that keeps a printed ring of 3 mm tight
-BOLT_LOAD = 100.0  # N, of one M2 or M3 in a printed part
+BOLT_LOAD = 100.0  # load of one M2 or M3 bolt in a printed part, N
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,7 @@ BOLTS = (Bolt("M3", 1.5, 1.7, 2.75, 3.0, 3.2, 2.4), Bolt("M2", 1.0, 1.2, 1.9, 2.
 
 @dataclass(frozen=True)
 class AirPort:
-    """How air gets in: radius of the hole, least wall around it, what goes into it."""
+    """Air inlet: radius of the hole, minimum wall around it, fitting, and hose bore."""
 
     radius: float
     wall: float
@@ -87,12 +89,15 @@ PORTS = (
 
 @dataclass(frozen=True)
 class Hardware:
-    """The camera module and how it is used: `pixel` mm, `f_number` (None: the widest opening that
-    is sharp enough), `holes` mm between its four M2 holes, `lens` diameter and `lens_front` mm from
-    the entrance pupil to the front of the barrel, `pupil` mm from the board's front to the entrance
-    pupil; `speed` mm/s of a marker that may smear by SMEAR px; `press` mm, the deepest (None: 4 mm,
-    or a quarter of the chamber or of the frame's shorter side where these are less); `markers`
-    "ink" or "discs"."""
+    """Camera module and its use.
+
+    `pixel`: pixel size, mm. `f_number` (None: the widest aperture that is sharp enough). `holes`:
+    distance of its four M2 holes, mm. `lens`: diameter, and `lens_front`: distance from the
+    entrance pupil to the front of the barrel, mm. `pupil`: distance from the board's front to the
+    entrance pupil, mm. `speed`: speed of a marker with a smear of SMEAR px, mm/s. `press`: largest
+    indentation, mm (None: 4 mm, but at most a quarter of the chamber and of the frame's shorter
+    side). `markers`: "ink" or "discs".
+    """
 
     pixel: float = 0.003
     f_number: float | None = None
@@ -106,7 +111,7 @@ class Hardware:
 
 
 LED_BODY = (3.5, 2.8, 0.8)  # mm, the common 2835 package: length, width, height
-# thickness of the ring's circuit board, and what it reaches beyond the LEDs, mm
+# thickness of the ring's circuit board, and its overhang beyond the LEDs, mm
 LED_BOARD = 1.6
 LED_EDGE = 1.25
 LED_FLUX = 1.0  # W of light, the most of one LED in a short pulse

@@ -1,9 +1,9 @@
-"""STEP files (ISO 10303-21, AP214) of a `Part`: its exact planes and cylinders as one closed
-boundary representation.
+"""STEP files (ISO 10303-21, AP214) of a `Part`: exact planes and cylinders as one closed boundary
+representation.
 
-A side face spans the layers that share its contour; where neighbouring layers differ, a horizontal
-face closes what one has and the other has not. Each edge belongs to two faces, once each way, each
-loop is counter-clockwise seen from outside (ISO 10303-42).
+A side face spans the layers with the same contour. A horizontal face closes the area in which two
+neighboring layers differ. Each edge belongs to two faces, once in each direction. Each loop is
+counter-clockwise seen from outside (ISO 10303-42).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from mjtactile.core.types import Array
 from mjtactile.fabrication.layered_solid import Bore, Contour, Layer, Part
 
-_NUDGE = 1e-4  # mm off a contour, to ask what is on either side of it
+_NUDGE = 1e-4  # offset from a contour to test either side of it, mm
 _X, _Y, _Z = np.eye(3)
 Loop = list[tuple[int, bool]]
 """Edges and whether each is gone along from its start to its end."""
@@ -163,7 +163,7 @@ def _sides(file: _File, part: Part) -> Iterable[int]:
 
 
 def _spans_bore(bore: Bore | None, p: Array, q: Array) -> bool:
-    """Whether a wall from `p` to `q` is as wide as the bore where that is."""
+    """Return True if a wall from `p` to `q` contains the full width of the bore."""
     if bore is None:
         return False
     low, high = sorted((p[1], q[1]))
@@ -171,8 +171,8 @@ def _spans_bore(bore: Bore | None, p: Array, q: Array) -> bool:
 
 
 def _levels(file: _File, part: Part) -> Iterable[int]:
-    """Horizontal faces: what the layer below has and the one above has not, and the other way
-    round."""
+    """Yield the horizontal faces between neighboring layers, where only one of them has
+    material."""
     below = [None, *part.layers]
     above = [*part.layers, None]
     for under, over in zip(below, above, strict=True):
@@ -193,7 +193,7 @@ def _level_loop(file: _File, contour: Contour, z: float, *, forward: bool) -> Lo
 
 
 def _differences(solid: Layer | None, free: Layer | None) -> list[tuple[Contour, list[Contour]]]:
-    """The faces of what `solid` covers and `free` does not: outer contour and holes of each."""
+    """Return outer contour and holes of each area inside `solid` and outside `free`."""
     if solid is None:
         return []
     mine = _roles(solid)
@@ -270,7 +270,7 @@ def _bore_faces(file: _File, bore: Bore) -> list[int]:
 
 
 def _product(file: _File, name: str, solid: int) -> None:
-    """What makes a solid a product of its own, and its unit mm."""
+    """Add the entities that make a solid a separate product, with the unit mm."""
     add = file.add
     length = add("(LENGTH_UNIT()NAMED_UNIT(*)SI_UNIT(.MILLI.,.METRE.))")
     angle = add("(NAMED_UNIT(*)PLANE_ANGLE_UNIT()SI_UNIT($,.RADIAN.))")

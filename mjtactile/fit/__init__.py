@@ -1,2 +1,4 @@
-"""The simulator fitted to recordings of a sensor: what it is made of, how sure that is, and what
-the recordings cannot tell."""
+"""Identification of sensor parameters: the simulator is fitted to recordings of a sensor.
+
+The result includes uncertainties and the parameters that the recordings cannot determine.
+"""

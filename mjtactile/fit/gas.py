@@ -1,9 +1,8 @@
-"""The gas: how much of it there is, what leaks, and how it warms and cools, from pressure and
-volume over time.
+"""Gas fit: amount, leak and heat exchange of the gas, from pressure and volume over time.
 
-The amount and temperature of the closed chamber's gas are the simulator's own
-(`mjtactile.sim.sensor.gas.ChamberGas`, docs/theory/gas.md, G1 and G4-G6), driven with the
-volume that the markers show. Its pressures are fitted to those of the pressure sensor.
+Amount and temperature of the closed chamber's gas follow the simulator's model
+(`mjtactile.sim.sensor.gas.ChamberGas`, docs/theory/gas.md, G1 and G4-G6). Its input is the volume
+measured by the markers. Its pressures are fitted to those of the pressure sensor.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from mjtactile.fit.membrane_fit import Simulated, is_fast
 from mjtactile.sim.sensor.gas import ChamberGas
 
 _OUTLIER = 3.0  # sd: from there on a reading counts less
-SHIFT_SD = 5.0  # Pa: what a run's pressures may be off by together
+SHIFT_SD = 5.0  # standard deviation of a constant pressure error of a run, Pa
 SHARED = 5.0  # neighbouring pressures that are wrong alike, by the volume's errors
 PRIOR = 0.1  # 1/sd of the scaled numbers before anything was seen
 _ML = 1e-6
@@ -42,8 +41,11 @@ class Sealed:
 
 @dataclass(frozen=True, eq=False)
 class GasFit:
-    """`values` by name in SI, `cov` of them in the order of `names`, what is left of each run's
-    pressures, `noise_sd` Pa, and the gauge pressures, Pa, that they give."""
+    """Result of the gas fit.
+
+    `values` by name in SI, and their `cov` in the order of `names`. `noise_sd` is the residual of
+    each run's pressures, Pa; `fitted` are the predicted gauge pressures, Pa.
+    """
 
     values: Mapping[str, float]
     cov: Array
@@ -56,11 +58,11 @@ class GasFit:
 def sealed_runs(
     evidence: Sequence[Evidence], simulated: Sequence[Sequence[Simulated]]
 ) -> list[Sealed]:
-    """Pressure and volume of each recording that has a pressure sensor.
+    """Return pressure and volume of each recording with a pressure sensor.
 
-    The volume under the smoothed surface leaves out a little between the outermost markers, the
-    frame and a dent's edge. What the simulator has in the holds says how much, as a function of
-    that volume and, deeper dents going with it, the pressure.
+    The volume under the smoothed surface omits a small part between the outermost markers, the
+    frame and the edge of an indentation. A correction is fitted to the simulated holds. It is a
+    function of this volume and of the pressure, which grows with the indentation depth.
     """
     runs = [e for e in evidence if e.has_pressure and len(e.series.time) > 10]
     smooth = []
@@ -123,10 +125,10 @@ def fit_gas(
     modes: Sequence[Array] = (),
     iterations: int = 8,
 ) -> GasFit:
-    """Fit what of NAMES is not `known` (SI values by name) from the values of `design` on.
+    """Fit the parameters in NAMES that are not `known` (SI values by name), starting at `design`.
 
-    `models` has another model than `predict` for each run; `modes` (k, time) what else its
-    pressures may be off by, Pa for one sd.
+    `models` replaces `predict` for each run. `modes` (k, time) are further pressure errors, each
+    scaled to one sd, Pa.
     """
     chamber = replace(design.chamber, **known)
     names = tuple(
@@ -147,8 +149,11 @@ def fit_gas(
 
 
 class _Problem:
-    """The unknowns x: the gas's numbers (see `Scale`), then, in sd, how much of its modes is added
-    to the pressures of each run: a constant, and those that are given."""
+    """Least-squares problem of the gas fit.
+
+    The unknowns x are the gas parameters (see `Scale`), then the amplitudes, in sd, of each run's
+    pressure error modes: a constant, and the given modes.
+    """
 
     def __init__(
         self,
@@ -237,8 +242,11 @@ class _Problem:
         ]
 
     def residuals(self, x: Array) -> Array:
-        """In sd; far ones count less (Huber). Neighbours share what the model is off by: each
-        counts as SHARED of one."""
+        """Return the residuals in sd, with Huber weights.
+
+        Neighboring pressures have a common model error. The residuals are therefore divided by
+        sqrt(SHARED).
+        """
         n = len(self.names)
         z = np.concatenate(
             [

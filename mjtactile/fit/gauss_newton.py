@@ -1,5 +1,8 @@
-"""Gauss-Newton for models that take seconds: few evaluations, steps of a Jacobian above the model's
-own noise, an end where a step is small against what is not known anyway."""
+"""Gauss-Newton for models that take seconds per evaluation.
+
+It needs few evaluations. The Jacobian steps are larger than the model's own noise. It ends when a
+step is small relative to the parameter uncertainty.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from mjtactile.core.types import Array
 
 _ENOUGH = 0.1  # of a standard deviation: a last step
 _HALVINGS = 3
-_FLAT = 1e-3  # of the sum of squares: what a simulation's own noise makes of it
+_FLAT = 1e-3  # relative change of the sum of squares caused by simulation noise
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,5 @@
-"""From recordings to a sensor file: read them, fit membrane, gas and pictures, check on what was
-kept aside."""
+"""Identification of a sensor file from recordings: fit membrane, gas and images, then validate on
+held-out recordings."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from mjtactile.fit.result import FIELD, SI, FitResult, HeldOut, covariance_of, n
 from mjtactile.fit.rewrite_sensor_file import rewrite
 from mjtactile.recording.reader import load_recording
 
-TOUCH_SD = 5e-5  # m: how well a person finds first touch
-# of what cannot be told: what is nearest to what was to be built, first
+TOUCH_SD = 5e-5  # standard deviation of a manually determined first contact, m
+# order in which undetermined parameters are fixed: those closest to their design value first
 _HELD_FIRST = ("friction", "pre_stretch", "young")
 
 Say = Callable[[str], None]
@@ -44,12 +44,11 @@ def fit_recordings(
     name: str = "fitted",
     say: Say = lambda _: None,
 ) -> FitResult:
-    """Fit the sensor of `recordings`, whose own sensor file is where it begins, or the file
-    `sensor`.
+    """Fit the sensor of `recordings`, starting from their own sensor file or from `sensor`.
 
-    `known` has values that were measured by hand, by field of the sensor file in its unit;
-    `touch_sd` m is how well the marks of first touch are known; `mesh` of the simulated membrane.
-    Raises InputError for what cannot be used.
+    `known` contains manually measured values, by field of the sensor file in its unit. `touch_sd`
+    is the standard deviation of the first-contact marks, m. `mesh` is that of the simulated
+    membrane. Raises InputError for input that cannot be used.
     """
     begin = wall.monotonic()
     known = dict(known or {})
@@ -86,7 +85,7 @@ def fit_recordings(
 
 
 def _sensor(recordings: Sequence[Path], sensor: Path | None) -> tuple[str, SensorDesign]:
-    """The text of the sensor file to begin from, and what it says."""
+    """Return text and design of the initial sensor file."""
     if sensor is not None:
         path = resources.find(sensor, "models/sensors", ".toml")
         return path.read_text(encoding="utf-8-sig"), load_sensor(path)
@@ -109,7 +108,7 @@ def _with_fixed_values(
     for field, value in known.items():
         if field not in SI:
             raise InputError(
-                f"{field!r} is no field of a sensor file", field="--known", choices=sorted(SI)
+                f"{field!r} is no field of a sensor file", field="--fix", choices=sorted(SI)
             )
         section, attribute, scale = SI[field]
         by_section[section][attribute] = value * scale
@@ -129,8 +128,11 @@ def _sheet(
     mesh: tuple[int, int] | None,
     say: Say,
 ) -> tuple[MembraneFit, MembraneFit]:
-    """The fit of all that is not known, and the one in which what cannot be told has the file's
-    value: what goes together with it must be right beside that value."""
+    """Return two membrane fits: all unknown parameters free, and undetermined ones fixed.
+
+    A fixed parameter has the file's value. The second fit makes correlated parameters consistent
+    with it.
+    """
     free = sheet = fit_membrane(
         design, evidence, known=known, touch_sd=touch_sd, mesh=mesh, say=say
     )
@@ -220,8 +222,10 @@ def _report_gas(found: GasFit) -> str:
 
 
 def _can_replay(evidence: Evidence) -> bool:
-    """Whether something touches, at depths that are known, and is not dragged: that says little of
-    the gas and takes long."""
+    """Return True for a recording with contact at known depths and without shear.
+
+    Shear contains little information on the gas and takes long to simulate.
+    """
     moves = evidence.stage.moves if evidence.stage else ()
     return any(move.touches for move in moves) and not any(
         move.is_weight or move.shear for move in moves
@@ -235,8 +239,10 @@ def _touch_mode(
     offset: float,
     mesh: tuple[int, int] | None,
 ) -> Array:
-    """What a sd of a press's first touch does to its pressures, (1, time) Pa; (0, time) of what is
-    not replayed."""
+    """Return the pressure change for a first contact shifted by one sd, (1, time) Pa.
+
+    The result is empty, (0, time), for a recording that is not replayed.
+    """
     if not _can_replay(evidence):
         return np.empty((0, len(evidence.series.time)))
     i = sheet.names.index(f"first touch of {evidence.name}")

@@ -1,9 +1,9 @@
-"""Light, noise and blur of a camera, straight from its images of the flat membrane.
+"""Light, noise and blur of a camera from its images of the flat membrane.
 
-Light: grey = membrane_DN (1 - falloff s), s the shape of the LEDs' loss towards the corners
-(docs/theory/rendering.md, L1), which is linear in membrane_DN and membrane_DN falloff; inside of
-the markers the same with marker_DN. Noise: the sd of each pixel over images of the same scene, less
-that of rounding. Blur: the width of the markers' edges.
+Light: gray = membrane_DN (1 - vignetting s), s being the normalized loss of LED light towards the
+corners (docs/theory/rendering.md, L1). This is linear in membrane_DN and membrane_DN vignetting.
+The same holds inside the markers with marker_DN. Noise: the sd of each pixel over images of the
+same scene, minus that of rounding. Blur: the width of the marker edges.
 """
 
 from __future__ import annotations
@@ -25,16 +25,19 @@ from mjtactile.sim.rendering.led_illumination import Light
 # variance of rounding to whole grey levels; and, in px^2, of a pixel's own width
 _ROUNDING = 1 / 12
 _SATURATED = 250  # DN
-_EDGE_PX = 5.0  # from a marker's edge: nothing of it is seen there
-_BORDER = 1e-3  # m inside the opening
+_EDGE_PX = 5.0  # distance from a marker's edge beyond which it has no effect
+_BORDER = 1e-3  # margin inside the opening, m
 _LEVEL_SD = 0.5  # DN, by which grey levels of any scene are off this law
 
 
 @dataclass(frozen=True, eq=False)
 class ImageNoiseFit:
-    """Values by field of the sensor file with their sd: `camera.blur_px`, `camera.noise_DN`,
-    `leds.membrane_DN`, `leds.marker_DN`, `leds.falloff`; and the mean picture (H, W) with what is
-    left of it, DN (NaN: not looked at)."""
+    """Values with sd by field of the sensor file, and the residual image.
+
+    The fields are `camera.blur_px`, `camera.noise_DN`, `leds.membrane_DN`, `leds.marker_DN`,
+    `leds.vignetting`. `residual` (H, W) is the mean image minus the fitted light, DN (NaN: not
+    evaluated).
+    """
 
     values: dict[str, tuple[float, float]]
     residual: Array
@@ -70,8 +73,10 @@ def _noise(stack: Array, mean: Array) -> dict[str, tuple[float, float]]:
 
 
 def _blur(image: Image) -> float:
-    """Gaussian sd, px, of the optics: of what the edges show less the pixel's own width; median of
-    the markers."""
+    """Return the Gaussian sd of the optics, px, as a median over the markers.
+
+    It is the edge width without the pixel's own width.
+    """
     fit = fit_candidates(image.pixels, find(image.pixels, 3.0), DEFAULTS)
     return float(np.sqrt(max(np.median(fit.blur) ** 2 - _ROUNDING, 0.0)))
 
@@ -79,7 +84,9 @@ def _blur(image: Image) -> float:
 def _light(design: SensorDesign, mean: Array) -> tuple[dict[str, tuple[float, float]], Array]:
     camera = Camera.from_design(design.camera, design.glass)
     flat = design.markers.p_SM
-    shape = 1 - Light(replace(design, leds=replace(design.leds, falloff=1.0)), camera).field(flat)
+    shape = 1 - Light(replace(design, leds=replace(design.leds, vignetting=1.0)), camera).field(
+        flat
+    )
     away, inside = _areas(design, camera, mean.shape)
     good = mean < _SATURATED
     bright = away & good
@@ -88,19 +95,19 @@ def _light(design: SensorDesign, mean: Array) -> tuple[dict[str, tuple[float, fl
         return {}, np.full(mean.shape, np.nan)
     A = np.column_stack([np.ones(bright.sum()), -shape[bright]])
     level, slope = np.linalg.lstsq(A, mean[bright], rcond=None)[0]
-    falloff = float(np.clip(slope / level, 0.0, 1.0))
-    field = 1 - falloff * shape
+    vignetting = float(np.clip(slope / level, 0.0, 1.0))
+    field = 1 - vignetting * shape
     marker = float(np.mean(mean[dark] / field[dark]))
     residual = np.full(mean.shape, np.nan)
     residual[bright] = mean[bright] - level * field[bright]
     residual[dark] = mean[dark] - marker * field[dark]
     spread = float(np.ptp(shape[bright]))
-    # what is left is no noise: it does not average out
+    # the residual is a model error: it does not average out
     doubt = max(_LEVEL_SD, float(np.nanstd(residual[bright])) / 3)
     return {
         "leds.membrane_DN": (float(level), doubt),
         "leds.marker_DN": (marker, doubt),
-        "leds.falloff": (falloff, doubt / (float(level) * spread)),
+        "leds.vignetting": (vignetting, doubt / (float(level) * spread)),
     }, residual
 
 

@@ -1,8 +1,9 @@
-"""What recordings say of one sensor: its markers while nothing moves, pressure and volume over
-time, and its pictures.
+"""Measurements of one sensor in recordings: static marker positions, pressure and volume over time,
+images.
 
-Images go through the product's own chain as far as the markers (`SensingPipeline.see`). What a
-recording may say of forces felt, and any ground truth in it, is not looked at."""
+The images pass through the product's own chain up to the markers (`SensingPipeline.see`). Recorded
+force estimates and ground truth are not used.
+"""
 
 from __future__ import annotations
 
@@ -22,23 +23,26 @@ from mjtactile.recording.stage_protocol import Move, Stage, stage_from_note
 from mjtactile.sensing.pipeline import SensingPipeline
 from mjtactile.sensing.pipeline_state import PipelineState
 
-_SETTLING = 0.3  # s after a move before its hold counts
-_HOLD_MAX = 0.7  # s at the end of a hold that are averaged
+_SETTLING = 0.3  # settling time between a move and its hold, s
+_HOLD_MAX = 0.7  # averaging time at the end of a hold, s
 _FEWEST = 5  # images of a hold
 # of heights: a lens that is right; more by the flat membrane's residual, 1/px
 _LENS_FRACTION = 0.003
 _LENS_FRACTION_PER_PX = 0.1
-_MOVES_MAX = 5e-5  # m, mean over the markers between the two halves of a hold: else it is none
+# limit of the mean marker motion between the two halves of a hold, m; a larger motion rejects it
+_MOVES_MAX = 5e-5
 
 Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
 class Hold:
-    """The sensor while nothing moves: mean marker positions `p_SM` (N, 3) m in S (NaN: not seen)
-    with the covariance `cov` (N, 3, 3) of that mean, gauge pressure, Pa (NaN: not measured), the
-    `move` that led there, None for the rest that the references were taken at, and when, `time` s
-    after the first cycle."""
+    """Static state of the sensor.
+
+    Mean marker positions `p_SM` (N, 3), m, in S (NaN: not visible), with the covariance `cov` (N,
+    3, 3) of that mean; gauge pressure, Pa (NaN: not measured). `move` is the preceding stage move,
+    None for the rest state of the references. `time` is relative to the first cycle, s.
+    """
 
     p_SM: Array
     cov: Array
@@ -48,8 +52,7 @@ class Hold:
 
     @property
     def force(self) -> float:
-        """What a load cell says, N; NaN: nothing, or a weight, which is where the depth comes
-        from."""
+        """Load cell reading, N; NaN: no reading, or a weight, which determines the depth."""
         if self.move is None or self.move.is_weight:
             return math.nan
         return self.move.force
@@ -61,8 +64,11 @@ class Hold:
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Of every image with markers enough: `time` s, gauge `pressure` Pa (NaN: not measured),
-    `volume` m^3 under the membrane as its smoothed surface has it."""
+    """Time series over all images with enough markers.
+
+    `time`, s; gauge `pressure`, Pa (NaN: not measured); `volume` under the smoothed membrane
+    surface, m^3.
+    """
 
     time: Array
     pressure: Array
@@ -71,9 +77,12 @@ class Series:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """One recording of one finger. `stage` None: nothing is known to have touched. `flat` are the
-    reference's images; `height_fraction` the sd of what all heights may be wrong by, as a share: a
-    wrong lens shows on the flat membrane."""
+    """One recording of one finger.
+
+    `stage` is None if no contact is known. `flat` are the reference's images. `height_fraction` is
+    the standard deviation of a common relative error of all heights; a wrong lens shows on the flat
+    membrane.
+    """
 
     name: str
     stage: Stage | None
@@ -91,8 +100,10 @@ class Evidence:
 def read_evidence(
     path: Path, design: SensorDesign, finger: str, say: Say = lambda _: None
 ) -> Evidence:
-    """What the recording in `path` says of `finger`. Raises InputError where it has no references,
-    images or such a finger."""
+    """Read the measurements of `finger` from the recording in `path`.
+
+    Raises InputError if references, images or the finger are missing.
+    """
     recording = load_recording(path)
     if finger not in recording.fingers or len(recording.references) != 2:
         raise InputError(
@@ -134,8 +145,10 @@ def read_evidence(
 
 
 def calibration_of(recording: Recording, design: SensorDesign, finger: str) -> Calibration:
-    """The lens and the valve's zero that were measured; the camera's place is measured on the flat
-    membrane anew."""
+    """Return the measured lens and the valve's zero.
+
+    The camera pose is estimated again on the flat membrane.
+    """
     table = recording.notes.get("calibration", {}).get(finger)
     if table is None:
         return Calibration(finger, design.name)
@@ -189,7 +202,7 @@ def _latest(design: SensorDesign, seen: Sequence[Markers]) -> Array:
 def _hold(
     design: SensorDesign, seen: Sequence[Markers], pressure: float, move: Move | None, time: float
 ) -> Hold | None:
-    """The mean of what was seen; None where that is too little, or moved."""
+    """Return the mean of the markers; None if there are too few images, or if the markers moved."""
     if len(seen) < _FEWEST:
         return None
     positions = np.full((len(seen), design.markers.count, 3), np.nan)
@@ -247,7 +260,7 @@ def _holds(
 
 
 def _travel(before: Move | None, move: Move) -> float:
-    """s that the way takes; from where nothing touches, 3 mm more."""
+    """Return the duration of a move, s; a start without contact adds 3 mm."""
     lifted = -3e-3
     start, goal = (lifted if m is None or math.isnan(m.depth) else m.depth for m in (before, move))
     shear = 0.0 if before is None else before.shear

@@ -1,8 +1,8 @@
-"""The membrane: simulated holds of the recordings' moves, fitted to the markers by Gauss-Newton.
+"""Membrane fit: simulated holds of the recordings' moves, fitted to the markers by Gauss-Newton.
 
-The chamber is held at the pressure that was measured in each hold, so that the gas does not enter:
-what is left is the sheet's modulus, its pre-stretch, its friction, and how far above or below its
-mark each recording's first touch was.
+The chamber is held at the pressure measured in each hold, so that the gas has no effect. The
+unknowns are the modulus, the pre-stretch and the friction of the membrane, and each recording's
+offset of the first contact from its mark.
 """
 
 from __future__ import annotations
@@ -22,24 +22,26 @@ from mjtactile.sim.attach import default_mesh
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.scenes.stage_drive import LIFTED, StageDrive
 
-# m: what a marker is off by besides its noise; much the same in every hold, so that holds do not
-# average it
+# systematic marker error in addition to noise, m; similar in all holds, so that averaging does not
+# reduce it
 MARKER_FLOOR = 8e-6
-# m/s, m: how rubber lies after a faster press depends on the way, which a hold does not repeat
+# limit of the indentation speed, m/s, and marker error above it, m: the state after a fast
+# indentation depends on the path, which a simulated hold does not reproduce
 FAST = 0.02
 FAST_FLOOR = 5e-5
-SHIFT_SD = 4e-6  # m: of all heights of a hold together
-LOAD_CELL_SD = 0.01  # N
+SHIFT_SD = 4e-6  # common height error in a hold, m
+LOAD_CELL_SD = 0.01  # load cell error, N
 PRIOR = 1.0  # 1/sd of the scaled parameters before anything was seen: a factor of e, 0.2 of stretch
 _NOWHERE = "sphere:8"
-# m; of a weight whose depth nobody knows, and how well it is met
+# search for the unknown depth under a weight: first depth, m; iterations; relative force tolerance
 _FIRST_DEPTH = 2e-3
 _TRIES = 12
 _FORCE_REACHED = 0.003
-_LARGEST_STEP = 4e-3  # s
-# m/s of the simulated moves: a slower press leaves the markers within 2 um of where this one does
+_LARGEST_STEP = 4e-3  # limit of the time step, s
+# speed of the simulated moves, m/s; a slower move changes the marker positions by less than 2 um
 _SPEED = 0.01
-# sd, before they are taken to be those of repeats: a tenth of what is said in the end
+# convergence limit in sd, before the correction for repeated marker errors; about a tenth of the
+# reported sd
 _ENOUGH = 0.5
 
 Say = Callable[[str], None]
@@ -50,7 +52,7 @@ SCALES = {
     "pre_stretch": Scale(0.96, 1.9, 0.2),
     "friction": Scale(0.02, 5.0),
 }
-"""What of `Membrane` is fitted. Thickness and modulus enter as their product: see
+"""Fitted parameters of `Membrane`. Thickness and modulus enter as their product: see
 `mjtactile.fit.parameter_info`."""
 
 
@@ -66,9 +68,13 @@ class Simulated:
 
 @dataclass(frozen=True, eq=False)
 class MembraneFit:
-    """`values` by name of SCALES; `cov` of them, SI, with each pressed recording's first touch
-    behind them, by `names`; `design` with the values in it; rest and holds as simulated, a tuple a
-    recording; what is left of the markers, `rms` m, and `offsets` m of first touch by recording."""
+    """Result of the membrane fit.
+
+    `values` by name of SCALES; `cov` in SI by `names`, including the first contact of each loaded
+    recording. `design` contains the values. `holds` are the simulated rest states and holds, a
+    tuple per recording. `rms` is the marker residual, m, and `offsets` are those of the first
+    contact by recording, m.
+    """
 
     values: Mapping[str, float]
     cov: Array
@@ -173,8 +179,11 @@ def _press_with(world: PressWorld, move: Move) -> None:
 
 
 def _pressure(design: SensorDesign, evidence: Evidence, hold: Hold) -> float:
-    """As measured; the supply's where there is no pressure sensor, which a closed valve does not
-    keep."""
+    """Return the measured gauge pressure, Pa.
+
+    Without a pressure sensor it is the supply's pressure, which a closed valve does not
+    maintain.
+    """
     if math.isfinite(hold.pressure):
         return hold.pressure
     if evidence.has_pressure:
@@ -197,10 +206,10 @@ def fit_membrane(
     mesh: tuple[int, int] | None = None,
     say: Say = lambda _: None,
 ) -> MembraneFit:
-    """Fit what of SCALES is not `known` (values by name) and each pressed recording's first touch,
-    known to `touch_sd` m.
+    """Fit the parameters in SCALES that are not `known` (values by name), and the first contacts.
 
-    Friction only enters where something is dragged.
+    Each loaded recording has a first contact with standard deviation `touch_sd`, m. Friction is
+    fitted only if a recording contains shear.
     """
     dragged = any(move.shear for e in evidence if e.stage for move in e.stage.moves)
     names = tuple(name for name in SCALES if name not in known and (name != "friction" or dragged))
@@ -209,11 +218,13 @@ def fit_membrane(
 
 
 class _Problem:
-    """The unknowns x: a parameter each (see `Scale`), first touch of each pressed recording, and,
-    all in sd, what is wrong of the markers together: every height by one share, and all heights of
-    a hold by as much.
+    """Least-squares problem of the membrane fit.
 
-    Recordings that a parameter does not enter are not simulated again for its column.
+    The unknowns x are one value per parameter (see `Scale`), the first contact of each loaded
+    recording, and common marker errors. These are a relative error of all heights, and a shift of
+    all heights in each hold. First contacts and common errors are in sd.
+
+    A recording that does not depend on a parameter is not simulated again for its column.
     """
 
     def __init__(
@@ -317,7 +328,8 @@ class _Problem:
         return np.concatenate(parts)
 
     def _common_modes(self) -> Array:
-        """What a sd of each common error of the markers does to the residuals, (r, 1 + holds)."""
+        """Return the change of the residuals for one sd of each common marker error, (r, 1 +
+        holds)."""
         holds = [
             (e, hold, w)
             for e, ws in zip(self.evidence, self._whiten, strict=True)
@@ -366,12 +378,12 @@ class _Problem:
 
 
 def is_fast(hold: Hold) -> bool:
-    """Whether something touches that came faster than FAST."""
+    """Return True if a hold follows an indentation faster than FAST."""
     return hold.move is not None and hold.move.touches and hold.move.speed > FAST
 
 
 def _is_pressed(evidence: Evidence) -> bool:
-    """Whether a stage pressed something into it, to depths that are known."""
+    """Return True if a stage indented the membrane to known depths."""
     if not evidence.stage:
         return False
     return any(not math.isnan(move.depth) for move in evidence.stage.moves)

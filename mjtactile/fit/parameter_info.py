@@ -1,5 +1,5 @@
-"""What the fitted numbers are called, when they count as known, what to record where they are not,
-and what goes together."""
+"""Information on the fitted parameters: names, accuracy limits, necessary recordings,
+correlations."""
 
 from __future__ import annotations
 
@@ -13,14 +13,17 @@ import numpy as np
 from mjtactile.core.types import Array
 
 SD95 = 1.96
-TOGETHER = 0.9  # a correlation from which on it is said
+TOGETHER = 0.9  # correlation threshold of the report
 
 
 @dataclass(frozen=True)
 class ParameterInfo:
-    """A field of the sensor file: its `name` in a sentence, the sd up to which it counts as known,
-    as a share of its value (`share`) or in the file's unit (`least`), whichever is more, and what
-    to `record` for it."""
+    """Information on a field of the sensor file.
+
+    `name` is its name in a sentence. The value counts as known up to an sd of the larger of
+    `share`, relative to its value, and `least`, in the file's unit. `record` describes the
+    necessary recording.
+    """
 
     name: str
     record: str
@@ -38,7 +41,7 @@ ABOUT: Mapping[str, ParameterInfo] = {
     "membrane.pre_stretch": ParameterInfo("pre-stretch", _BULGE, 0.0, 0.003),
     "membrane.thickness_mm": ParameterInfo(
         "thickness",
-        "no recording tells it from the modulus: measure the sheet, then --known "
+        "no recording tells it from the modulus: measure the sheet, then --fix "
         "membrane.thickness_mm=…",
     ),
     "membrane.friction": ParameterInfo(
@@ -62,7 +65,9 @@ ABOUT: Mapping[str, ParameterInfo] = {
     "camera.noise_DN": ParameterInfo("noise", "two images or more of the flat membrane", 0.1, 0.1),
     "leds.membrane_DN": ParameterInfo("grey of the membrane", "images of the flat membrane", 0.1),
     "leds.marker_DN": ParameterInfo("grey of the markers", "images of the flat membrane", 0.1, 2.0),
-    "leds.falloff": ParameterInfo("falloff of the light", "images of the flat membrane", 0.1, 0.03),
+    "leds.vignetting": ParameterInfo(
+        "vignetting of the light", "images of the flat membrane", 0.1, 0.03
+    ),
 }
 GAS_FRACTION = (
     0.05  # of the gas behind the flat membrane: sd up to which its volume counts as known
@@ -78,9 +83,12 @@ NOT_FITTED = {
 
 @dataclass(frozen=True)
 class FittedParameter:
-    """A `field` of the sensor file: `value` and standard deviation in its unit, `state` "fitted",
-    "known" (by hand) or "not in these recordings" (then the value is the file's), where it comes
-    from, and the file's own value, `before`."""
+    """Result for a `field` of the sensor file.
+
+    `value` and standard deviation are in its unit. `state` is "fitted", "known" (by hand) or "not
+    in these recordings" (then the value is the file's). `source` is the origin of the value, and
+    `before` the file's own value.
+    """
 
     field: str
     value: float
@@ -96,7 +104,7 @@ class FittedParameter:
 
     @property
     def comment(self) -> str:
-        """What stands behind it in the sensor file."""
+        """Comment on the value in the sensor file."""
         if self.state == "fitted":
             low, high = self.interval
             return (
@@ -110,8 +118,10 @@ class FittedParameter:
 def judge(
     field: str, value: float, sd: float, before: float, source: str, *, gas_mL: float = math.inf
 ) -> FittedParameter:
-    """A fitted number, or the file's value where the recordings do not tell; `gas_mL` behind the
-    flat membrane."""
+    """Return the fitted value, or the file's value if the recordings do not determine it.
+
+    `gas_mL` is the gas volume behind the flat membrane.
+    """
     if field == "chamber.extra_volume_mL":
         known = sd <= GAS_FRACTION * gas_mL
     else:
@@ -122,7 +132,7 @@ def judge(
 
 
 def missing(field: str, before: float) -> FittedParameter:
-    """A number that the recordings do not tell."""
+    """Return the result for a parameter that the recordings do not determine."""
     return FittedParameter(field, before, math.inf, "not in these recordings", "", before)
 
 
@@ -134,9 +144,11 @@ def digits(value: float, sd: float) -> str:
 
 
 def correlations(names: Sequence[str], cov: Array, states: Mapping[str, str]) -> list[str]:
-    """A sentence for each pair that goes together by more than TOGETHER; `names` (n,) are fields,
-    or what a sentence says, of the covariance (n, n). Where one of the two is not known alone, they
-    cannot be told apart."""
+    """Return a sentence for each pair with a correlation above TOGETHER.
+
+    `names` (n,) of the covariance (n, n) are fields or words for the sentence. If one of the two is
+    undetermined, the pair cannot be separated.
+    """
     sd = np.sqrt(np.diag(cov))
     sentences = []
     for i, j in itertools.combinations(range(len(names)), 2):

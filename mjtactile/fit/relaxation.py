@@ -1,12 +1,12 @@
-"""How the stress of the rubber fades, from a recording in which the membrane stands free after it
-was inflated, or after something that was pressed into it is gone.
+"""Stress relaxation of the rubber, from a recording with a free membrane after inflation or
+unloading.
 
-What has not faded yet, q = sum a_i (S - s_i), s_i the stress S as element i remembers it
-(docs/theory/membrane_inverse.md, F23), pulls a free membrane away from where its lasting rubber
-would have it at the pressure p of the gauge, by -K^-1 F(q) to first order. So markers less what the
-gauge's pressure alone makes of them are linear in the shares a_i, and a constant at each marker
-takes what the sensor file is wrong by. S comes from the chain's own shapes, also while something
-touches.
+The stress that has not relaxed yet is q = sum a_i (S - s_i), s_i being the stress S as element i
+remembers it (docs/theory/membrane_inverse.md, F23). It displaces a free membrane by -K^-1 F(q), to
+first order, from its long-term equilibrium at the measured gauge pressure p. Markers minus the
+effect of the pressure are therefore linear in the fractions a_i. A constant at each marker absorbs
+the errors of the sensor file. S comes from the shapes estimated by the chain, also during
+contact.
 """
 
 from __future__ import annotations
@@ -29,15 +29,18 @@ from mjtactile.sensing.force.rest_equilibrium import InverseRest
 from mjtactile.sensing.force.spline_fem import Gas
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
-SHORTEST = 1.0  # s: what fades faster is gone before the membrane stands still
-_FREE_MIN = 10.0  # s of a free membrane that say anything
+SHORTEST = 1.0  # shortest time constant, s; faster relaxation ends before the membrane is at rest
+_FREE_MIN = 10.0  # minimum duration of a free membrane, s
 _ALIKE = 2.0  # neighbouring images that are wrong alike, by the pressure between two readings
 
 
 @dataclass(frozen=True, eq=False)
 class RelaxationFit:
-    """Shares (k,) of elements of the time constants `times` (k,) s, what fades `within` (from, to)
-    s as a share of the lasting stress, and its sd."""
+    """Fractions (k,) of elements with the time constants `times` (k,), s.
+
+    `faded` is the relaxation `within` (from, to) s as a fraction of the long-term stress, and
+    `faded_sd` its sd.
+    """
 
     times: Array
     shares: Array
@@ -47,12 +50,12 @@ class RelaxationFit:
 
     @property
     def is_finite_value(self) -> bool:
-        """Whether anything fades, beyond doubt."""
+        """True if the relaxation is significant."""
         return self.faded > 3 * self.faded_sd
 
     @property
     def section(self) -> str:
-        """Of a sensor file."""
+        """Section of a sensor file."""
         terms = [
             f"[{share:.3g}, {seconds:g}]"
             for share, seconds in zip(self.shares, self.times, strict=True)
@@ -80,18 +83,18 @@ class RelaxationFit:
 
 
 def fit_relaxation(path: Path, design: SensorDesign, finger: str) -> RelaxationFit:
-    """Fit shares of elements a decade apart, as long as the recording lasts.
+    """Fit the fractions of elements spaced a decade apart, up to the length of the recording.
 
     Args:
-        path: A recording with images and a pressure sensor.
-        design: The sensor, its statics fitted.
-        finger: Which finger of the recording.
+        path: Recording with images and a pressure sensor.
+        design: Sensor with fitted static parameters.
+        finger: Finger of the recording.
 
     Returns:
-        What fades.
+        The relaxation.
 
     Raises:
-        InputError: It has no pressures, or no free membrane for 10 s.
+        InputError: The recording has no pressures, or no free membrane for 10 s.
     """
     recording = load_recording(path)
     recording.require_images()
@@ -120,9 +123,11 @@ def fit_relaxation(path: Path, design: SensorDesign, finger: str) -> RelaxationF
 
 
 def _solve(shown: Array, wanted: Array) -> tuple[Array, Array]:
-    """Shares (k,), none negative, of what each shows (n, k, 3 N) in `wanted` (n, 3 N), and their
-    covariance, from how what is left scatters from image to image: an error of the gauge moves all
-    markers of an image at once."""
+    """Fit nonnegative fractions (k,) of the responses (n, k, 3 N) to `wanted` (n, 3 N).
+
+    The covariance comes from the scatter of the residuals from image to image. An error of the
+    pressure sensor moves all markers of an image together.
+    """
     shown = shown - shown.mean(axis=0)
     wanted = wanted - wanted.mean(axis=0)
     normal = np.einsum("nkj,nlj->kl", shown, shown)
@@ -136,8 +141,11 @@ def _solve(shown: Array, wanted: Array) -> tuple[Array, Array]:
 
 
 class _Memories:
-    """A recording gone through: at each image its `time` s, gauge `pressure` Pa, whether the
-    membrane stands `free`, its markers, and what elements of `times` s remember."""
+    """Processed recording.
+
+    For each image it holds `time`, s, gauge `pressure`, Pa, the flag `free` of an unloaded
+    membrane, the markers, and the stresses remembered by elements of `times`, s.
+    """
 
     def __init__(self, recording: Recording, design: SensorDesign, finger: str):
         number = recording.fingers.index(finger)
@@ -182,8 +190,11 @@ class _Memories:
         self.pressure = pressures_at(recording, number, calibration, self.time)
 
     def equations(self) -> tuple[Array, Array]:
-        """Of the free images (n) what a share of 1 of each element shows, (n, k, 3 N) m, and the
-        markers less what the pressure makes of them, (n, 3 N) m."""
+        """Return the least-squares equations of the n free images.
+
+        They are the response to a fraction of 1 of each element, (n, k, 3 N) m, and the markers
+        minus the effect of the pressure, (n, 3 N) m.
+        """
         shown = np.array([one for one, free in zip(self._unfaded, self.free, strict=True) if free])
         bulge = self._at_markers(self._inverse.sheet.state(self._rest.c).gradient)
         markers = self._markers[self.free].reshape(len(shown), -1)
@@ -209,11 +220,12 @@ class _Memories:
         self._now = now
 
     def _show(self, c: Array) -> Array:
-        """How far (k, 3 N) m a share of 1 of each element moves the markers."""
+        """Return the marker displacement for a fraction of 1 of each element, (k, 3 N) m."""
         forces = (self._inverse.sheet.forces_of(c, self._stress - one) for one in self._remembered)
         return np.stack([-self._at_markers(one) for one in forces])
 
     def _at_markers(self, forces: Array) -> Array:
-        """How far (3 N,) m generalised forces (3, n) N move the markers at constant pressure."""
+        """Return the marker displacement (3 N,), m, by generalized forces (3, n), N, at constant
+        pressure."""
         moved = self._inverse.positions(self._stiffness.solve(forces))
         return (moved - self._inverse.design.markers.p_SM).ravel()

@@ -1,4 +1,4 @@
-"""The report of a fit: a text, and a figure of what is left."""
+"""Report of a fit: text and a figure of the residuals."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from mjtactile.fit.result import FitResult
 
 
 def text_of(result: FitResult) -> str:
-    """What was found, what goes together, what could not be found, and how well the rest is
-    predicted."""
+    """Return the text: fitted values, correlations, undetermined values and held-out errors."""
     fitted = [n for n in result.numbers if n.state == "fitted"]
     lines = [f"{'field':28} {'file':>10} {'found':>10}   95 % interval"]
     lines += [

@@ -1,4 +1,4 @@
-"""What a fit has found, and its numbers with their intervals."""
+"""Result of a fit, and its values with their intervals."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mjtactile.fit.measurements import Evidence
 from mjtactile.fit.membrane_fit import MembraneFit
 from mjtactile.fit.parameter_info import ABOUT, FittedParameter, judge, missing
 
-_UNKNOWN_FRACTION = 0.3  # of the thickness, before somebody measured it
+_UNKNOWN_FRACTION = 0.3  # relative uncertainty of an unmeasured thickness
 SI = {
     label: (section, attribute, number.unit)
     for label, section, attribute, number in scalars(SensorDesign)
@@ -29,8 +29,11 @@ FIELD = {(section, attribute): field for field, (section, attribute, _) in SI.it
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """A hold of a recording that was kept aside: how far its markers are from the simulated ones,
-    `rms` m; the stage's force as simulated and as a load cell showed it, N (NaN: it had none)."""
+    """Hold of a held-out recording.
+
+    `rms` is the difference between measured and simulated markers, m. `force` is the simulated
+    stage force and `force_measured` the load cell reading, N (NaN: no load cell).
+    """
 
     recording: str
     depth: float
@@ -115,8 +118,11 @@ def value_before(design: SensorDesign, field: str) -> float:
 def covariance_of(
     sheet: MembraneFit, gas: GasFit | None, known_thickness: bool
 ) -> tuple[list[str], Array]:
-    """Of membrane and gas together, by field. Statics knows of the sheet's thickness times its
-    modulus alone: what nobody knows of the one nobody knows of the other."""
+    """Return the joint covariance of membrane and gas, by field.
+
+    Statics determines only the product of thickness and modulus. An uncertainty of one is therefore
+    fully correlated with that of the other.
+    """
     names = [FIELD.get(("membrane", name), name) for name in sheet.names]
     n = len(names)
     m = 0 if gas is None else len(gas.names)

@@ -1,6 +1,9 @@
-"""What a hand can know of the thing that it holds, from what its fingers feel; for any controller
-(`felt`: of one moment; `follow`: the test for slip; `belief`,
-`frames`, `load`, `spring` and `trial`: friction, load and stiffness, from image to image)."""
+"""Properties of the grasped object from touch, for any controller.
+
+`touch_statics` evaluates one moment and `slip_test` tests for slip. `friction_estimator`,
+`frame_load`, `load_estimator`, `grip_stiffness` and `friction_probe` track friction, load and
+stiffness from image to image.
+"""
 
 from mjtactile.grasp_estimation.frame_load import FrameLoadEstimator
 from mjtactile.grasp_estimation.friction_estimator import FrictionEstimator

@@ -1,4 +1,5 @@
-"""What leans on the fingers' frames: no membrane feels it, and gripping harder grips no harder."""
+"""Load on the fingers' frames: no membrane measures it, and a larger jaw force does not increase
+the grip."""
 
 from __future__ import annotations
 
@@ -11,36 +12,39 @@ import numpy as np
 from mjtactile.core.types import Touch
 
 _ERROR = 0.3  # of an effort: a data sheet's torque, the current's resolution
-_GEARS = 1.0  # N that moving the jaws takes at most
-_LASTS = 0.2  # s: an image is older than a current, and jaws that are stopped push for a moment
-_LOOSER = 0.8  # of the grip that was felt then: so that the frames come free
+_GEARS = 1.0  # maximum friction force of the jaws, N
+# minimum duration, s: an image is older than a current, and stopping jaws push for a moment
+_LASTS = 0.2
+_LOOSER = 0.8  # fraction of the grip measured then, to release the frames
 _GROWTH = 0.05  # 1/s: who was wrong grips as hard as before in the end
 
 
 @dataclass(frozen=True)
 class FrameLoadEstimator:
-    """A foot that is wider than the tips stands between the frames. The jaws push them against it,
-    what is wedged off them drags at the membranes, and that feels like twice the weight. A
-    controller keeps it as numbers (`vars`) and takes it up again (`FrameLoadEstimator(**kept)`).
+    """Estimator of an object part wedged between the fingers' frames.
+
+    An object base wider than the tips stands between the frames. The jaws push the frames against
+    it. The wedged part also loads the membranes in shear, which resembles twice the weight. A
+    controller stores it as numbers (`vars`) and restores it (`FrameLoadEstimator(**kept)`).
 
     Attributes:
-        most: N on each finger that is of use to grip with.
-        time: s since which the servos have pushed more than the fingers feel.
+        most: Largest useful grip force on each finger, N.
+        time: Time since the servo force exceeds the measured contact force, s.
     """
 
     most: float = 100.0
     time: float = 0.0
 
     def after(self, touch: Sequence[Touch], effort: float, period: float) -> FrameLoadEstimator:
-        """Take in one image.
+        """Update with one image.
 
         Args:
-            touch: What is felt now.
-            effort: `observation.gripper.effort`, N on each finger; NaN where it is unknown.
-            period: s since the image before.
+            touch: Current touches.
+            effort: `observation.gripper.effort`, N on each finger; NaN if it is unknown.
+            period: Time since the previous image, s.
 
         Returns:
-            What is known now.
+            The updated estimator.
         """
         press = float(np.mean([one.force_normal for one in touch]))
         beyond = (1 - _ERROR) * effort - press - _GEARS

@@ -1,4 +1,4 @@
-"""What a hand believes of friction, from one image to the next."""
+"""Recursive estimate of the friction coefficient, from image to image."""
 
 from __future__ import annotations
 
@@ -11,46 +11,49 @@ import numpy as np
 from mjtactile.core.types import Touch
 from mjtactile.grasp_estimation.touch_statics import friction, shear
 
-# Tried in simulation (docs/how-to/controllers.md). s that a slip is said late, and within which all
-# fingers must say it; s until it counts again, and until a proof is forgotten (things get wet)
+# Tuned in simulation (docs/how-to/controllers.md). All in s: delay of a slip report; time within
+# which all fingers must report it; pause until the next slip counts; time constant of forgetting a
+# held ratio (surfaces may get wet)
 _LATE = 0.2
 _TOGETHER = 0.3
 _PAUSE = 0.4
 _PROOF_TIME = 10.0
-_NEAR = 0.85  # of what is believed: there one finger is enough
-_SLIP_FRACTION = 0.85  # of the ratio at which it slipped: what is believed then,
-_STEP = 0.8  # but no less than this of what was: a sign of slip may be wrong
+_NEAR = 0.85  # fraction of the estimate above which one finger is sufficient
+_SLIP_FRACTION = 0.85  # new estimate as a fraction of the ratio at the slip,
+_STEP = 0.8  # but at least this fraction of the old one: a slip sign may be wrong
 _PROOF_FRACTION = 0.9
-# After a sign of slip the grip is tightened. Whether the shear came along shows what it was worth
-_VERDICT = 0.3  # s after it
-_TREND = 0.15  # s over which a load that grows by itself is seen to
-_HARDER = 1.15  # the grip must have grown by, to tell
+# After a slip sign the grip is tightened. The change of the shear shows if the sign was correct
+_VERDICT = 0.3  # time from the slip sign to this check, s
+_TREND = 0.15  # time constant for the trend of a growing load, s
+_HARDER = 1.15  # minimum growth of the grip for this check
 _FOLLOWS = 0.35  # of the grip's growth in the shear: less is no slip
-_RESTORED = 0.95  # of what was believed before, then
-_GROWTH = 0.03  # 1/s, where the grip goes by what is believed, and no further than _UNPROVEN
+_RESTORED = 0.95  # restored fraction of the previous estimate
+_GROWTH = 0.03  # growth rate of an estimate in use, 1/s, up to _UNPROVEN
 _ASKED = 0.6  # of it in use: else a lighter grip is not for the asking, and a hold shows nothing
 _UNPROVEN = 0.7
 _FRICTION_MIN = 0.2
-_FRICTION_MAX = 1.0  # rougher than that is not believed: rolling lets go before sliding does
+_FRICTION_MAX = 1.0  # upper limit of the estimate: rolling starts before sliding
 
 
 @dataclass(frozen=True)
 class FrictionEstimator:
-    """A controller keeps it as numbers (`vars`) and takes it up again
-    (`FrictionEstimator(**kept)`).
+    """Recursive friction estimator.
+
+    A controller stores it as numbers (`vars`) and restores it (`FrictionEstimator(**kept)`).
 
     Attributes:
-        friction: The coefficient that is believed.
-        proven: What it held at, of late: no sign of slip, while a grip changes, counts against it.
-        used: The largest shear over normal force of the last moment: a slip is said late.
-        since_slip: s since the last slip that was believed.
-        slip_ages: s since each finger said that it slips.
-        before: What was believed before that slip; 0 where it has been settled what it was worth.
-        press: N, the mean grip at that slip.
-        drag: N, the mean shear, as far as it would have come by itself when the verdict is due.
-        slow: N, the mean shear of a moment ago.
-        at: What was used at that slip.
-        wrong: A sign of slip with no more than this in use was wrong, of late.
+        friction: Estimated coefficient.
+        proven: Ratio recently held without slip. A slip sign at a lower ratio, during a grip
+            change, is rejected.
+        used: Largest shear over normal force of the last moment; slip is reported late.
+        since_slip: Time since the last accepted slip, s.
+        slip_ages: Time since each finger's last slip report, s.
+        before: Estimate before that slip; 0 once the slip is evaluated.
+        press: Mean grip force at that slip, N.
+        drag: Mean shear, extrapolated to the time of the evaluation without a grip change, N.
+        slow: Low-pass filtered mean shear, N.
+        at: Ratio in use at that slip.
+        wrong: Ratio in use at a recent false slip sign; later signs must exceed it.
     """
 
     friction: float
@@ -67,25 +70,27 @@ class FrictionEstimator:
 
     @property
     def has_slipped(self) -> bool:
-        """Whether a slip was believed in this very image."""
+        """True if a slip was accepted in the newest image."""
         return self.since_slip == 0.0
 
     def after(self, touch: Sequence[Touch], period: float) -> FrictionEstimator:
-        """Take in one image.
+        """Update with one image.
 
-        A slip that all fingers say within 0.3 s, or one near the friction that is believed, shows
-        what friction is (one finger alone may roll or lean); not again for 0.4 s, in which the
-        grip follows, nor where less is in use than what it held at of late. Shear that does not
-        grow with that grip was carried by what sticks: then most of what was believed is believed
-        again, and the next sign counts where more is in use than at that one. A second without any
-        slip, and the belief grows by 3 % a second, as far as it is put to use.
+        A slip gives the friction coefficient if all fingers report it within 0.3 s. One finger
+        alone may roll or lean; its report counts only near the estimated friction. The next slip
+        counts after 0.4 s, in which the grip is adjusted. It does not count below a ratio that was
+        recently held.
+
+        If the shear does not grow with the tighter grip, it was a load on a sticking contact. Most
+        of the previous estimate is then restored, and the next sign must exceed that ratio. After a
+        second without slip the estimate grows by 3 % per second, as long as it is in use.
 
         Args:
-            touch: What is felt now.
-            period: s since the image before.
+            touch: Current touches.
+            period: Time since the previous image, s.
 
         Returns:
-            What is believed now.
+            The updated estimator.
         """
         told = friction(touch)
         used = max(float(np.nan_to_num(told.used).max()), self.used * math.exp(-period / _LATE))
@@ -123,14 +128,17 @@ class FrictionEstimator:
         )
 
     def _ages(self, touch: Sequence[Touch], period: float) -> list[float]:
-        """s since each finger said that it slips."""
+        """Return the time since each finger's last slip report, s."""
         before = self.slip_ages or [1.0] * len(touch)
         slips = [one.slip is not None and one.slip.state == "slipping" for one in touch]
         return [0.0 if now else age + period for now, age in zip(slips, before, strict=True)]
 
     def _was_carried(self, touch: Sequence[Touch]) -> bool:
-        """Whether the shear at the last sign of slip was a load, since it has not grown with the
-        grip; False where the grip has not grown, or nothing is known."""
+        """Return True if the shear at the last slip sign was a load, i.e. did not grow with the
+        grip.
+
+        Return False if the grip has not grown, or if this is unknown.
+        """
         press, drag = _means(touch)
         if not (press > _HARDER * self.press > 0 and self.drag > 0):
             return False
@@ -138,6 +146,6 @@ class FrictionEstimator:
 
 
 def _means(touch: Sequence[Touch]) -> tuple[float, float]:
-    """N, over the fingers: how hard they press, and what drags at them."""
+    """Return the mean normal force and the mean shear of the fingers, N."""
     press = float(np.mean([one.force_normal for one in touch]))
     return press, float(np.linalg.norm(shear(touch), axis=1).mean())

@@ -11,29 +11,35 @@ import numpy as np
 from mjtactile.core.types import Touch
 from mjtactile.grasp_estimation.touch_statics import shear
 
-_LOOSE = 0.75  # of the grip meanwhile: what passes holds with a third to spare
-_TIME = 0.4  # s, of which a command takes 0.12 to be felt
+_LOOSE = 0.75  # grip during the test, as a fraction: a held ratio leaves a margin of one third
+_TIME = 0.4  # duration of a test, s, including the command delay of 0.12
 _MEDIAN_OF = 3  # images at the beginning, which is before that, and at the end: one may err
-_LOOSER = 0.05  # of the grip: less of a change says nothing
-_KEPT = 0.88  # of the shear at the end: what slips loses a fifth, or all of it, on the table
+_LOOSER = 0.05  # minimum relative grip change for a result
+# minimum remaining fraction of the shear: a slipping contact loses a fifth, or all of it on the
+# table
+_KEPT = 0.88
 _STEP = 1.25  # from a friction that has passed to the next one
 _SLIP_FRACTION = 0.9  # of the ratio at which it slips
-_SHOWN = 0.9  # of what is tried, in use at the end: less, and the grip could not be loosened so far
-_MOST = 1.0  # as much as is ever believed, and as little
+# minimum fraction of the tested ratio in use at the end; below it, the grip could not be loosened
+# enough
+_SHOWN = 0.9
+_MOST = 1.0  # upper and lower limit of the result
 _LEAST = 0.2
 
 
 @dataclass(frozen=True)
 class FrictionProbe:
-    """A controller keeps it as numbers (`vars`) and takes it up again
-    (`FrictionProbe(**kept)`).
+    """Friction test by a looser grip.
+
+    A controller stores it as numbers (`vars`) and restores it (`FrictionProbe(**kept)`).
 
     Attributes:
-        friction: What is tried now, and in the end the coefficient to go by.
-        passed: The largest shear over normal force that has held so far; 0: nothing yet.
-        first: What was believed before; less is not, unless it slips.
-        press, drag: N, the mean grip and the mean shear in each image of this try.
-        begun, slipped, over: Where it stands; who `slipped` may stand on the table again.
+        friction: Coefficient under test, and the result at the end.
+        passed: Largest shear over normal force held so far; 0: none.
+        first: Initial estimate, and lower limit of the result without slip.
+        press, drag: Mean grip force and mean shear in each image of this test, N.
+        begun, slipped, over: State of the test; after `slipped` the object may stand on the table
+            again.
     """
 
     friction: float
@@ -47,7 +53,7 @@ class FrictionProbe:
 
     @property
     def is_on(self) -> bool:
-        """Whether friction is being tried."""
+        """True during a friction test."""
         return self.begun and not self.over
 
     @property
@@ -56,21 +62,21 @@ class FrictionProbe:
         return _LOOSE if self.is_on else 1.0
 
     def after(self, touch: Sequence[Touch], period: float, believed: float = 0.0) -> FrictionProbe:
-        """Take in one image, while what is gripped hangs low and nobody moves it.
+        """Update with one image, while the object hangs low above the table without motion.
 
-        What sticks carries its load with the looser grip, too, and a higher friction is tried;
-        what slips is dragged by friction alone, which follows the grip. A hold shows as much
-        friction as was in use (Coulomb: shear <= mu normal force), whatever was meant to be: what
-        is light uses little of it at the least grip that there is. Where all fingers say that they
-        slip, that was all that there is.
+        A sticking contact carries its load with the looser grip, too; then a higher friction is
+        tested. The shear of a slipping contact is friction alone, and follows the grip. A hold
+        proves only the ratio in use (Coulomb: shear <= mu normal force), not the intended one. A
+        light object uses little of it even at the minimum grip. If all fingers report slip, that
+        ratio is the limit.
 
         Args:
-            touch: What is felt now.
-            period: s since the image before.
-            believed: The coefficient that the grip has gone by until now: less is not tried.
+            touch: Current touches.
+            period: Time since the previous image, s.
+            believed: Coefficient used for the grip so far; lower values are not tested.
 
         Returns:
-            The trial now; `over` where there is nothing more to find out.
+            The updated test; `over` when it is complete.
         """
         press = [*self.press, float(np.mean([one.force_normal for one in touch]))]
         drag = [*self.drag, float(np.linalg.norm(shear(touch), axis=1).mean())]
@@ -80,9 +86,9 @@ class FrictionProbe:
             return replace(self, friction=friction, first=first, press=press, drag=drag, begun=True)
         ended = replace(self, press=(), drag=())
         looser = 1 - _last(press) / _first(press)
-        if looser < _LOOSER:  # the grip could not be changed: nothing is known
+        if looser < _LOOSER:  # the grip could not be changed: no result
             return replace(ended, friction=max(self.passed, self.first), over=True)
-        if _last(drag) < _KEPT * _first(drag):  # what slides is dragged by less than its load
+        if _last(drag) < _KEPT * _first(drag):  # the shear of a sliding contact is below its load
             ratio = float(np.max(np.asarray(drag) / np.asarray(press)))
             found = max(self.passed, min(self.friction, _SLIP_FRACTION * ratio), _LEAST)
             return replace(ended, friction=found, slipped=True, over=True)

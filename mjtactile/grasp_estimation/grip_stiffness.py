@@ -1,29 +1,32 @@
-"""How stiff a grip is: what the jaws must move by for a force."""
+"""Grip stiffness: change of the grip force per change of the opening."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-# Two membranes over 1 kPa about a ball: N/m of opening, and N/m for each N on a finger (measured in
-# simulation, docs/how-to/controllers.md); a flat face is some three times as hard
+# Two membranes at 1 kPa around a ball: stiffness, N/m of opening, and its increase with the force
+# on a finger, 1/m (measured in simulation, docs/how-to/controllers.md); a flat face is about three
+# times as stiff
 _SOFT = 110.0
 _STIFF = 260.0
 _UNKNOWN = 1.5  # times as hard, until it is measured: too short a step is made good
-_WAY_MIN = 3e-4  # m of a ball's way, and of the jaws: backlash is 0.1-0.2 mm
-_SETTLING = 0.15  # s over which it is averaged
+_WAY_MIN = 3e-4  # minimum closing distance for a ball, and of the jaws, m: backlash is 0.1-0.2 mm
+_SETTLING = 0.15  # averaging time, s
 _RANGE = (0.4, 6.0)
 
 
 @dataclass(frozen=True)
 class GripStiffnessEstimator:
-    """A controller keeps it as numbers (`vars`) and takes it up again
-    (`GripStiffnessEstimator(**kept)`).
+    """Recursive estimator of the grip stiffness.
+
+    A controller stores it as numbers (`vars`) and restores it (`GripStiffnessEstimator(**kept)`).
 
     Attributes:
-        opening: m, of the jaws when all fingers touched; negative: not yet.
-        force: N, the mean of the fingers then.
-        hardness: Times as stiff as a ball between two membranes.
+        opening: Opening of the jaws at the first contact of all fingers, m; negative: no contact
+            yet.
+        force: Mean force of the fingers at that contact, N.
+        hardness: Stiffness relative to that of a ball between two membranes.
     """
 
     opening: float = -1.0
@@ -31,26 +34,26 @@ class GripStiffnessEstimator:
     hardness: float = _UNKNOWN
 
     def stiffness(self, force: float) -> float:
-        """Say how much the force on each finger grows with the jaws' way.
+        """Return the change of each finger's force per change of the opening.
 
         Args:
-            force: N on each finger.
+            force: Force on each finger, N.
 
         Returns:
-            N/m of opening.
+            Stiffness, N/m of opening.
         """
         return self.hardness * (_SOFT + _STIFF * max(force, 0.0))
 
     def after(self, opening: float, force: float, period: float) -> GripStiffnessEstimator:
-        """Take in one image, from when all fingers touch.
+        """Update with one image, from the contact of all fingers on.
 
         Args:
-            opening: m, of the jaws.
-            force: N, the mean of the fingers.
-            period: s since the image before.
+            opening: Opening of the jaws, m.
+            force: Mean force of the fingers, N.
+            period: Time since the previous image, s.
 
         Returns:
-            What is known now.
+            The updated estimator.
         """
         if self.opening < 0:
             return GripStiffnessEstimator(opening, force)
@@ -66,5 +69,8 @@ class GripStiffnessEstimator:
 
 
 def _way(force: float) -> float:
-    """m from the first touch of a ball to `force` N, of a spring that gets harder with it."""
+    """Return the closing distance from first contact with a ball to `force` N, m.
+
+    The ball acts as a stiffening spring.
+    """
     return math.log1p(_STIFF * max(force, 0.0) / _SOFT) / _STIFF

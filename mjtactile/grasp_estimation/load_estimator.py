@@ -1,4 +1,4 @@
-"""What hangs on a grip, from one image to the next."""
+"""Recursive estimate of the load on a grip, from image to image."""
 
 from __future__ import annotations
 
@@ -11,25 +11,26 @@ import numpy as np
 from mjtactile.core.types import Array, Touch
 from mjtactile.grasp_estimation.touch_statics import GRAVITY, downward, load_vector, shear
 
-_KEPT = 1.5  # s in which a load that has gone is forgotten: half of a shake is light
-_SPARE = 0.02  # N of shear beside what is felt: its noise, and what begins to come on
-_LEAD = 0.15  # s ahead that a growing load is reckoned: what a grip needs to follow
-_WEIGHING = 0.7  # s over which a weight is averaged
+_KEPT = 1.5  # time constant of forgetting a past load, s: half of a shake is light
+_SPARE = 0.02  # shear margin for noise and for the start of a load, N
+_LEAD = 0.15  # prediction time of a growing load, s: the time that a grip needs to follow
+_WEIGHING = 0.7  # averaging time of the mass, s
 
 
 @dataclass(frozen=True)
 class LoadEstimator:
-    """A controller keeps it as numbers (`vars`) and takes it up again
-    (`LoadEstimator(**kept)`).
+    """Recursive load estimator.
+
+    A controller stores it as numbers (`vars`) and restores it (`LoadEstimator(**kept)`).
 
     Attributes:
-        most: N on each finger, along it: what it carries, and did of late.
-        ahead: N, what it will carry at once.
-        past: N, what it carried a moment ago; negative: nothing is known of that.
-        down: (n, 2) where the load drags each finger; empty until it hangs on the fingers alone.
-        mass: kg, averaged; 0 until it hangs.
-        inner: (n, 2) of each newton of grip, what the fingers drag each other by; empty: unknown.
-        last: N, what the image before showed alone; negative: there was none.
+        most: Recent maximum of the shear load on each finger, N.
+        ahead: Predicted load in the near future, N.
+        past: Load a moment ago, N; negative: unknown.
+        down: (n, 2) Direction of the load on each finger; empty until the fingers alone carry it.
+        mass: Averaged mass, kg; 0 before lifting.
+        inner: (n, 2) Internal shear between the fingers per newton of grip; empty: unknown.
+        last: Load in the previous image alone, N; negative: no image.
     """
 
     most: float = 0.0
@@ -42,21 +43,22 @@ class LoadEstimator:
 
     @property
     def worst(self) -> float:
-        """N on each finger that it must be gripped for."""
+        """Load on each finger that the grip must hold, N."""
         return max(self.most, self.ahead) + _SPARE
 
     def standing(self, touch: Sequence[Touch]) -> LoadEstimator:
-        """It is gripped, and stands yet: what the fingers do to each other, they do already.
+        """Store the internal shear between the fingers, while the object is gripped and still
+        stands.
 
-        Faces that stand askew are dragged along by closing, and the more so the harder they are
-        gripped. What is pushed over its place drags, too, but then one finger presses harder than
-        the other, and that part goes when it is lifted.
+        Closing on tilted faces causes shear, which grows with the grip. An object pushed sideways
+        also causes shear, but then one finger has a larger normal force. That part disappears when
+        the object is lifted.
 
         Args:
-            touch: What is felt now.
+            touch: Current touches.
 
         Returns:
-            The load, which knows now what part of the shear is none.
+            The estimator with the internal shear, which is not load.
         """
         press = np.array([one.force_normal for one in touch])
         drag = shear(touch)
@@ -65,44 +67,46 @@ class LoadEstimator:
         return replace(self, inner=(trust * drag / max(float(press.mean()), 1e-9)).tolist())
 
     def hanging(self, touch: Sequence[Touch]) -> LoadEstimator:
-        """From now on the fingers alone carry it.
+        """Store the load direction; from now on the fingers alone carry the load.
 
         Args:
-            touch: What is felt now.
+            touch: Current touches.
 
         Returns:
-            The load, which knows now where down is.
+            The estimator with the downward direction.
         """
         press = float(np.mean([one.force_normal for one in touch]))
         before = press * np.asarray(self.inner) if len(self.inner) else 0.0
         return replace(self, down=downward(touch, before).tolist())
 
     def vector(self, touch: Sequence[Touch]) -> Array:
-        """Say with how much the world pulls at what hangs.
+        """Return the external force on the hanging object.
 
         Args:
-            touch: What is felt now.
+            touch: Current touches.
 
         Returns:
-            (3,) N, as `load_vector` has it.
+            (3,) Force, N, in the components of `load_vector`.
         """
         return load_vector(touch, np.asarray(self.down))
 
     def after(self, touch: Sequence[Touch], period: float) -> LoadEstimator:
-        """Take in one image.
+        """Update with one image.
 
-        It grows with what two images show, and once it hangs is gripped for what it is on its way
-        to (before, it comes as the hand lets it, which waits for its grip); it goes slowly, but
-        what was only on its way is not kept. One image alone may err by half of a load, which would
-        be gripped for a second and a half. Once it hangs, what the fingers do to each other is no
-        load, nor is what pushes it up; a slip lets go of what they did.
+        The load increases only if two images confirm it. A single image may have an error of half a
+        load, which the grip would hold for 1.5 s. Once the object hangs, the grip also covers the
+        predicted increase. Before that, the gripper waits for its grip, so the load grows no
+        faster. The load decreases slowly; the predicted part is not retained.
+
+        Once the object hangs, internal shear and upward forces are not load. A slip clears the
+        internal shear.
 
         Args:
-            touch: What is felt now.
-            period: s since the image before.
+            touch: Current touches.
+            period: Time since the previous image, s.
 
         Returns:
-            The load now.
+            The updated estimator.
         """
         mass = self.mass
         if len(self.down):

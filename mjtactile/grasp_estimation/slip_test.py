@@ -1,8 +1,8 @@
-"""The test for slip: grip a little harder and softer, and see whether the shear follows.
+"""Slip test: vary the grip slightly and check if the shear follows.
 
-What sticks carries its load, whatever it is gripped with. What slips is dragged by friction alone,
-and friction is mu N: it follows the grip, for any shape, also where the touch itself looks the same
-before and after.
+A sticking contact carries its load independent of the grip. The shear of a slipping contact is
+friction alone, mu N, and follows the grip. This holds for any shape, also if the touch itself does
+not change.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from mjtactile.core.types import Array
 
 @dataclass(frozen=True)
 class SlipTestResult:
-    """How shear follows the grip.
+    """Dependence of the shear on the grip.
 
     Attributes:
-        share: Relative change of the shear over that of the normal force: 0 sticks, 1 slips; NaN
-            where the grip did not change enough to tell.
+        share: Relative change of the shear over that of the normal force: 0 sticks, 1 slips; NaN if
+            the grip change was too small.
         sd: Its standard deviation.
     """
 
@@ -39,12 +39,13 @@ def follows(normal: ArrayLike, shear: ArrayLike) -> SlipTestResult:
     """Test one finger, or the mean of several.
 
     Args:
-        normal: (k,) N over the last moments, evenly in time, in which the grip was changed.
-        shear: (k,) N along the load, or its magnitude.
+        normal: (k,) Normal force over the last moments, equally spaced in time, with a varied grip,
+            N.
+        shear: (k,) Shear along the load, or its magnitude, N.
 
     Returns:
-        The share of shear that goes with the grip, by least squares beside a load that grows evenly
-        in time, with the sd that is left by what neither explains.
+        The fraction of the shear that follows the grip, by least squares with a linear load trend.
+        Its sd is computed from the residuals.
     """
     press = np.asarray(normal, float)
     drag = np.asarray(shear, float)

@@ -1,10 +1,10 @@
-"""What a hand can know of the thing that it holds, from what its fingers feel: what it weighs, how
-rough it is, who carries how much, and whether the table or somebody else has a hand in it.
+"""Estimate properties of the grasped object from touch: mass, friction coefficient, load per
+finger, and external support or pull (table, person).
 
 Pure functions of touches, for any controller and any number of fingers; N, kg, m/s^2. A finger
-feels the force on its membrane in its own frame S and does not know which way is down. It need not:
-what hangs in the air hangs on the fingers alone, and these share it in parallel planes (for tips
-that are inclined by an angle, what is felt along them is too small by the angle's cosine).
+measures the force on its membrane in its own frame S, without the direction of gravity. It is not
+needed: the fingers alone carry a hanging object, in parallel contact planes. For tips inclined by
+an angle, the shear is underestimated by the cosine of that angle.
 
     found = weigh(touch)                # lifted: 0.0602 kg +- 0.0014
     grip = min_grip_force(found.mass, friction=0.6, fingers=2)
@@ -21,21 +21,21 @@ from numpy.typing import ArrayLike
 
 from mjtactile.core.types import Array, Touch
 
-GRAVITY = 9.81  # m/s^2
+GRAVITY = 9.81  # acceleration of gravity, m/s^2
 GAIN_SD = 0.015
-"""Of a felt shear force, beside its noise: what is left of stiffness and geometry after a
-calibration (docs/validation/accuracy.md)."""
+"""Relative error (sd) of a measured shear force, in addition to noise: the residual of stiffness
+and geometry after a calibration (docs/validation/accuracy.md)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Weight:
-    """What hangs on a grip.
+    """Weight of the object in a grip.
 
     Attributes:
-        mass: kg; NaN where a force is unknown.
+        mass: Mass, kg; NaN if a force is unknown.
         sd: Its standard deviation, kg.
-        load: (n,) N, what each finger carries of it.
-        share: (n,) the same as shares of the whole.
+        load: (n,) Load on each finger, N.
+        share: (n,) Load on each finger as a fraction of the total.
     """
 
     mass: float
@@ -46,16 +46,14 @@ class Weight:
 
 @dataclass(frozen=True, eq=False)
 class Friction:
-    """What a moment says of the friction between object and membranes.
+    """Friction between object and membranes, from one moment.
 
     Attributes:
-        used: (n,) shear over normal force of each finger, as slip sees it; NaN where nothing
-            presses.
-        sd: (n,) standard deviations.
-        least: The coefficient is at least this: the largest ratio that a finger holds without
-            slipping, less two of its sd; 0 where none says anything.
-        slipped: The coefficient itself, where fingers slip: the smallest ratio among them. NaN:
-            none does.
+        used: (n,) Shear over normal force of each finger, as used for slip; NaN without contact.
+        sd: (n,) Standard deviations.
+        least: Lower bound of the coefficient: the largest ratio of a finger without slip, minus two
+            of its sd; 0 if there is none.
+        slipped: Coefficient from slipping fingers: the smallest ratio among them. NaN: no slip.
     """
 
     used: Array
@@ -65,25 +63,26 @@ class Friction:
 
 
 def shear(touch: Sequence[Touch]) -> Array:
-    """Say what each finger feels along its membrane.
+    """Return the shear force on each finger's membrane.
 
     Args:
-        touch: One value a finger.
+        touch: One value per finger.
 
     Returns:
-        (n, 2) N in each finger's frame S; NaN where it is unknown.
+        (n, 2) Force, N, in each finger's frame S; NaN if it is unknown.
     """
     return np.array([_wrench(one)[:2] for one in touch])
 
 
 def weigh(touch: Sequence[Touch], before: ArrayLike = 0.0, *, acceleration: float = 0.0) -> Weight:
-    """Weigh what was lifted: sum of shears = m (g + a).
+    """Estimate the mass of a lifted object: sum of shears = m (g + a).
 
     Args:
-        touch: While the object hangs on the fingers alone.
-        before: (n, 2) N, `shear` that was there without the load and still is: the first weight's
-            where something was added. What the table's friction held before goes with the table.
-        acceleration: Of the hand, m/s^2, positive upward.
+        touch: Touches while the fingers alone carry the object.
+        before: (n, 2) `shear` present without this load and still present, N: that of the first
+            weight, if something was added. Shear held by friction of the table disappears with the
+            table.
+        acceleration: Acceleration of the gripper, m/s^2, positive upward.
 
     Returns:
         The weight, with its error from the forces' covariances and `GAIN_SD`.
@@ -103,15 +102,14 @@ def weigh(touch: Sequence[Touch], before: ArrayLike = 0.0, *, acceleration: floa
 
 
 def friction(touch: Sequence[Touch], *, min_force: float = 0.1) -> Friction:
-    """Say what the shears say of friction: a hold shows that there is more, a slip what it is
-    (Coulomb).
+    """Estimate friction from the shears: a hold gives a lower bound, a slip the value (Coulomb).
 
     Args:
-        touch: One value a finger.
-        min_force: N; a finger that presses with less says nothing.
+        touch: One value per finger.
+        min_force: Minimum normal force of a finger, N; below it the finger is ignored.
 
     Returns:
-        What is known from this moment alone.
+        The estimate from this moment alone.
     """
     force = np.array([_wrench(one)[:3] for one in touch])
     normal = -force[:, 2]
@@ -132,34 +130,35 @@ def friction(touch: Sequence[Touch], *, min_force: float = 0.1) -> Friction:
 def min_grip_force(
     mass: float, friction: float, fingers: int, *, acceleration: float = 0.0
 ) -> float:
-    """Say what each finger must press with at least: n mu N >= m |g + a|.
+    """Return the minimum grip force of each finger: n mu N >= m |g + a|.
 
     Args:
-        mass: kg.
+        mass: Mass, kg.
         friction: Coefficient.
-        fingers: How many share it.
-        acceleration: Of the hand, m/s^2, in any direction (the worst, upward, is taken).
+        fingers: Number of fingers.
+        acceleration: Acceleration of the gripper, m/s^2, in any direction (upward, the worst case,
+            is assumed).
 
     Returns:
-        N, the mean of the fingers, for a grip at the centre of mass.
+        Mean force of the fingers, N, for a grip at the center of mass.
     """
     return mass * (GRAVITY + abs(acceleration)) / (fingers * friction)
 
 
 def support(touch: Sequence[Touch], held: ArrayLike) -> float:
-    """Say how hard something pushes back against the load that the fingers carried: the table, on
-    the way down.
+    """Return the external support against the load of the fingers, such as the table during
+    lowering.
 
-    As it takes over, the shear that the load made goes, and then comes again from the other side,
-    whichever side that is. Less than the load's own going (0 or below) is a table that carries
-    not more than the object.
+    While the table takes over, the shear of the load decreases to zero. It then grows in the
+    opposite direction. A value of 0 or below means that the table carries at most the weight of the
+    object.
 
     Args:
-        touch: Now.
-        held: (n, 2) N, `shear` while the object hung on the fingers.
+        touch: Current touches.
+        held: (n, 2) `shear` while the object hung on the fingers, N.
 
     Returns:
-        N on each finger, beyond what it held; NaN where that is unknown.
+        Support beyond the object's weight, N on each finger; NaN if it is unknown.
     """
     before = np.asarray(held, float)
     gone = np.linalg.norm(shear(touch) - before, axis=1)
@@ -167,32 +166,33 @@ def support(touch: Sequence[Touch], held: ArrayLike) -> float:
 
 
 def downward(touch: Sequence[Touch], before: ArrayLike = 0.0) -> Array:
-    """Find where the load drags each finger.
+    """Estimate the direction of the load on each finger.
 
     Args:
-        touch: While the object hangs on the fingers, and does not lean in them yet.
-        before: (n, 2) N, `shear` that was there without the load and still is.
+        touch: Touches while the object hangs on the fingers without a tilting moment.
+        before: (n, 2) `shear` present without the load and still present, N.
 
     Returns:
-        (n, 2) unit vectors, each in its finger's frame S; NaN where that is unknown.
+        (n, 2) Unit vectors, each in its finger's frame S; NaN if unknown.
     """
     change = shear(touch) - np.asarray(before, float)
     return change / np.maximum(np.linalg.norm(change, axis=1), 1e-9)[:, None]
 
 
 def load_vector(touch: Sequence[Touch], down: ArrayLike) -> Array:
-    """Say with how much the world pulls at what is held, as far as the fingers can tell it from
-    what they do to each other: a thing that leans in the grip drags one finger up and the other
-    down, and the more so the harder it is gripped; that is no load, and cancels here.
+    """Return the external force on the held object, without internal forces between the fingers.
+
+    A tilted object loads one finger upward and the other downward, and more so with a stronger
+    grip. This is not a load and cancels here.
 
     Args:
-        touch: Now.
-        down: (n, 2), as of `downward`.
+        touch: Current touches.
+        down: (n, 2) Directions from `downward`.
 
     Returns:
-        (3,) N: downward; of two fingers that face each other also across (sideways along both) and
-            through (from the second to the first), which are 0 of more than two: those hold that
-            by pressing.
+        (3,) Force, N: downward; for two opposite fingers also across (sideways along both) and
+        through (from the second to the first). The latter two are 0 for more than two fingers,
+        which hold them by normal forces.
     """
     change = shear(touch)
     way = np.asarray(down, float)
@@ -201,19 +201,19 @@ def load_vector(touch: Sequence[Touch], down: ArrayLike) -> Array:
         return np.array([along, 0.0, 0.0])
     side = change[:, 1] * way[:, 0] - change[:, 0] * way[:, 1]
     press = [one.force_normal for one in touch]
-    # seen from outside, left of down is right of down for who faces it
+    # opposite fingers see mirrored sideways directions, so the difference adds the two shears
     return np.array([along, float(side[0] - side[1]), float(press[0] - press[1])])
 
 
 def pull(touch: Sequence[Touch], held: ArrayLike) -> float:
-    """Say how hard somebody else pulls at what is held, along the membranes.
+    """Return the external pull on the held object along the membranes, for example by a person.
 
     Args:
-        touch: Now.
-        held: (n, 2) N, `shear` while nobody did.
+        touch: Current touches.
+        held: (n, 2) `shear` without the pull, N.
 
     Returns:
-        N, over all fingers; NaN where that is unknown.
+        Sum over all fingers, N; NaN if it is unknown.
     """
     return float(np.linalg.norm(shear(touch) - np.asarray(held, float), axis=1).sum())
 

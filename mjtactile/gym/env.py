@@ -1,9 +1,9 @@
-"""`mjtactile/Grasp-v0`: grasp, lift, hold for two seconds and set down, seeing what the fingers'
-cameras see.
+"""`mjtactile/Grasp-v0`: grasp, lift, hold for two seconds and set down, with the fingers' camera
+data as observation.
 
-A step is a camera's period. As in the control loop, the world moves on while what is seen is
-thought about: an action takes effect one period after the images that it rests on. The same
-supervisor and limits stand between action and gripper.
+A step is a camera period. As in the control loop, the world continues during the computation: an
+action takes effect one period after its images. The same supervisor and limits act between action
+and gripper.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from mjtactile.runtime.task_scoring import TaskScorer
 from mjtactile.sim.fast_reset import Restart, movable
 
 RANDOM = "random"
-"""As an object: of each seed its own."""
+"""Object name for a random object, different for each seed."""
 REWARDS = {"held": 1.0, "crushed": -1.0, "dropped": -1.0}
 """At the end of an episode, by the outcome that `mjtactile evaluate` counts; 0 before, and when
 time is over."""
@@ -50,33 +50,34 @@ PROGRESS = {
     "release": (2.0, 0.5),
     "done": (2.5, 0.0),
 }
-"""How far a grasp has come where a phase begins, and how much farther at its end.
-`reward="progress"` pays what it has come farther than ever before in the episode, with all fingers
-touching but while they close and let go; what was never held is not paid for being let go."""
+"""Progress of a grasp at the start of a phase, and its increase during the phase.
+`reward="progress"` pays the increase over the episode's maximum so far, with contact on all fingers
+(not required for closing and releasing). Releasing is not rewarded if the object was never held."""
 _TOUCHLESS = ("approach", "close", "release", "done")
 _AFTER_HOLDING = ("release", "done")
 
 
 class GraspEnv(gymnasium.Env[Any, Array]):
-    """One grasp an episode.
+    """Environment with one grasp per episode.
 
-    Actions: speed of opening, force limit and speed of lifting, each in [-1, 1]
-    (`mjtactile.command_from_action`). A seed is that of `grasp` and `evaluate`: the same placement
+    Actions: speed of opening, force limit and lift speed, each in [-1, 1]
+    (`mjtactile.command_from_action`). Seeds are those of `grasp` and `evaluate`: the same placement
     and noise.
 
     Args:
-        object: As `mjtactile grasp` takes it, and so are `sensor`, `rig`, `vary`, `effects`,
+        object: Option of `mjtactile grasp`; so are `sensor`, `rig`, `randomization`, `effects`,
             `accuracy`.
         observation: "wrench", "markers" or "image".
-        time_limit: s until an episode is cut off.
-        reward: "outcome", at the end alone, or "progress", by what is felt and reached as well:
-            for whoever learns from nothing.
+        time_limit: Time limit of an episode, s.
+        reward: "outcome", at the end only, or "progress", in addition for contact and phases
+            reached: for learning from scratch.
         render_mode: None, or "rgb_array": the cameras' images.
-        scenario: In place of all of these names, and of its own seed, controller and time limit.
-        task: What is done: a shipped name, or FILE.toml.
+        scenario: Replacement for all of these names; its own seed, controller and time limit are
+            ignored.
+        task: Task: a shipped name, or FILE.toml.
 
     Raises:
-        InputError: For names that do not exist.
+        InputError: A name does not exist.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 30}
@@ -86,7 +87,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         object: str = "egg",
         sensor: str = "dense",
         rig: str = "sim",
-        vary: str = NONE,
+        randomization: str = NONE,
         observation: str = "wrench",
         effects: str = "auto",
         accuracy: str = "",
@@ -116,7 +117,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
             object=object,
             sensor=sensor,
             rig=rig,
-            vary=vary,
+            randomization=randomization,
             effects=effects,
             accuracy=accuracy,
             task=task,
@@ -140,8 +141,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         self.metadata = {**self.metadata, "render_fps": round(1 / self._rig.period)}
         self._markers = designs[0].markers.count
 
-    # -- Gymnasium
-    # --------------------------------------------------------------------------------
+    # -- Gymnasium --------------------------------------------------------------------------------
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -215,13 +215,12 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         return np.repeat(grey[..., None], 3, axis=2)
 
     def close(self) -> None:
-        """Let go of the simulation."""
+        """Close the simulation."""
         if self._session is not None:
             self._session.rig.close()
             self._session = None
 
-    # -- inside
-    # --------------------------------------------------------------------------------
+    # -- inside --------------------------------------------------------------------------------
 
     @property
     def _rig(self) -> Rig:
@@ -236,8 +235,10 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         )
 
     def _build(self, seed: int) -> None:
-        """A new world, whose sensors take their references; kept as a place to go back to where
-        nothing else varies."""
+        """Build a new world and take the references of its sensors.
+
+        Its state is stored for a fast reset if only the seed changes.
+        """
         self.close()
         rig = build_rig(self._scenario_of(seed))
         if rig.scene is None:
@@ -248,17 +249,17 @@ class GraspEnv(gymnasium.Env[Any, Array]):
                 field="rig",
                 choices=SIMULATES,
             )
-        if rig.touch_is_synthetic:  # a thread costs more than what it would be for
+        if rig.touch_is_synthetic:  # a thread would cost more than it saves
             rig.clock.step_in_turn()
-        self._session = Session(rig, threads=0, shapes=self.scenario.shapes)
+        self._session = Session(rig, threads=0, contact_shapes=self.scenario.contact_shapes)
         self._session.take_references()
         is_plain = load_task(self.scenario.task).is_plain and self.scenario.object != RANDOM
-        if self.scenario.vary == NONE and is_plain and movable(rig.scene):
+        if self.scenario.randomization == NONE and is_plain and movable(rig.scene):
             self._restart = Restart(rig, seed)
             self._states = [perception.state for perception in self._session.perceptions]  # type: ignore[attr-defined]
 
     def _look(self) -> None:
-        """Take the images of now, feel them, and note what a controller would be shown."""
+        """Take the current images, estimate the touches and store the controller's observation."""
         self._problem = ""
         self._cycle.look()
         self._seen = self._cycle.feel()
@@ -269,7 +270,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         return show(self._kind, self._seen, self._cycle.images, self._markers)
 
     def _progress(self) -> float:
-        """How much farther the grasp has come with the newest step."""
+        """Return the increase of the grasp progress by the newest step."""
         phase = self._cycle.last.phase
         touched = all(touch.touching for touch in self._seen.touch)
         if phase not in PROGRESS or not (touched or phase in _TOUCHLESS):
@@ -283,23 +284,23 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         return farther
 
     def _fraction_of(self, phase: str) -> float:
-        """Of its phase that is behind it."""
-        told = self._seen.told
+        """Return the completed fraction of the phase."""
+        goal = self._seen.goal
         gripper = self._seen.gripper
         if phase == "approach":
             return 1 - gripper.opening / self._opening
         if phase in ("lift", "lower"):
-            risen = gripper.lift_height / told.lift_height
+            risen = gripper.lift_height / goal.lift_height
             return risen if phase == "lift" else 1 - risen
         last = self._cycle.last
         if phase == "hold":
-            return last.memory.get("phase_time", 0.0) / max(told.hold_time, 1e-9)
+            return last.memory.get("phase_time", 0.0) / max(goal.hold_time, 1e-9)
         if phase == "release":
             return fraction_released(last)
         return 0.0
 
     def _outcome(self) -> str:
-        """How the episode ended; "" while it goes on."""
+        """Return the outcome of the episode; "" while it continues."""
         if self._score.crushed_at is not None:
             return "crushed"
         if self._score.lost or self._cycle.last.memory.get("gone"):
@@ -309,8 +310,8 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         return ""
 
     def _info(self) -> dict[str, Any]:
-        """What no observation may say: the truth, and the seed. What is not known yet is left
-        out."""
+        """Return ground truth and seed, which no observation may contain; unknown values are
+        omitted."""
         score = self._score
         rig = self._rig
         found = {
@@ -327,14 +328,14 @@ class GraspEnv(gymnasium.Env[Any, Array]):
             "force_normal_true_N": np.array(score.forces()),
             **{k: v for k, v in found.items() if math.isfinite(v)},
             **self._left_out,
-            **({"varied": dict(varied)} if varied else {}),
+            **({"randomized": dict(varied)} if varied else {}),
             "flags": dict(rig.flags()),
             **({"problem": self._problem} if self._problem else {}),
         }
 
 
 class _Cycles(Observer):
-    """Tells the score when images were taken."""
+    """Observer that reports the image times to the score."""
 
     def __init__(self, score: GraspScore):
         self._score = score

@@ -1,4 +1,4 @@
-"""What an environment shows: the vector that policies see, alone or beside markers or images."""
+"""Observation spaces: the vector for policies, alone or with markers or images."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mjtactile.core.policy import policy_bounds, policy_observation
 from mjtactile.core.types import Array, Image, Observation, Touch
 
 KINDS = ("wrench", "markers", "image")
-_MARKER_REACH = 0.1  # m; no sensor is larger
+_MARKER_REACH = 0.1  # bound of marker coordinates, m; larger than any sensor
 
 
 def space_of(kind: str, designs: Sequence[SensorDesign]) -> gymnasium.spaces.Space[Any]:
@@ -55,8 +55,10 @@ def space_of(kind: str, designs: Sequence[SensorDesign]) -> gymnasium.spaces.Spa
 
 
 def show(kind: str, observation: Observation, images: Sequence[Image], count: int) -> Any:
-    """What is seen now, in that space; `count` markers a finger. One that is not seen is 0 with
-    `seen` 0."""
+    """Return the current observation in that space, with `count` markers per finger.
+
+    A marker that is not visible is 0, with `seen` 0.
+    """
     vector = policy_observation(observation)
     if kind == "wrench":
         return vector

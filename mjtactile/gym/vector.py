@@ -1,8 +1,9 @@
-"""Many environments in one process, stepped in threads.
+"""Vector environment: several `GraspEnv` in one process, stepped in threads.
 
-A step of an environment whose touch is drawn is one kernel for the world, which lets go of Python,
-and some Python around it; threads do the one of some while the other of others is done. What an
-environment does depends on its own seed alone, however many there are and whatever steps them.
+With synthetic touch, one environment step is one kernel call for the world plus some Python code.
+The kernel releases Python's lock, so threads run kernels and Python code of different environments
+in parallel. The result of an environment depends on its own seed alone. The number of environments
+and threads has no effect.
 """
 
 from __future__ import annotations
@@ -70,7 +71,7 @@ class ThreadedVectorEnv(SyncVectorEnv):
         return super().step(actions)
 
     def _together(self, jobs: Iterable[Callable[[], None]]) -> None:
-        """Do all of them, each thread its share in turn. Raises what one of them raised."""
+        """Run all jobs, distributed over the threads, and raise the first error of any job."""
         every = list(jobs)
         shares = [every[k :: self._threads] for k in range(self._threads)]
         begun = [self._pool.submit(_in_turn, share) for share in shares[1:]]
@@ -79,7 +80,7 @@ class ThreadedVectorEnv(SyncVectorEnv):
             one.result()
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Let go of all simulations."""
+        """Close all simulations and stop the threads."""
         super().close_extras(**kwargs)
         self._pool.shutdown()
 
@@ -90,7 +91,7 @@ def _in_turn(jobs: Iterable[Callable[[], None]]) -> None:
 
 
 class _Ahead(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Hands over what was done before, in a thread."""
+    """Wrapper that returns a step or reset computed earlier in a thread."""
 
     def __init__(self, env: GraspEnv):
         super().__init__(env)

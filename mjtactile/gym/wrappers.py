@@ -1,6 +1,8 @@
-"""What a stock learner wants of `mjtactile/Grasp-v0`: numbers of about one, actions about a
-sensible middle, a few dozen decisions a grasp. `save_policy` writes what `controllers/policy.py`
-reads, in the environment's own units.
+"""Wrapper that adapts `mjtactile/Grasp-v0` to standard reinforcement learning algorithms.
+
+It scales observations to about one, centers actions on a useful value, and repeats actions so that
+a grasp has about thirty decisions. `save_policy` writes the file format of `controllers/policy.py`,
+in the units of the environment.
 """
 
 from pathlib import Path
@@ -14,7 +16,7 @@ from mjtactile.core.policy import policy_observation_names
 
 _UNITS = {"N": 1.0, "Nm": 5e-3, "m": 0.04, "s": 1.0}
 _OWN = {"speed_m_s": 0.05, "goal_ahead_m": 0.004}
-# Of each number that is shown, what a learner is shown as 1
+# Value of each observation component that is scaled to 1
 SCALE = np.array(
     [_OWN.get(n, _UNITS.get(n.rpartition("_")[2], 1.0)) for n in policy_observation_names()]
 )
@@ -25,12 +27,13 @@ SPAN = np.array([0.8, 0.15, 1.0])
 
 
 class ActionRepeatScaling(gymnasium.Wrapper):
-    """Each action stands for several steps of the environment; what is shown and done is scaled.
+    """Wrapper that repeats each action for several steps and scales observations and actions.
 
     Args:
         env: `mjtactile/Grasp-v0` with observation "wrench".
-        steps: of 33 ms that an action stands for; 8 are thirty decisions a grasp.
-        fear: the most that an end costs. At 1, some learners never lift again.
+        steps: Number of environment steps (33 ms each) per action; 8 give about thirty decisions
+            per grasp.
+        fear: Maximum penalty of a single step. At 1, some learners stop lifting.
     """
 
     def __init__(self, env: gymnasium.Env, steps: int = 8, fear: float = 0.3):

@@ -1,8 +1,8 @@
-"""What costs time, in C: loops over markers, pixels and splines that need neither numpy's
-temporaries nor Python's lock.
+"""Time-critical code in C: loops over markers, pixels and splines.
 
-The rooms that use a kernel say what it computes and hold its Python face; here are the C sources
-(`*.c`, declared in `kernels.h`), their build (`build`) and their loading (`kernel`, `bound`). See
+The kernels need neither numpy's temporary arrays nor Python's lock. The packages that use a kernel
+document its computation and contain its Python interface. This package holds the C sources (`*.c`,
+declared in `kernels.h`), their build (`build`) and their loading (`kernel`, `bound`). See
 docs/decisions/0015-compiled-chain.md.
 """
 

@@ -1,9 +1,9 @@
-"""C functions as Python ones, by their declarations in `kernels.h`: arrays are checked and handed
-over by address.
+"""Python bindings of the C functions declared in `kernels.h`.
 
-A declaration says behind each array what its shape is made of, from the call's own whole numbers:
-`double *out /* n, 3 */`, and where it may be left out, `/* n, 3 or NULL */`. An array of another
-type, with gaps, or of another size never reaches C, and a return code never gets lost.
+Arrays are checked and passed by address. In a declaration, a comment after each array gives its
+shape in terms of the integer arguments: `double *out /* n, 3 */`. An optional array is declared
+with `/* n, 3 or NULL */`. An array of the wrong type or size, or a non-contiguous one, never
+reaches C. Every error code raises an exception.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _DTYPES = {
     "int32_t": np.dtype("<i4"),
     "uint8_t": np.dtype("|u1"),
 }
-# By the names of the return codes in kernels.h: what is raised, and what it says.
+# Name of a return code in kernels.h: exception and message.
 _ERRORS = {
     "NO_MEMORY": (MemoryError, "no memory"),
     "REFUSED": (ValueError, "arguments that it cannot work with"),
@@ -41,52 +41,53 @@ _MACRO = re.compile(r"^#define (\w+)\((\w+)\) (.*?)(?: /\*.*)?$", re.M)
 
 
 def kernel(name: str) -> Callable[..., Any]:
-    """The C function `name`, without Python's lock: other threads run on while it does.
+    """Return the C function `name` as a Python function that runs without Python's lock.
 
     Args:
-        name: One that `kernels.h` declares, else KeyError is raised.
+        name: A function declared in `kernels.h`; otherwise KeyError is raised.
 
     Returns:
-        A function of the declaration's arguments. Arrays that it only reads are converted, if need
-        be; those that it writes must be C-contiguous and of its type. It returns what the C
-        function returns.
+        A function with the arguments of the declaration. Input arrays are converted if necessary.
+        Output arrays must be C-contiguous and of the declared type. It returns the result of the C
+        function.
 
     Raises:
-        TypeError: by that function, for a number of another type or an array that cannot be used.
-        ValueError: for an array of another size than the declaration says, or where the kernel
-            refuses what it is given.
-        MemoryError, numpy.linalg.LinAlgError: by the kernel's return code.
+        TypeError: Raised by that function for a number of the wrong type or an unusable array.
+        ValueError: Raised for an array of the wrong size, or if the kernel rejects its arguments.
+        MemoryError, numpy.linalg.LinAlgError: Raised for the corresponding return code of the
+            kernel.
     """
     return _library()[name].call
 
 
 def bound(name: str, *values: Any) -> Callable[..., Any]:
-    """The C function `name` on these very arrays and numbers, for a call that comes again and
-    again: they are checked now, and kept.
+    """Bind the C function `name` to given arrays and numbers, for repeated calls.
+
+    The arguments are checked now, and the arrays are kept alive.
 
     Args:
         name: As for `kernel`.
-        values: What the function takes; for each `...` among them a value is given at every call.
+        values: Arguments of the function; each `...` stands for an argument given at every call.
 
     Returns:
-        A function of what was left out.
+        A function of the remaining arguments.
 
     Raises:
-        TypeError: for an array that would have to be converted, or whose size hangs on what is
-            given later.
-        ValueError: as for `kernel`.
+        TypeError: For an array that needs conversion, or whose size depends on a later argument.
+        ValueError: As for `kernel`.
     """
     return _library()[name].bind(values)
 
 
 def words(call: Callable[..., Any]) -> np.ndarray:
-    """What a function of `bound` hands over, for a kernel that calls that C function itself.
+    """Return the arguments of a `bound` function, for a kernel that calls this C function itself.
 
     Args:
-        call: All its arguments are bound; it must be kept as long as they are used.
+        call: A function with all arguments bound. The caller must keep it while the arguments are
+            in use.
 
     Returns:
-        (n,) int64, an argument each: whole numbers, the bits of others, and addresses.
+        (n,) int64, one per argument: integers, the bit patterns of floats, and addresses.
     """
     given = call.fixed  # type: ignore[attr-defined]
     return np.array([_word(value) for value in given], np.int64)
@@ -123,8 +124,10 @@ class Declaration:
     arguments: tuple[KernelArgument, ...]
 
     def sizes(self) -> Callable[..., tuple[float, ...]]:
-        """A function of the arguments' values: how many elements each array must have, 0 for what
-        is no array."""
+        """Return a function that maps argument values to array sizes.
+
+        The size is the number of elements that each array must have; it is 0 for a number.
+        """
         names = [argument.name for argument in self.arguments]
         products = [
             "*".join(f"({side})" for side in argument.shape.split(", ")) if argument.shape else "0"
@@ -136,7 +139,10 @@ class Declaration:
 
 @cache
 def declarations() -> Mapping[str, Declaration]:
-    """What `kernels.h` declares, by name. Raises RuntimeError for an array without a size."""
+    """Return all declarations of `kernels.h` by name.
+
+    Raises RuntimeError for an array without a size.
+    """
     text = _header()
     found = {}
     for result, name, arguments in _DECLARATION.findall(text):
@@ -177,7 +183,7 @@ def _library() -> dict[str, _Kernel]:
 
 
 class _Kernel:
-    """A C function with what checks and converts its arguments."""
+    """A C function with the converters and checks of its arguments."""
 
     def __init__(self, declaration: Declaration, function: Any):
         self.declaration = declaration
@@ -204,7 +210,7 @@ class _Kernel:
 
     def bind(self, values: Sequence[Any]) -> Callable[..., Any]:
         later = [place for place, value in enumerate(values) if value is ...]
-        # what is not known yet makes every size that it is part of unknown
+        # NaN for a later argument makes all sizes that depend on it NaN
         known = self.sizes(*[np.nan if value is ... else value for value in values])
         fixed = [
             None if value is ... else self._fixed(place, value, known[place])
@@ -259,8 +265,8 @@ class _Kernel:
         raise RuntimeError(f"kernel {self.declaration.name} returned {code}")
 
 
-# What is handed over for a value: itself, or an array's address. What had to be made for it is put
-# into `held`, to outlive the call.
+# Function that returns the C argument for a value: the number, or the address of the array.
+# Temporary copies are appended to `held`, which must outlive the call.
 _Converter = Callable[[Any, float, list[Any]], Any]
 
 

@@ -1,11 +1,11 @@
-"""The library of kernels: where it lies, and how it is made where it does not lie yet.
+"""Location and build of the kernel library.
 
-A library's name holds a hash of its source, its platform and its instruction set, so that one of
-another source is never loaded. Made by the build of a wheel or of an editable install
-(`hatch_build.py`), else by the first import: with Zig's C compiler, which pip installs (`ziglang`),
-or with the system's. Zig compiles for any platform on any other, and for the oldest system that a
-wheel's tag promises: glibc 2.17 on Linux, macOS 11.
-Stands alone: the build runs it before this package can be imported.
+The file name of a library holds a hash of its source, its platform and its instruction set. A
+library built from other sources is therefore never loaded. The build of a wheel or of an editable
+install (`hatch_build.py`) compiles it, otherwise the first import does. The compiler is Zig's, a
+pip package (`ziglang`), or the system's C compiler. Zig cross-compiles for all platforms, and for
+the oldest system that the wheel tag promises: glibc 2.17 on Linux, macOS 11. This module imports
+nothing else of the package: the build runs it before the package is importable.
 """
 
 from __future__ import annotations
@@ -44,18 +44,18 @@ _FLAGS = [
 ]
 # GCC warns that without AVX vectors are handed over otherwise; no others hand them to these.
 _SYSTEM_FLAGS = ["-Wno-psabi"]
-# What Zig compiles for, and the tag of a wheel that holds it.
+# Targets of the Zig compiler, and the corresponding wheel tags.
 PLATFORMS = {
     "linux-x86_64": ("x86_64-linux-gnu.2.17", "manylinux_2_17_x86_64.manylinux2014_x86_64"),
     "linux-aarch64": ("aarch64-linux-gnu.2.17", "manylinux_2_17_aarch64.manylinux2014_aarch64"),
     "darwin-arm64": ("aarch64-macos.11.0", "macosx_11_0_arm64"),
     "darwin-x86_64": ("x86_64-macos.11.0", "macosx_11_0_x86_64"),
 }
-# Without its own runtime library, of which the kernels need nothing: to compile that takes
-# as long as to compile them. What would be missing is an error of the build.
+# Without Zig's runtime library: the kernels do not use it, and compiling it doubles the build time.
+# A missing symbol is an error of the build.
 _ZIG_FLAGS = {"linux": ["-nostdlib", "-Wl,-z,defs"], "darwin": ["-nostdlib"]}
-# Instruction sets that are worth a library of their own, the best first: what the processor must
-# have, and the flag.
+# Instruction sets with a separate library, the best first: name, required processor features,
+# compiler flags.
 _X86_SETS = [("avx2", {"avx2", "fma", "bmi2"}, ["-mavx2", "-mfma", "-mbmi2"]), ("sse2", set(), [])]
 _OTHER_SETS = [("plain", set(), [])]
 
@@ -71,8 +71,11 @@ def this_platform() -> str:
 
 
 def wheel_tag(target: str) -> str:
-    """The tag of a wheel for the platform `target`; the old kind, which no index takes, where there
-    is no Zig to compile for old systems."""
+    """Return the wheel tag of the platform `target`.
+
+    Without Zig, which compiles for old systems, it is the plain platform tag. Package indexes
+    reject that tag.
+    """
     if _has_zig() and target in PLATFORMS:
         return f"py3-none-{PLATFORMS[target][1]}"
     return "py3-none-" + re.sub(r"[-.]", "_", sysconfig.get_platform())
@@ -90,14 +93,14 @@ def best_set() -> str:
 
 
 def library(instructions: str | None = None, target: str | None = None) -> Path:
-    """The library of kernels, made if it does not exist.
+    """Return the path of the kernel library; build the library if it does not exist.
 
     Args:
-        instructions: one of `instruction_sets`; the best that this processor can run by default.
-        target: one of `PLATFORMS`; this one by default.
+        instructions: One of `instruction_sets`; by default the best for this processor.
+        target: One of `PLATFORMS`; by default the current one.
 
     Raises:
-        RuntimeError: there is no compiler, or it fails; says what to do.
+        RuntimeError: There is no compiler, or it fails. The message contains a remedy.
     """
     if sys.platform == "win32":
         raise RuntimeError("mjtactile runs on Linux and macOS; on Windows, inside WSL")
@@ -115,7 +118,7 @@ def library(instructions: str | None = None, target: str | None = None) -> Path:
                 _compile(made, instructions, target)
                 made.replace(folder / name)
                 _forget_others(folder / name, f"{target}-{instructions}")
-        except PermissionError:  # an installation that belongs to somebody else
+        except PermissionError:  # read-only installation
             continue
         return folder / name
     raise RuntimeError(
@@ -124,7 +127,7 @@ def library(instructions: str | None = None, target: str | None = None) -> Path:
 
 
 def _forget_others(library: Path, kind: str) -> None:
-    """Delete what was made of other sources in a checkout; a process that uses it keeps it."""
+    """Delete libraries of other source versions in a checkout; running processes keep theirs."""
     if library.parent == FOLDER / MADE:
         for old in library.parent.glob(f"kernels-*-{kind}.so"):
             if old != library:

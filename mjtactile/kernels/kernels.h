@@ -52,7 +52,7 @@ int64_t measure_surface(int64_t nx, int64_t ny, const double *c /* ny, nx */,
                         const double *stiffness /* ny * nx, BAND_STRIDE(SURFACE_WIDTH(nx)) */, double *z /* grid_ny, grid_nx */,
                         double *found /* 4 */);
 
-/* force/sheet.py: a sheet of nx, ny splines, four at least, with its `numbers` and its `law` as in sheet.h, at `c`, and how its
+/* force/sheet.py: a sheet of nx, ny splines, four at least, with its `numbers` and its `transmission` as in sheet.h, at `c`, and how its
    own coordinates turn into places at its Gauss points, `turns`, as in sheet.c; NULL: they are the places. Out: `elastic` forces, the bulge's `gradient` and `volume`, m^3. */
 int64_t sheet_state(int64_t nx, int64_t ny, const double *numbers /* 8 */, int64_t entries, const double *law /* 2, entries */,
                     const double *turns /* 2 * (nx - 1), 2 * (ny - 1), 5 or NULL */, const double *c /* 3, nx, ny */,
@@ -184,14 +184,14 @@ void apply_gas_load(int64_t k, const double *gradient /* k, 3 */, const double *
 int64_t membrane_loads(int64_t contacts, int64_t list, const int64_t *layout /* 9 */, int64_t rows,
                        const double *force /* rows */, int64_t n, const int64_t *membranes /* n, 3 */, double *loads /* n, 3 */);
 /* sim/sensor/neo_hookean_flex.py: MuJoCo's stiffness `rows`, of which six are written, from the strain of m triangles of `edges` between
-   `ends` of n vertices `p`. `law`: mu, Poisson's ratio, lambda', its least and most. Out, too: `thin`, the square of the
+   `ends` of n vertices `p`. `transmission`: mu, Poisson's ratio, lambda', its least and most. Out, too: `thin`, the square of the
    thickness's stretch over that of the area. */
 int64_t rubber_stiffness(int64_t m, const int64_t *edges /* m, 3 */, int64_t e, const int64_t *ends /* e, 2 */, int64_t n,
                          const double *p /* n, 3 */, const double *metric /* m, 3, 3 */, const double *law /* 5 */,
                          const double *by_mu /* m, 6 */, const double *by_lambda /* m, 6 */, double *thin /* m */,
                          double *rows /* m, 21 */);
 /* sim/sensor/stress_relaxation.py: m triangles of n vertices `p`, whose edges' `inverse` and area times thickness, `section`, are those of
-   the flat sheet. `law`: mu, Poisson's ratio, the pre-stretch squared, softening and its energy; `thin`: of rubber_stiffness at
+   the flat sheet. `transmission`: mu, Poisson's ratio, the pre-stretch squared, softening and its energy; `thin`: of rubber_stiffness at
    the same `p`; each term has a share and what is `kept` of it. In and out: `memory`, the stress before and what each term has
    faded by, `most` energy, `rows`, which become as stiff as the quick rubber, and `forces` on k `interior` vertices, to which
    those are added that take the faded stress away. `work` is room for it. */
@@ -219,7 +219,7 @@ int64_t update_stiction(int64_t contacts, int64_t list, const int64_t *layout /*
                         int64_t first, int64_t count, const double *settings /* 5 */, double *goal /* count */,
                         double *memory /* count, 6 */, uint8_t *slides /* count */, double *surface /* count, 3 */);
 
-/* film/: the sheet of `numbers` and `law` as film.h has them, on nodes (columns, rows) of which the frame's are part. Out: heights
+/* film/: the sheet of `numbers` and `transmission` as film.h has them, on nodes (columns, rows) of which the frame's are part. Out: heights
    over `places` of `bodies`, whose planes, triangles and fields are in `pool`; infinite where there are none. */
 int64_t film_heights(const double *numbers /* 19 */, int64_t bodies, const double *body /* bodies, 20 */, int64_t pooled,
                      const double *pool /* pooled or NULL */, int64_t count, const double *places /* count, 2 */,

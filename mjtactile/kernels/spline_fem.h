@@ -6,7 +6,7 @@
 
 typedef struct { double length_x, length_y, lambda2, neo_hookean, modulus, poisson, table_first, table_per_unit; } SheetNumbers;
 
-/* `law` (2, entries): q and q' */
+/* `transmission` (2, entries): q and q' */
 typedef struct { long nx, ny, n, width, entries; SheetNumbers numbers; const double *law; } Sheet;
 
 /* A factorised stiffness K0 + s g g^T: the band's factor, and its inverse's change by the gas, -share w w^T. */

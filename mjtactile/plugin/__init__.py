@@ -1,2 +1,5 @@
-"""Touch in somebody else's MuJoCo scene: `attach` a sensor, `bind` it to the compiled model,
-`step`, read `touch`."""
+"""Tactile sensors in a user's MuJoCo scene.
+
+`attach` adds a sensor to the spec, `bind` connects it to the compiled model. `step` advances the
+scene, and `touch` holds the newest estimate.
+"""

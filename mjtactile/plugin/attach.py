@@ -1,7 +1,7 @@
-"""`attach`: put a sensor that feels into any MuJoCo scene.
+r"""`attach`: add a tactile sensor to any MuJoCo scene.
 
     spec = mujoco.MjSpec.from_file("their_robot.xml")
-    print(*mjtactile.configure_options(spec), sep="\\n")       # what it changed, and why
+    print(*mjtactile.configure_options(spec), sep="\n")       # changed options, with reasons
     sites = ("left_tip", "right_tip")
     tips = [mjtactile.attach(spec, "dense", site=site, prefix=f"{site}/") for site in sites]
     model = spec.compile()
@@ -10,9 +10,10 @@
     fingers = [tip.bind(model, data) for tip in tips]
     while data.time < 5:
         mjtactile.step(model, data, fingers)  # gas, mj_step, images when they are due
-        touch = fingers[0].touch                               # the newest image's, with its age
+        touch = fingers[0].touch                               # of the newest image, with its age
 
-The site's frame becomes the sensor's frame S: origin in the middle of the flat membrane, z outward.
+The site's frame becomes the sensor frame S. Its origin is the center of the flat membrane, z points
+outward.
 """
 
 from __future__ import annotations
@@ -34,10 +35,10 @@ _MIN_MESH = 8  # vertices along a side: the shipped sensors' references are in b
 
 @dataclass(frozen=True, eq=False)
 class AttachedSensor:
-    """Where `attach` put a sensor; `bind` it to each model compiled from that spec.
+    """Sensor attached to a spec; `bind` connects it to each model compiled from that spec.
 
     Attributes:
-        membrane: What was put there.
+        membrane: The attached membrane.
     """
 
     membrane: Attachment
@@ -75,27 +76,28 @@ def attach(
     contact: str = "auto",
     effects: Collection[str] = PHYSICS | CAMERA,
 ) -> AttachedSensor:
-    """Attach a sensor to a scene, with `user` sensors for what it feels.
+    """Attach a sensor to a scene, with `user` sensors for its estimates.
 
     Args:
         spec: The scene.
         sensor: A design, a shipped name or a TOML file.
-        site: Where; its frame becomes the sensor's frame S: the origin in the middle of the flat
-            membrane, z outward.
-        prefix: Of all names in the scene; keeps several sensors apart.
+        site: Mounting site. Its frame becomes the sensor frame S: the origin is the center of the
+            flat membrane, z points outward.
+        prefix: Prefix of all names in the scene; it distinguishes several sensors.
         mesh: Number of vertices along x and y.
-        mass: kg of frame, glass and camera.
-        contact: What of the membrane touches: its "vertices", its triangles ("elements"), "both",
-            or "auto" by the scene's smallest feature.
-        effects: Names that `mjtactile effects` lists. The chain always feels: touch can be drawn
-            in grasps only.
+        mass: Mass of frame, glass and camera, kg.
+        contact: Contact geometry of the membrane: its "vertices", its triangles ("elements"),
+            "both", or "auto" for a choice by the scene's smallest feature.
+        effects: Names that `mjtactile effects` lists. The sensing chain always runs: synthetic
+            touch is available in grasps only.
 
     Returns:
-        What to `bind` to the compiled model.
+        The sensor, to `bind` to the compiled model.
 
     Raises:
-        InputError: An unknown site, a prefix already used, a sensor that cannot be simulated or
-            felt with, or options of `spec` that cannot carry it (`configure_options` sets them).
+        InputError: An unknown site, a prefix already in use, a sensor that cannot be simulated or
+            sensed with, or options of `spec` that the sensor cannot use (`configure_options` sets
+            them).
     """
     design = load_sensor(sensor)
     if mesh is not None and min(mesh) < _MIN_MESH:

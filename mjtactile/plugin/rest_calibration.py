@@ -1,10 +1,9 @@
-"""What a sensor is like at rest, found out on the sensor alone: no scene needs a choreography for
-it.
+"""Reference state of a sensor, measured on the sensor alone.
 
-A real sensor measures its references while nothing touches it. In somebody else's scene something
-may touch from the first step on, so that the references are taken in a world that holds this one
-sensor and nothing else, through rendered images and the chain that every rig uses. The inflated
-membrane that it ends with is then put into the user's scene.
+A real sensor measures its references while nothing touches it. In a user's scene, contact may exist
+from the first step on. The references are therefore taken in a separate world that contains only
+this sensor. They use rendered images and the same sensing chain as every rig. The resulting
+inflated membrane is then copied into the user's scene, which needs no special motion.
 """
 
 from __future__ import annotations
@@ -29,9 +28,11 @@ from mjtactile.sim.scenes.world import World
 
 @dataclass(frozen=True, eq=False)
 class Rest:
-    """A sensor with its chamber sealed and nothing touching: `displacements` (3 k,) m in S of its
-    mesh's interior vertices, `gauge_pressure` Pa, and its `chain` with the `state` that has
-    measured both references."""
+    """Reference state of a sensor with a sealed chamber and no contact.
+
+    `displacements` (3 k,), m, frame S, are those of the interior mesh vertices. `gauge_pressure` is
+    in Pa. The `chain` has measured both references, which its `state` holds.
+    """
 
     displacements: Array
     gauge_pressure: float

@@ -1,4 +1,4 @@
-"""`SimFinger`: one sensor in the user's own scene that can be asked what it feels."""
+"""`SimFinger`: one sensor in a user's scene, with its membrane and its sensing chain."""
 
 from __future__ import annotations
 
@@ -30,8 +30,12 @@ OUTPUTS = {"wrench": 6, "pressure": 1, "touching": 1}
 
 @dataclass(frozen=True, eq=False)
 class SensorReading:
-    """What one image of a finger's camera said: `touch` as old as it was then, the membrane at
-    `rest`, and `gauge_pressure` Pa and `temperature` K in the chamber when it was taken."""
+    """Result of one camera image: `touch` with its age at that time, and the membrane reference
+    `rest`.
+
+    `gauge_pressure`, Pa, and `temperature`, K, are those of the chamber at the time of the
+    image.
+    """
 
     image: Image
     touch: Touch
@@ -41,15 +45,15 @@ class SensorReading:
 
 
 class SimFinger:
-    """A sensor in a scene that its user steps: membrane, gas, camera and sensing chain in one.
+    """Sensor in a scene that the user steps: membrane, gas, camera and sensing chain.
 
-    It is no `mjtactile.Finger`: that one is part of a rig, whose session reads its devices. This
-    one looks at its own images as they fall due, since the loop is the user's. Made by
-    `AttachedSensor.bind`, inflated and with its references taken.
+    It differs from `mjtactile.Finger`, which is part of a rig and is read by a session. `SimFinger`
+    processes its own images when they are due, since the user runs the loop. `AttachedSensor.bind`
+    creates it, inflated and with its references taken.
 
-    With every step it also writes `data.sensordata`: PREFIXwrench (6 numbers: N and N m about the
-    origin of S, felt, as in `touch.traction.wrench`), PREFIXpressure (Pa, gauge) and PREFIXtouching
-    (0 or 1); NaN where the touch is unknown.
+    After every step it writes `data.sensordata`: PREFIXwrench (6 numbers: estimated force, N, and
+    torque about the origin of S, N m, as in `touch.traction.wrench`), PREFIXpressure (Pa, gauge)
+    and PREFIXtouching (0 or 1). The values are NaN where the touch is unknown.
     """
 
     def __init__(self, membrane: Attachment, model: mujoco.MjModel, data: mujoco.MjData, seed: int):
@@ -64,12 +68,11 @@ class SimFinger:
         ]
         self.reset()
 
-    # -- what it says
-    # --------------------------------------------------------------------------------
+    # -- outputs -----------------------------------------------------------------------------------
 
     @property
     def name(self) -> str:
-        """The prefix that it was attached with, without what separates it."""
+        """Prefix of the sensor without trailing separators."""
         return self._membrane.prefix.rstrip("/_-.")
 
     @property
@@ -78,16 +81,16 @@ class SimFinger:
 
     @property
     def touch(self) -> Touch:
-        """What the newest image shows; `age` says how old that is.
+        """Touch estimated from the newest image; `age` is the time since that image.
 
-        Raises InputError when the scene was stepped or reset without this finger.
+        Raises InputError if the scene was stepped or reset without this finger.
         """
         self._require_time(slack=1.5 * self._model.opt.timestep)
         return replace(self._touch, age=float(self._data.time) - self._touch.time)
 
     @property
     def shape(self) -> ContactShape:
-        """What body the newest image shows, found when it is asked for: a tenth of a second and
+        """Contact shape estimated from the newest image. It is computed on access, in 0.1 s or
         more.
 
         Raises InputError as `touch` does.
@@ -101,33 +104,34 @@ class SimFinger:
 
     @property
     def seen(self) -> SensorReading:
-        """All that the newest image said, in one piece: for other threads than the one that
-        steps."""
+        """All results of the newest image as one object, safe to read from other threads."""
         return self._seen
 
     @property
     def gauge_pressure(self) -> float:
-        """Pressure in the chamber, Pa above ambient, at the last step: what a pressure sensor would
-        read."""
+        """Chamber pressure at the last step, Pa above ambient, as a pressure sensor would measure
+        it."""
         return self.sensor.gauge_pressure
 
     @property
     def flags(self) -> Mapping[str, str]:
-        """What makes the simulation's numbers worse than usual: the kind of doubt (`feature`,
-        `edge`, `frame`, `speed`, ...), and its reason when it was first seen since `reset`."""
+        """Reasons for reduced simulation accuracy since `reset`.
+
+        The keys are kinds of model error (`feature`, `edge`, `frame`, `speed`, ...). The values are
+        the reasons at the first occurrence.
+        """
         return MappingProxyType(self._stepper.flags)
 
     def ground_truth_wrench(self) -> Array:
-        """What the simulation has on the membrane, for scoring: a real sensor cannot tell.
+        """Return the contact wrench of the simulation, for evaluation only.
 
         Returns:
-            (6,) Force, N, and torque about the origin of S, N m, frame S, as
-            `touch.traction.wrench` has them; of the last step.
+            (6,) Force, N, and torque about the origin of S, N m, frame S, with the convention of
+            `touch.traction.wrench`; from the last step.
         """
         return membrane_wrench(self._data, self.sensor)
 
-    # -- what moves it
-    # --------------------------------------------------------------------------------
+    # -- stepping ----------------------------------------------------------------------------------
 
     def reset(self) -> None:
         """Start again as after `bind`: inflated, at rest, histories forgotten. Call it after
@@ -148,13 +152,13 @@ class SimFinger:
         self._next_image = self._time + self._period
 
     def belongs_to(self, data: mujoco.MjData) -> bool:
-        """Say whether this finger was bound to some data.
+        """Return True if this finger was bound to the given data.
 
         Args:
-            data: MuJoCo's.
+            data: MuJoCo data.
 
         Returns:
-            Whether it was.
+            True if it is bound to `data`.
         """
         return data is self._data
 
@@ -168,12 +172,13 @@ class SimFinger:
         self._stepper.before_step()
 
     def after_step(self) -> None:
-        """Check the state, look at an image if one is due; for those who call `mj_step` themselves,
-        right after it.
+        """Check the state, and process an image if one is due.
+
+        Callers that use `mj_step` directly must call this right after it.
 
         Raises:
-            SimulationError: the state is no longer to be trusted: it diverged, or something went
-                through the membrane.
+            SimulationError: The state is invalid: it diverged, or an object went through the
+                membrane.
         """
         self._time = float(self._data.time)
         self._stepper.after_step()
@@ -259,8 +264,10 @@ def step(
 
 
 def _address(model: mujoco.MjModel, name: str, size: int) -> slice:
-    """Where a sensor's numbers are in `sensordata`. Raises InputError when the model has no such
-    sensor."""
+    """Return the slice of a sensor's values in `sensordata`.
+
+    Raises InputError if the model has no such sensor.
+    """
     found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)
     if found < 0:
         raise InputError(

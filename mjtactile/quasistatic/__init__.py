@@ -1,37 +1,43 @@
-"""The film: what a pressed membrane does, for the price of a few sparse solves. Public face:
-`mjtactile.QuasistaticMembrane`.
+"""Quasi-static membrane solver: the equilibrium of a loaded membrane in a few sparse solves.
 
-What it is. The sensor's sheet with its own rubber (neo-Hookean, pre-stretched) on a regular grid of
-1 to 2 mm, which an outline that is no rectangle cuts (`cutting.py`), over its gas, at rest on
-bodies that are heights over it. Nodes move in all three directions. Each step solves twice: for the
-heights with a film's stiffness under the sheet's tension, and in the plane with one constant
-matrix; residuals are the sheet's own, so that the result is the sheet's, not the matrices'. A state
-goes on as it came (`MembraneSolution.trend`): bodies that move evenly want one step.
+Public interface: `mjtactile.QuasistaticMembrane`.
 
-What it leaves out, and what that costs (docs/validation/benchmarks.md, `bench film`):
-- Bending: nothing that a sheet of 0.3 mm shows, but for features narrower than about five
-  thicknesses.
-- Friction: 1 to 8 % of a force. Shear and torsion of what sticks are beside it (`sticking.py`): a
-  patch is held by the sheet, and drags it along without changing what touches; its stiffness is
-  within 10 %, from 16 mm of radius on within 4.
-- Mass and damping: it is always at rest.
-- What is undercut, or steeper than about 75 degrees: a body is seen along z alone (`bodies.py`);
-  flanks of boxes and cylinders beyond 63 degrees are met at their edges only.
-- What happens between nodes: a contact smaller than a few cells hangs on its place between them, a
-  4 mm ball 0.5 mm deep by up to 14 % on nodes 2 mm apart, a thin rod by more; blades are met by the
-  nearest line of nodes; ridges are a tenth too stiff there, and a cone's tip of 45 degrees a third
-  too soft (most steeper ones are refused). `MembraneSolution.doubt` says
-  how far 9 of 10 such forces are off at most (1: a tip that no node meets), `relative_area_error`
-  areas, which are not known where a contact is a point or a line for the grid, and
-  `QuasistaticMembrane.refined_for` finds a grid for a body: three times the time on 41 x 31 nodes.
-  What is thinner than a tenth of the spacing may be missed, and needles slip aside.
+Model. The sensor's membrane has its own rubber (neo-Hookean, pre-stretched) and covers the chamber
+gas. The grid is regular with a spacing of 1 to 2 mm. A non-rectangular outline cuts grid cells
+(`cut_cells.py`). The membrane is in equilibrium on obstacles, which are height fields over it.
+Nodes move in all three directions. Each step has two solves. The heights use the stiffness of a
+tensioned membrane, the in-plane displacements use one constant matrix. The residuals are those of
+the full membrane model, so the matrices affect convergence but not the result. The solver
+extrapolates the last change of the state (`MembraneSolution.trend`): obstacles in steady motion
+need one step.
 
-What it refuses, in one line: what touches the rim, lies on the glass, pulls the sheet inside out
-or beyond what its rubber's law is known for, or goes through between nodes. What does not converge
-says so in `state.converged`, and its numbers are NaN.
+Limits and their cost (docs/validation/benchmarks.md, `bench quasistatic`):
+- Bending is neglected. For a membrane of 0.3 mm this matters only for features narrower than about
+  five thicknesses.
+- Contact is frictionless, an error of 1 to 8 % of the force. Shear and torsion of sticking contact
+  are a separate model (`stick_contact.py`). It moves a patch against the membrane's stiffness
+  without a change of the contact region. Its stiffness is within 10 %, and within 4 % from a radius
+  of 16 mm on.
+- Mass and damping are neglected: the membrane is always in equilibrium.
+- Obstacles are height fields along z (`obstacles.py`): undercuts and slopes steeper than about 75
+  degrees are not represented. Flanks of boxes and cylinders beyond 63 degrees are in contact at
+  their edges only.
+- Contact is evaluated at nodes only. A contact smaller than a few cells depends on its position
+  between the nodes. The force of a 4 mm ball 0.5 mm deep varies by up to 14 % on nodes 2 mm apart,
+  that of a thin rod by more. Blades are in contact with the nearest line of nodes. Ridges are 10 %
+  too stiff there. The tip of a 45 degree cone is a third too soft; most steeper cones are rejected.
+  `MembraneSolution.doubt` is the error bound that holds for 9 of 10 such forces (1: a tip that
+  touches no node). `relative_area_error` is the same for areas, which are unknown if the contact is
+  a point or a line on this grid. `QuasistaticMembrane.refined_for` selects a grid for an obstacle:
+  41 x 31 nodes take three times as long. Obstacles thinner than a tenth of the spacing may be
+  missed, and needles slip aside.
 
-Frame S, SI units; p V^gamma with the design's gamma, or a pressure that is held. Equations:
-docs/theory/quasistatic_membrane.md, X1-X8. Why so: docs/decisions/0025-film.md.
+The solver rejects an obstacle with a one-line error if it touches the rim, lies on the glass, or
+passes between nodes. It also rejects an inverted membrane, and stretch beyond the range of the
+material model. If a solution does not converge, `state.converged` is False and its numbers are NaN.
+
+Frame S, SI units. The gas follows p V^gamma with the design's gamma, or its pressure is held.
+Equations: docs/theory/quasistatic_membrane.md, X1-X8. Rationale: docs/decisions/0025-film.md.
 """
 
 from mjtactile.quasistatic.membrane import QuasistaticMembrane

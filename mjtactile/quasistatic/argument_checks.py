@@ -1,4 +1,4 @@
-"""What a caller hands to a film, checked: each refusal is one line that names the argument."""
+"""Argument checks of the quasi-static membrane: one-line errors that name the argument."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mjtactile.quasistatic.solution import MembraneSolution, MembraneSolutionBat
 
 _MIN_NODES = 5
 _MAX_NODES = 400
-_MAX_GAUGE = 1e6  # Pa
+_MAX_GAUGE = 1e6  # maximum gauge pressure, Pa
 
 
 def grid(counts: Any) -> tuple[int, int]:
@@ -60,7 +60,7 @@ def require_state(state: Any, shape: tuple[int, ...]) -> None:
 
 
 def threads_among(threads: Any, count: int) -> int:
-    """How many threads `count` environments are shared out among. Raises InputError."""
+    """Return the number of threads for `count` environments. Raises InputError."""
     if not isinstance(threads, (int, np.integer)):
         raise InputError(f"{threads!r} is not a whole number", field="threads")
     return max(1, min(int(threads), count))

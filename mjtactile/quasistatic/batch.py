@@ -13,11 +13,11 @@ from mjtactile.quasistatic.solution import FOUND, MembraneSolutionBatch
 
 
 def at_once(threads: int, work: Callable[[int], object]) -> None:
-    """Have `work(k)` called in `threads` threads, this one among them, k from 0 on.
+    """Call `work(k)` in `threads` threads, including this one, with k from 0 on.
 
     Args:
-        threads: How many.
-        work: Takes what is left to do, without Python's lock for most of its time.
+        threads: Number of threads.
+        work: Function that processes the remaining items, mostly without Python's lock.
     """
     done: SimpleQueue[BaseException | None] = SimpleQueue()
     orders = _orders(os.getpid(), threads - 1)
@@ -43,8 +43,10 @@ _kept: dict[int, tuple[SimpleQueue[_Order], list[Thread]]] = {}
 
 
 def _orders(process: int, count: int) -> SimpleQueue[_Order]:
-    """Where threads that stay for the next batch wait for work, `count` of them or more, of this
-    process; a forked one has none of another's."""
+    """Return the work queue of a process, with at least `count` waiting threads.
+
+    The threads stay alive for the next batch. A forked process gets its own queue and threads.
+    """
     if process not in _kept:
         _kept[process] = SimpleQueue(), []
     orders, threads = _kept[process]

@@ -1,9 +1,9 @@
-"""The law of a sensor file's sheet as the film's kernel wants it (docs/theory/membrane_inverse.md,
-Eq. F4 and X2). SI units.
+"""Constitutive law of a membrane in the form that the kernel uses. SI units.
 
-A neo-Hookean sheet's stress is mu h (I - q A) with A = tr(C) I - C; q is a function of det C alone,
-and over the stretches that a sheet sees a polynomial of 1 / sqrt(det C) is as good as the function:
-no logarithm in the inner loop.
+See docs/theory/membrane_inverse.md, Eq. F4 and X2. The stress of a neo-Hookean membrane is mu h (I
+- q A) with A = tr(C) I - C, where q is a function of det C alone. Over the stretch range of a
+membrane, a polynomial of 1 / sqrt(det C) represents q accurately. The inner loop therefore needs no
+logarithm.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ _NEWTON = 60
 
 
 def law_numbers(sheet: Membrane) -> tuple[tuple[float, ...], Array]:
-    """Numbers and polynomial of a sheet's law.
+    """Return the parameters and the polynomial of a membrane's constitutive law.
 
     Args:
-        sheet: the sensor file's membrane.
+        sheet: The sensor file's membrane.
 
     Returns:
-        Whether it is neo-Hookean, its modulus times thickness, N/m (mu h, or E h / (1 - nu^2)),
-        Poisson's ratio, and the middle and scale of the polynomial's argument; the polynomial
-        (DEGREE + 1,), lowest power first.
+        1.0 if it is neo-Hookean (else 0.0), its modulus times thickness, N/m (mu h, or E h / (1 -
+        nu^2)), Poisson's ratio, and the center and scale of the polynomial's argument; the
+        polynomial (DEGREE + 1,), lowest power first.
     """
     middle, per_unit, powers = _polynomial(sheet)
     neo_hookean = sheet.law is not Law.STVK

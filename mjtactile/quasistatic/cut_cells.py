@@ -1,11 +1,11 @@
-"""What an outline that is no rectangle leaves of a film's grid.
+"""Cut cells of a membrane grid with a non-rectangular outline.
 
-Nodes outside are held. Cells inside are whole; what the outline leaves of those that it cuts is a
-polygon of nodes and of the places where the grid's lines cross the outline, divided into triangles
-on which displacements are linear and vanish at the crossings. A quadrilateral is divided along both
-diagonals, each for half of it, as the kernel has whole cells: what is symmetric stays so. Left out
-is what lies between the outline and its chord in a cell, whose area falls with the spacing's
-square, as the error of whole cells does.
+Nodes outside the outline are fixed. Cells inside are whole. A cut cell keeps a polygon of nodes and
+of points where grid lines cross the outline. The polygon is divided into triangles with linear
+displacements, which vanish at the crossings. A quadrilateral is divided along both diagonals, each
+with weight one half. The kernel treats whole cells the same, so symmetry is preserved. The area
+between the outline and its chord in a cell is neglected. It decreases with the square of the
+spacing, as the error of whole cells does.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ _CORNERS = ((0, 0), (1, 0), (1, 1), (0, 1))  # of a cell, counter-clockwise
 
 
 def cut_by(frame: Frame, x: Array, y: Array) -> tuple[Array, float]:
-    """What a frame leaves of a grid.
+    """Cut a grid with the outline of a frame.
 
     Args:
-        frame: Of any outline.
-        x: (nx,) m, its lines, from edge to edge of the rectangle about the outline.
-        y: (ny,) m.
+        frame: Frame with any outline.
+        x: (nx,) Grid lines, m, from edge to edge of the rectangle about the outline.
+        y: (ny,) The same along y, m.
 
     Returns:
-        What kernels/qs_cut_cells.h reads, nothing of a rectangle; the area within, m^2.
+        The input of kernels/qs_cut_cells.h, empty for a rectangle; the area inside, m^2.
     """
     if frame.outline is None:
         return np.empty(0), frame.length * frame.width
@@ -68,14 +68,17 @@ def cut_by(frame: Frame, x: Array, y: Array) -> tuple[Array, float]:
 
 
 def moving(cut: Array, grid: tuple[int, int]) -> NDArray[np.bool_]:
-    """Which nodes (nx, ny) an outline leaves free, of what `cut_by` gives of one."""
+    """Return the mask (nx, ny) of free nodes from the result of `cut_by`."""
     return cut[_HEADER : _HEADER + grid[0] * grid[1]].reshape(grid) > 0
 
 
 @dataclass(frozen=True, eq=False)
 class _Crossings:
-    """A grid and an outline: `inside` (nx, ny) says which nodes are free; line k along y, at x[k],
-    crosses it at `across_y` (2, nx), lower and upper, line k along x at `across_x` (2, ny)."""
+    """Crossings of a grid and an outline.
+
+    `inside` (nx, ny) is True for free nodes. Grid line k along y, at x[k], crosses the outline at
+    `across_y` (2, nx), lower and upper. Line k along x crosses it at `across_x` (2, ny).
+    """
 
     x: Array
     y: Array
@@ -96,7 +99,7 @@ class _Crossings:
 
     @property
     def lopsided(self) -> bool:
-        """Whether it is another one when mirrored along x or along y."""
+        """True if the outline is asymmetric about x or about y."""
         spacings = (self.y[1] - self.y[0], self.x[1] - self.x[0])
         off = 0.0
         for across, spacing in zip((self.across_x, self.across_y), spacings, strict=True):
@@ -118,8 +121,10 @@ class _Crossings:
 
 
 def _chains(points: Array, at: Array) -> Array:
-    """Where lines at the first coordinate `at` (n,) cross a convex polygon: the lower and upper
-    second coordinate (2, n), NaN where they do not."""
+    """Intersect a convex polygon with lines at the first coordinate `at` (n,).
+
+    Returns the lower and upper second coordinate (2, n), NaN without an intersection.
+    """
     turned = np.roll(points, -int(points[:, 0].argmin()), axis=0)
     far = int(turned[:, 0].argmax())
     there = turned[: far + 1]
@@ -130,7 +135,7 @@ def _chains(points: Array, at: Array) -> Array:
 
 @dataclass(frozen=True)
 class _Corner:
-    """Of a polygon: its place, m; its node, or None where it is held."""
+    """Corner of a polygon: its position, m, and its node (None: fixed)."""
 
     place: tuple[float, float]
     node: tuple[int, int] | None
@@ -138,7 +143,8 @@ class _Corner:
 
 @dataclass(frozen=True)
 class _Triangle:
-    """`share` of it counts. `towards`: nodes beside its own that are held, by node."""
+    """Triangle of a cut cell with weight `share`; `towards` maps a free node to its fixed
+    neighbor."""
 
     corners: tuple[_Corner, _Corner, _Corner]
     share: float
@@ -146,7 +152,7 @@ class _Triangle:
 
 
 def _triangles(grid: _Crossings, i: int, j: int) -> Iterator[_Triangle]:
-    """What is left of the cell from node (i, j) on."""
+    """Yield the triangles of the cut cell that starts at node (i, j)."""
     ring = [(i + a, j + b) for a, b in _CORNERS]
     polygon: list[_Corner] = []
     towards: dict[tuple[int, int], tuple[int, int]] = {}
@@ -205,7 +211,7 @@ def _grouped(triangles: Sequence[_Triangle], rows: int, cell: float) -> tuple[Ar
 
 
 def _whole_groups(count: int) -> int:
-    """As many, and what is wanting of whole groups."""
+    """Round `count` up to a multiple of the group size."""
     return math.ceil(count / _TOGETHER) * _TOGETHER
 
 

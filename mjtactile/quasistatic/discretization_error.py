@@ -1,11 +1,10 @@
-"""How far a force may be off where what presses a film is narrow for its grid, and how fine a grid
-would do.
+"""Discretization error of the quasi-static membrane for narrow obstacles, and a sufficient grid.
 
-A contact narrower than a few cells hangs on where it lies between the nodes; what has edges is a
-little too soft. By how much is a table: of balls, rods, pins and blades of 0.4 to 16 mm at random
-places and angles against films of 81 x 61 and 121 x 91 nodes, and of the presses of the independent
-sheet. How well it does on bodies that it was not made of: docs/validation/benchmarks.md, "The
-film".
+The force of a contact narrower than a few cells depends on its position between the nodes. Edged
+obstacles are slightly too soft. A table gives the error. It comes from balls, rods, pins and blades
+of 0.4 to 16 mm at random positions and angles, compared with membranes of 81 x 61 and 121 x 91
+nodes. It also includes loads of the independent membrane model. For its accuracy on other obstacles
+see docs/validation/benchmarks.md, "The film".
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from mjtactile.core.types import Array
 from mjtactile.quasistatic.obstacles import KINDS, Obstacle
 
 REFINED = (1.0, 1.5, 2.0, 3.0, 4.0)  # times as fine, of grids that are tried
-SPACING = 2e-3  # m, of the grid that the table is of; on finer ones it falls in proportion
+SPACING = 2e-3  # grid spacing of the table, m; the error is proportional to the spacing
 _CONE, _QUADRIC = KINDS["cone"][0], KINDS["quadric"][0]
 _EDGED = {KINDS[kind][0] for kind in ("box", "cylinder", "disc", "wedge", "mesh")}
 _TIP, _AT_EDGES = 0.4, 0.07
@@ -26,24 +25,24 @@ _TIP, _AT_EDGES = 0.4, 0.07
 _SHARES = ((8.0, 0.03), (4.0, 0.06), (3.0, 0.07), (2.0, 0.14), (0.0, 0.25))
 # The same of contacts by the number of nodes that touch, on any grid.
 _FEW = ((8, 0.0), (5, 0.04), (3, 0.08), (2, 0.14), (0, 0.3))
-# Of an area, by the contact's width in nodes: of faces, and of what is round.
+# Area error by the contact's width in nodes, for faces and for round obstacles.
 _FACES = ((2.5, 0.15), (1.6, 0.2), (1.2, 0.3), (0.0, 0.8))
 _ROUND = ((2.6, 0.12), (2.1, 0.5))
-_FLAT = 1e-5  # m, of corners that are as low
+_FLAT = 1e-5  # height tolerance of the lowest corners, m
 _UPRIGHT = 0.9998  # cosine; half a millimetre over 25
 _LEVEL = 1e-6  # of a cylinder's end
 _SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
 
 
 def doubt(obstacles: Sequence[Obstacle], spacing: float) -> float:
-    """Share of the force within which 9 of 10 are, by the narrowest of the bodies.
+    """Return the relative force error not exceeded in 9 of 10 cases, from the narrowest obstacle.
 
     Args:
-        obstacles: Bodies that press; what a mesh or triangles have of tips and edges is not seen.
-        spacing: m, of the grid.
+        obstacles: Obstacles in contact; tips and edges of a mesh or of triangles are not detected.
+        spacing: Spacing of the grid, m.
 
     Returns:
-        The share; of no bodies 0.
+        The relative error; 0 without obstacles.
     """
     return row_error([one.numbers for one in obstacles], spacing)
 
@@ -59,31 +58,34 @@ def error_of_few_nodes(nodes: int) -> float:
 
 
 def gap_error(gap: float, force: float, tension: float) -> float:
-    """The same share because the lowest place of a body is behind the sheet: a tip between nodes,
-    which a sheet under tension `tension` would not let through.
+    """Return the relative force error due to a gap.
+
+    The gap exists if the lowest point of an obstacle is behind the membrane. This happens for a tip
+    between nodes, which a real membrane under `tension` would stop.
 
     Args:
-        gap: m, how far.
-        force: N, of the state.
-        tension: N/m.
+        gap: Distance behind the membrane, m.
+        force: Force of the solution, N.
+        tension: Tension, N/m.
 
     Returns:
-        The share, 1 at most.
+        The relative error, at most 1.
     """
     return min(max(gap, 0.0) * tension / force, 1.0)
 
 
 def area_error(obstacles: Sequence[Obstacle], width: float, spacing: float) -> float:
-    """Share of the contact area within which 9 of 10 are, by how wide the contact is.
+    """Return the relative area error not exceeded in 9 of 10 cases, from the contact width.
 
     Args:
-        obstacles: What presses.
-        width: Nodes that touch over those along the contact's longer side.
-        spacing: m, of the grid.
+        obstacles: Obstacles in contact.
+        width: Number of nodes in contact, divided by the number along the contact's longer side.
+        spacing: Spacing of the grid, m.
 
     Returns:
-        The share; infinite where the contact is a point or a line for this grid: of edges and tips,
-        of what is round until it is two nodes wide, of a face that is thinner than half a spacing.
+        The relative error. It is infinite if the contact is a point or a line on this grid: for
+        edges and tips, for round obstacles below two nodes of width, and for faces thinner than
+        half a spacing.
     """
     if all(_is_face(one) for one in obstacles):
         thin = min((one.numbers[18] for one in obstacles), default=np.inf) < spacing / 2
@@ -96,7 +98,7 @@ def area_error(obstacles: Sequence[Obstacle], width: float, spacing: float) -> f
 
 
 def _is_face(body: Obstacle) -> bool:
-    """Whether it lies on the sheet with a flat face."""
+    """Return True if the obstacle touches the membrane with a flat face."""
     up = np.abs(body.numbers[10:13])
     if body.kind in ("cylinder", "disc"):
         return bool(up[2] > _UPRIGHT)
@@ -104,8 +106,10 @@ def _is_face(body: Obstacle) -> bool:
 
 
 def lowest_place(body: Obstacle) -> Array | None:
-    """Where a body is lowest, (3,) m in S; None for what has no such place of its own (planes,
-    heights over nodes)."""
+    """Return the lowest point of an obstacle, (3,) m, frame S.
+
+    It is None for planes and height fields, which have no such point.
+    """
     row = body.numbers
     R, place, sizes = row[4:13].reshape(3, 3), row[13:16], row[1:4]
     up = R[2]  # S's z, in the body's frame
@@ -138,8 +142,10 @@ def _ends(body: Obstacle) -> Array:
 
 
 def _lowest_of(corners: Array, R: Array) -> Array:
-    """Of corners (n, 3) in a body's frame, in S about its place: the middle of those that are as
-    low as the lowest."""
+    """Return the mean of the lowest corners, in S, relative to the obstacle's origin.
+
+    The `corners` (n, 3) are in the obstacle's frame.
+    """
     at = corners @ R.T
     return at[at[:, 2] < at[:, 2].min() + _FLAT].mean(axis=0)
 
@@ -153,7 +159,7 @@ def _share(row: Array, spacing: float) -> float:
 
 
 def _width(row: Array) -> float:
-    """How wide, m, a body is where it is thinnest; of a bowl, twice its least radius."""
+    """Return the minimum width of an obstacle, m; for a quadric twice its minimum radius."""
     if row[0] != _QUADRIC:
         return float(row[18])
     curvature = float(np.max(row[1:3]))

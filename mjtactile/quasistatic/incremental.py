@@ -1,9 +1,10 @@
-"""`IncrementalMembrane`: a film that is followed from step to step in place, beside a simulation.
+"""`IncrementalMembrane`: a quasi-static membrane updated in place at every step of a simulation.
 
-`QuasistaticMembrane` makes a state for every solution; this one keeps one, with its own room, so
-that films of many environments can be followed in threads. What sticks to it is held by the sheet
-in the plane (docs/theory/quasistatic_membrane.md, X7) with the stiffness of the sheet at rest,
-whose inverse is made once."""
+`QuasistaticMembrane` creates a new state for every solution. This class keeps one state and its own
+workspace, so the membranes of many environments can run in threads. Sticking contact is held by the
+membrane's in-plane stiffness (docs/theory/quasistatic_membrane.md, X7). It uses the stiffness of
+the untouched membrane, which is inverted once.
+"""
 
 from __future__ import annotations
 
@@ -30,28 +31,30 @@ from mjtactile.quasistatic.solution import (
 )
 from mjtactile.quasistatic.stiffness import compliance_of
 
-_TOLERANCE = 1e-6  # m, of what is left of the displacements
+_TOLERANCE = 1e-6  # tolerance of the displacements, m
 _MAX_STEPS = 40
 HEAT_RATIO = 14
 """Place of the gas's exponent in a film's numbers."""
-_RAMP = 200.0  # Pa that the gas may rise or fall by in one solution
+_RAMP = 200.0  # maximum change of gas pressure in one solution, Pa
 
 
 class IncrementalMembrane:
-    """One film's present state. SI units, frame S.
+    """Present state of one membrane. SI units, frame S.
 
     Attributes:
-        film: What it is of; shared, never changed.
-        x: (3, nx, ny) m of displacements.
-        force: (nx, ny) N of contact at each node, along -z.
+        film: The membrane model; shared and never modified.
+        x: Displacements (3, nx, ny), m.
+        force: Contact force at each node (nx, ny), N, along -z.
     """
 
     def __init__(
         self, film: QuasistaticMembrane, rows: Array, pool: Array | None, below_rim: float = 0.0
     ):
-        """`rows` (k, NUMBERS) are the bodies, read at every solution; `pool` what they have of
-        planes; `below_rim` m is how far they may be below the frame's rim, which bears them
-        there."""
+        """Bind the solver to a membrane and its obstacles.
+
+        The obstacles are `rows` (k, NUMBERS), read at every solution, with their planes in `pool`.
+        They may be up to `below_rim` m below the rim of the frame, which supports them there.
+        """
         self.film = film
         self.x = np.zeros_like(film.rest.x)
         self.force = np.zeros_like(film.rest.force)
@@ -68,19 +71,19 @@ class IncrementalMembrane:
         given = (self.settings, len(rows), rows, pooled, pool)
         state = (self.x, self.force, self.trend, self.found)
         self.arguments = (*fixed, *given, *state)
-        """What `film_follow` takes of a film."""
+        """Arguments of `film_follow` for this membrane."""
         self._solve = bound("film_solve", *fixed, 1, 0, 1, *given, *state)
 
     def rest_on(self, gas: float, sealed: bool, exponent: float) -> MembraneStatus:
-        """Come to rest on the bodies.
+        """Solve for the equilibrium on the obstacles.
 
         Args:
-            gas: p V^exponent of the absolute pressure where `sealed`, else the gauge pressure, Pa.
-            sealed: Whether the gas stays in.
-            exponent: Of the gas, for what happens within a step.
+            gas: p V^exponent of the absolute pressure if `sealed`, else the gauge pressure, Pa.
+            sealed: True if the gas is sealed in.
+            exponent: Exponent of the gas for changes within a step.
 
         Returns:
-            How it ended. What did not converge leaves displacements that mean nothing.
+            The solver status. Without convergence the displacements are invalid.
         """
         self.numbers[HEAT_RATIO] = exponent
         self.settings[:2] = gas, sealed
@@ -108,13 +111,17 @@ class IncrementalMembrane:
         return self.x.copy(), self.force.copy(), self.found.copy()
 
     def restore(self, kept: tuple[Array, Array, Array]) -> None:
-        """Go back to what `keep` gave."""
+        """Restore a state returned by `keep`."""
         for place, was in zip((self.x, self.force, self.found), kept, strict=True):
             place[:] = was
         self.trend[:] = 0.0
 
     def below_rim(self) -> float:
-        """m by which bodies are below where the sheet's middle is on the frame; 0 where none is."""
+        """Return the maximum depth of the obstacles below the membrane's mid-surface on the frame,
+        m.
+
+        It is 0 if no obstacle is below it.
+        """
         film = self.film
         x, y = np.meshgrid(film.x, film.y, indexing="ij")
         inner = np.zeros(film.grid, bool)
@@ -127,8 +134,11 @@ class IncrementalMembrane:
         return max(-float(heights.min()), 0.0)
 
     def doubt(self) -> float:
-        """Share of the force within which 9 of 10 presses are, by the narrowest body whose reach is
-        over the frame and below the sheet's top (`mjtactile.quasistatic.discretization_error`)."""
+        """Return the relative force error not exceeded in 9 of 10 cases.
+
+        It is that of the narrowest obstacle that can reach over the frame's opening and below the
+        membrane's top (`mjtactile.quasistatic.discretization_error`).
+        """
         film, rows = self.film, self.rows
         place, reach = rows[:, 13:16], rows[:, 19]
         over = (np.abs(place[:, :2]) - reach[:, None] < (film.x[-1], film.y[-1])).all(axis=1)
@@ -137,22 +147,22 @@ class IncrementalMembrane:
 
     @property
     def volume(self) -> float:
-        """m^3 between the film and the frame's plane."""
+        """Volume between the membrane and the frame's plane, m^3."""
         return float(self.found[VOLUME])
 
     @property
     def gauge_pressure(self) -> float:
-        """Pa, of the last solution."""
+        """Gauge pressure of the last solution, Pa."""
         return float(self.found[PRESSURE])
 
     @property
     def tension(self) -> float:
-        """N/m, mean over the sheet."""
+        """Mean tension of the membrane, N/m."""
         return float(self.found[TENSION])
 
     @property
     def area(self) -> float:
-        """m^2 of the sheet in contact."""
+        """Contact area of the membrane, m^2."""
         return float(self.found[AREA])
 
     @property
@@ -163,14 +173,14 @@ class IncrementalMembrane:
 
 @dataclass(frozen=True, eq=False)
 class Grip:
-    """How a set of nodes that stick is held.
+    """In-plane stiffness of a set of sticking nodes.
 
     Attributes:
-        middle: (2,) m, what it turns about.
-        stiffness: (3, 3) of force along x and y, N, and torque about z, N m, by displacements along
-            x and y, m, and a turn about z, rad.
-        spread: (2, inner, 3) displacements of all inner nodes by the three strains.
-        nodes: (m,) numbers of the nodes among those that move.
+        middle: Center of rotation (2,), m.
+        stiffness: (3, 3) Derivatives of force along x and y, N, and torque about z, N m, by
+            displacements along x and y, m, and rotation about z, rad.
+        spread: (2, inner, 3) Displacements of all inner nodes by the three rigid motions.
+        nodes: (m,) Indices of the nodes among the free nodes.
     """
 
     middle: Array
@@ -180,9 +190,9 @@ class Grip:
 
 
 class Sticking:
-    """How one film's sheet gives in the plane while its heights are free, once for all contacts.
+    """In-plane compliance of one membrane with free heights, shared by all contacts.
 
-    Costs 8 (inner nodes)^2 x 4 bytes: 2.3 MB at 21 x 16.
+    Memory: 8 (inner nodes)^2 x 4 bytes, 2.3 MB at 21 x 16.
     """
 
     def __init__(self, film: QuasistaticMembrane):
@@ -194,14 +204,14 @@ class Sticking:
         return compliance_of(self.film, self.film.rest)
 
     def grip(self, x: Array, force: Array) -> Grip:
-        """Say how the nodes that touch are held when they move as one body.
+        """Compute the stiffness of the nodes in contact when they move as one rigid set.
 
         Args:
-            x: (3, nx, ny) m, the film's displacements.
-            force: (nx, ny) N, of contact.
+            x: Displacements of the membrane (3, nx, ny), m.
+            force: Contact force (nx, ny), N.
 
         Returns:
-            The grip; `force` must be positive somewhere.
+            The stiffness; `force` must be positive somewhere.
         """
         from scipy.linalg import cho_factor, cho_solve  # takes a while to import
 
@@ -217,7 +227,8 @@ class Sticking:
         rigid[0::2, 0] = rigid[1::2, 1] = 1.0
         rigid[0::2, 2], rigid[1::2, 2] = -off[:, 1], off[:, 0]
         columns = self.compliance[:, picked]
-        loads = cho_solve(cho_factor(columns[picked]), rigid)  # half of what an LU takes
+        # half the cost of an LU factorization
+        loads = cho_solve(cho_factor(columns[picked]), rigid)
         stiffness = rigid.T @ loads
         spread = (columns @ loads).reshape(-1, 2, 3).transpose(1, 0, 2)
         return Grip(middle, (stiffness + stiffness.T) / 2, spread, nodes)

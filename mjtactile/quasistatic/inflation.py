@@ -1,4 +1,4 @@
-"""How a film comes to rest for the first time, untouched."""
+"""First equilibrium of a quasi-static membrane, without contact."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from mjtactile.quasistatic.obstacles import NUMBERS
 from mjtactile.quasistatic.solution import FOUND, MembraneSolution
 
 _INFLATING = (0.25, 0.5, 0.75, 1.0)  # of the pressure
-_TAUT = 1.02  # stretch that a sheet is inflated with at least, and then let go to its own
-_LETTING_GO = (1.0, 0.5, 0.25, 0.0)  # of what it is stretched more
-_INFLATED = 1e-9  # m
+_TAUT = 1.02  # minimum stretch during inflation, reduced to the actual one afterwards
+_LETTING_GO = (1.0, 0.5, 0.25, 0.0)  # fractions of the additional stretch
+_INFLATED = 1e-9  # tolerance of the displacements, m
 _MAX_STEPS = 160
-_STRETCH_SQUARED = 4  # place in a film's numbers
+_STRETCH_SQUARED = 4  # index in the membrane's parameters
 
 
 class Uninflated(Protocol):
-    """Of a `QuasistaticMembrane`, what is there before it rests."""
+    """Attributes of a `QuasistaticMembrane` that exist before inflation."""
 
     design: SensorDesign
     grid: tuple[int, int]
@@ -46,19 +46,21 @@ class Uninflated(Protocol):
 
 
 def inflate(film: Uninflated) -> MembraneSolution:
-    """Find where a film rests, from a low bulge of about the right height, with stiffnesses that
-    are made anew on the way; the last ones, of the sheet at rest, are kept for all solutions.
+    """Find the inflated equilibrium of a membrane.
 
-    Steps of a sheet that has no tension of its own do not shrink: it is inflated taut.
+    The start is a low bulge of about the right height. The stiffness matrices are factored again at
+    each pressure step. The last factors, of the membrane in equilibrium, are kept for all
+    solutions. A membrane without pre-stretch does not converge, so it is first inflated with
+    additional stretch.
 
     Args:
-        film: Whose numbers and room are there.
+        film: A membrane with its parameters and workspace.
 
     Returns:
         The state.
 
     Raises:
-        InputError: There is none.
+        InputError: No equilibrium was found.
     """
     x = _low_bulge(film)
     force = np.zeros(film.grid)

@@ -1,8 +1,9 @@
-"""What a film's nodes say of the places between them: cubic splines through all nodes.
+"""Interpolation between the nodes of a quasi-static membrane: cubic splines through all nodes.
 
-Beyond an outline that is no rectangle, nodes are held at nothing, where a spline would have a kink.
-So displacements are continued over the outline, on which they vanish: at each node outside by the
-quadratic polynomial that fits free nodes and the outline about the nearest place of it best.
+Nodes outside a non-rectangular outline are fixed at zero, so a spline would have a kink there.
+Displacements are therefore extrapolated beyond the outline, where they vanish. The value at an
+outside node comes from a quadratic polynomial. It is fitted to the free nodes and outline points
+near the closest point of the outline.
 """
 
 from __future__ import annotations
@@ -21,14 +22,14 @@ _APART = 0.7  # spacings, of those that are fitted
 
 
 def carried(film: QuasistaticMembrane, places: Array) -> Array:
-    """How nodes' displacements carry over to places of the sheet.
+    """Return the interpolation matrix from node displacements to points of the membrane.
 
     Args:
-        film: Of any outline.
-        places: (n, 2) m, of the flat sheet.
+        film: A membrane with any outline.
+        places: Points (n, 2) of the flat membrane, m.
 
     Returns:
-        (n, nx * ny) of displacements there, by those of the nodes; the sheet does not move on the
+        (n, nx * ny) Derivatives of the displacements there by those of the nodes; zero on the
         frame.
     """
     by_node = interpolation_matrix_with_gradient(film, places)[0]
@@ -61,8 +62,10 @@ def interpolation_matrix_with_gradient(film: QuasistaticMembrane, places: Array)
 
 
 def _continued(film: QuasistaticMembrane) -> tuple[Array, Array]:
-    """Numbers (m,) of the nodes beside an outline, and their displacements (m, nx * ny) by those of
-    all nodes."""
+    """Return the indices (m,) of nodes just outside an outline, and their extrapolation matrix.
+
+    The matrix (m, nx * ny) maps the displacements of all nodes to theirs.
+    """
     outline = film.design.frame.outline
     assert outline is not None
     spacing = np.array([film.x[1] - film.x[0], film.y[1] - film.y[0]])

@@ -37,18 +37,19 @@ from mjtactile.quasistatic.solution import (
 )
 from mjtactile.quasistatic.stick_contact import StuckPatch, patches_of
 
-TOLERANCE = 5e-7  # m, of what is left of the displacements
+TOLERANCE = 5e-7  # tolerance of the displacements, m
 _MAX_STEPS = 40
 _MIXED_AREA = 1.05
 """Area ratio at which the tension's slope is taken; steps depend on it, results do not."""
 
 
 class QuasistaticMembrane:
-    """A sensor's sheet as a film. Makes no state: `solve` takes one and gives one.
+    """Quasi-static model of a sensor's membrane.
 
-    `x` (nx,) and `y` (ny,) are the nodes' places on the mounted flat sheet, m, the frame's among
-    them, `spacing` the wider of theirs; `rest` is where it rests without a touch. Nodes beyond an
-    outline that is no rectangle do not move.
+    The object holds no state: `solve` takes one and returns one. `x` (nx,) and `y` (ny,), m, are
+    the node positions on the mounted flat membrane, including those on the frame. `spacing` is the
+    larger of the two spacings. `rest` is the equilibrium without contact. Nodes outside a
+    non-rectangular outline are fixed.
     """
 
     def __init__(
@@ -59,16 +60,18 @@ class QuasistaticMembrane:
         *,
         sealed: bool = True,
     ):
-        """Inflate a film.
+        """Create a membrane and inflate it.
 
         Args:
-            design: the sensor, of any outline.
-            grid: nodes along x and y, those on the frame among them.
-            gauge_pressure: of the gas at rest, Pa; None: the sensor file's supply.
-            sealed: whether the gas stays in, p V^gamma constant, or a valve holds its pressure.
+            design: The sensor, with any outline.
+            grid: Number of nodes along x and y, including those on the frame.
+            gauge_pressure: Gauge pressure of the gas without contact, Pa; None: the sensor file's
+                supply pressure.
+            sealed: True if the gas is sealed in (p V^gamma constant), False if a valve holds its
+                pressure.
 
         Raises:
-            InputError: a grid or a pressure that is none, or with which the sheet finds no rest.
+            InputError: An invalid grid or pressure, or no equilibrium was found.
         """
         self.design = design = load_sensor(design)
         self.grid = argument_checks.grid(grid)
@@ -108,7 +111,7 @@ class QuasistaticMembrane:
         )
 
     def _point_at_cut(self) -> None:
-        """Where kernels find what the outline leaves of the grid; of a rectangle, all."""
+        """Store the address of the cut cells for the kernels, or 0 for a rectangle."""
         self._numbers[-1] = self._cut.ctypes.data if self._cut.size else 0.0
 
     def _bind(self) -> None:
@@ -133,35 +136,35 @@ class QuasistaticMembrane:
         *,
         data: ArrayLike | None = None,
     ) -> Obstacle:
-        """Make a body with a pose; see `mjtactile.quasistatic.obstacles.obstacle`.
+        """Create an obstacle with a pose; see `mjtactile.quasistatic.obstacles.obstacle`.
 
         Args:
             kind: One of KINDS, such as "sphere", "box", "cylinder".
             sizes: Half sizes, m (curvatures 1/m), as in MJCF.
-            p_SO: (3,) m of its middle in S.
-            R_SO: (3, 3) its rotation in S; None: none.
-            data: Vertices, triangles or heights, m, of a kind that has them.
+            p_SO: Position of its center (3,), m, frame S.
+            R_SO: Rotation (3, 3) in S; None: identity.
+            data: Vertices, triangles or heights, m, for kinds that have them.
 
         Returns:
-            The body.
+            The obstacle.
         """
         return obstacle_rows.obstacle(kind, sizes, p_SO, R_SO, data=data)
 
     def solve(
         self, obstacles: Obstacle | Sequence[Obstacle] = (), state: MembraneSolution | None = None
     ) -> MembraneSolution:
-        """Find where the film rests on obstacles.
+        """Find the equilibrium of the membrane on obstacles.
 
         Args:
-            obstacles: One body or several.
-            state: Where to start, usually the state before; None: untouched.
+            obstacles: One or several obstacles.
+            state: Initial state, usually the previous solution; None: no contact.
 
         Returns:
-            The state, with `converged` False where none was found.
+            The state; `converged` is False if no equilibrium was found.
 
         Raises:
-            InputError: An obstacle touches the rim, lies on the glass, pulls the sheet inside out
-                or too far, or goes through between nodes.
+            InputError: An obstacle touches the rim, lies on the glass, inverts or overstretches the
+                membrane, or passes between nodes.
         """
         listed = obstacle_rows.listed(obstacles, "obstacles")
         rows, pool = obstacle_rows.pooled(listed, self.grid)
@@ -185,24 +188,26 @@ class QuasistaticMembrane:
         into: MembraneSolutionBatch | None = None,
         max_steps: int = _MAX_STEPS,
     ) -> MembraneSolutionBatch:
-        """Where the films of several environments rest.
+        """Find the equilibria of the membranes of several environments.
 
         Args:
-            obstacles: the bodies of each environment, as many in each.
-            batch: where to start; None: untouched. What did not converge starts untouched.
-            threads: among which environments are shared out; results are the same bits with any.
-            again: whether what finds no rest from where it starts is tried from rest, which costs
-                many times as much.
-            into: a batch of as many that is not wanted any more, which may be `batch`, to be
-                written over: new memory costs up to a fifth of a solution, and in threads more.
-            max_steps: after which what has found no rest is given up.
+            obstacles: Obstacles of each environment, the same number in each.
+            batch: Initial states; None: no contact. States that did not converge are replaced by
+                the one without contact.
+            threads: Number of threads; the results are bit-identical for any number.
+            again: True to repeat a failed solution from the state without contact, at many times
+                the cost.
+            into: A batch of the same size to overwrite, which may be `batch`. New memory costs up
+                to 20 % of a solution, and more with threads.
+            max_steps: Maximum number of steps of a solution.
 
         Returns:
-            The states, one after the other. What cannot be has a status, and raises nothing.
+            The states in order. An invalid solution has a status and raises no error.
 
         Raises:
-            InputError: no environment, or another number of bodies in one, or of environments in
-                `batch` or `into`, or an argument of another type.
+            InputError: No environments, a different number of obstacles in one environment, a
+                different number of environments in `batch` or `into`, or an argument of the wrong
+                type.
         """
         listed = argument_checks.environments(obstacles)
         count = len(listed)
@@ -228,35 +233,36 @@ class QuasistaticMembrane:
         return made
 
     def doubt(self, obstacles: Obstacle | Sequence[Obstacle]) -> float:
-        """Find how far the force on a state may be off because bodies are narrow for this grid.
+        """Return the force error due to obstacles that are narrow for this grid.
 
         Args:
-            obstacles: One body or several.
+            obstacles: One or several obstacles.
 
         Returns:
-            Share of the force within which 9 of 10 presses are
-            (`mjtactile.quasistatic.discretization_error`): 0.03 for what is round and eight
-            spacings wide, up to 0.25, at a cone's tip 0.4, on nodes 2 mm apart. Shallow contacts of
-            few nodes are in `MembraneSolution.doubt` as well.
+            Relative force error not exceeded in 9 of 10 cases
+            (`mjtactile.quasistatic.discretization_error`). On nodes 2 mm apart it is 0.03 for round
+            obstacles eight spacings wide, up to 0.25 for narrow ones, and 0.4 at a cone's tip.
+            `MembraneSolution.doubt` also includes shallow contacts of few nodes.
         """
         return doubt(obstacle_rows.listed(obstacles, "obstacles"), self.spacing)
 
     def refined_for(
         self, obstacles: Obstacle | Sequence[Obstacle], within: float = 0.03
     ) -> QuasistaticMembrane:
-        """Find a film of this sensor on a grid that is as fine as what presses it wants.
+        """Return a membrane of this sensor on a grid that is fine enough for the obstacles.
 
-        A step costs 40 us on 21 x 16 nodes, 120 on 41 x 31, 340 on 61 x 46, 700 on 81 x 61; a
-        film that is not there yet, up to 0.2 s.
+        A step takes 40 us on 21 x 16 nodes, 120 on 41 x 31, 340 on 61 x 46, 700 on 81 x 61. The
+        creation of a new membrane takes up to 0.2 s.
 
         Args:
-            obstacles: One body or several, as wide as those that will press it.
-            within: Of `doubt`.
+            obstacles: One or several obstacles with the widths of later ones.
+            within: Limit of `doubt`.
 
         Returns:
-            This film, if it is fine enough; else the coarsest of 1.5, 2, 3 or 4 times as many
-            nodes along each side that is, and where none is, the finest: ask its `doubt`. The
-            same object each time. States are of their own film's grid.
+            This membrane, if it is fine enough. Otherwise the coarsest sufficient grid with 1.5, 2,
+            3 or 4 times as many nodes along each side. If none is sufficient, the finest: check its
+            `doubt`. The same object is returned each time. A state belongs to the grid of its own
+            membrane.
         """
         listed = obstacle_rows.listed(obstacles, "obstacles")
         enough = (by for by in REFINED if doubt(listed, self.spacing / by) <= within)
@@ -277,21 +283,22 @@ class QuasistaticMembrane:
         numbers: ArrayLike,
         steps: ArrayLike | None = None,
     ) -> SolutionSensitivities:
-        """Find how a state changes with the numbers of what presses the film.
+        """Compute the derivatives of a state by the parameters of the obstacles.
 
         Args:
-            state: At rest on `shape(numbers)`.
-            shape: Makes a body, or several, of numbers (n,): of a place, sizes, angles, curvatures.
-            numbers: (n,), where to.
-            steps: (n,) by which `shape` is asked beside `numbers`, on the side that their signs
-                say; None: 1e-8 of each number, or of one.
+            state: Equilibrium on `shape(numbers)`.
+            shape: Function that creates one or several obstacles from parameters (n,): positions,
+                sizes, angles, curvatures.
+            numbers: Parameters (n,) at which to differentiate.
+            steps: Difference steps (n,) of the parameters, with the sign of the side; None: 1e-8 of
+                each parameter, at least 1e-8.
 
         Returns:
-            The derivatives, by each number.
+            The derivatives by each parameter.
 
         Raises:
-            InputError: A state that is none, rests on something else, or is about to lose its
-                balance; numbers or steps that are not finite.
+            InputError: An invalid state, one on other obstacles, or one close to instability;
+                parameters or steps that are not finite.
         """
         self._require_rest(state)
         listed, by = changed_bodies(shape, numbers, steps)
@@ -300,19 +307,21 @@ class QuasistaticMembrane:
         return derived(self, state, *given, by)
 
     def derivatives_by_pose(self, state: MembraneSolution) -> SolutionSensitivities:
-        """Find how a state changes as what presses the film moves, all of it as one body: its
-        wrench by that is the contact's stiffness. Costs two thirds of `derivatives` by six numbers.
+        """Compute the derivatives of a state by a common rigid motion of all obstacles.
+
+        The derivative of the wrench is the contact stiffness. The cost is two thirds of that of
+        `derivatives` with six parameters.
 
         Args:
-            state: At rest, from `solve`.
+            state: Equilibrium, from `solve`.
 
         Returns:
-            The derivatives by six numbers: m along x, y and z of S, and rad about these axes
-            through the origin of S.
+            The derivatives by six parameters: translation along x, y and z of S, m, and rotation
+            about these axes through the origin of S, rad.
 
         Raises:
-            InputError: As for `derivatives`, a state of a batch, which does not know its bodies, or
-                bodies that are heights over nodes, which have no pose.
+            InputError: As for `derivatives`; also for a state of a batch, which has no record of
+                its obstacles, and for height fields, which have no pose.
         """
         self._require_rest(state)
         pressing = state.pressed_by.bodies
@@ -328,17 +337,17 @@ class QuasistaticMembrane:
             raise InputError("is not at rest, or not of this film", field="state")
 
     def patches(self, state: MembraneSolution) -> list[StuckPatch]:
-        """Find how stiffly each patch of contact, if it sticks, is held in the plane.
+        """Compute the in-plane stiffness of each contact patch, if it sticks.
 
         Args:
-            state: At rest.
+            state: Equilibrium.
 
         Returns:
-            A patch for every set of neighbouring nodes that touch, largest force first; what lies
-            between two patches is free, and neither moves the other.
+            A patch for every set of neighboring nodes in contact, largest force first. The membrane
+            between patches is free, and the patches are independent.
 
         Raises:
-            InputError: A state that is not at rest, or not of this film.
+            InputError: A state that is not an equilibrium, or belongs to another membrane.
         """
         self._require_rest(state)
         return patches_of(self.x, self.y, state, self.stiffness_factor(state))
@@ -358,14 +367,14 @@ class QuasistaticMembrane:
     def obstacle_heights(
         self, obstacles: Obstacle | Sequence[Obstacle], places: ArrayLike
     ) -> Array:
-        """Find how high obstacles leave the sheet's middle.
+        """Return the maximum height of the membrane's mid-surface below obstacles.
 
         Args:
-            obstacles: One body or several.
-            places: (n, 2) m, in S.
+            obstacles: One or several obstacles.
+            places: Points (n, 2), m, in S.
 
         Returns:
-            (n,) m; infinite where there is no body.
+            (n,) Heights, m; infinite where there is no obstacle.
         """
         listed = obstacle_rows.listed(obstacles, "obstacles")
         rows, pool = obstacle_rows.pooled(listed, self.grid)
@@ -380,7 +389,7 @@ class QuasistaticMembrane:
     def _run(
         self, settings: Array, rows: Array, pool: Array | None, fields: tuple[Array, ...]
     ) -> None:
-        """The kernel on one film's displacements, forces, trend and what is found."""
+        """Run the kernel on the displacements, forces, trend and results of one membrane."""
         pooled = 0 if pool is None else pool.size
         self._solve_one(settings, len(rows), rows, pooled, pool, *fields)
 

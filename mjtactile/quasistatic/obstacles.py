@@ -1,10 +1,10 @@
-"""What presses a film: bodies, each with a pose, as the kernel takes them (kernels/qs_obstacles.c).
-SI units, frame S.
+"""Obstacles of the quasi-static membrane, each with a pose. SI units, frame S.
 
-Sizes are half sizes, as in MJCF. A body is what a line along the sensor's z meets first, from the
-side of the glass: what is undercut, or steeper than the sheet can follow, does not count. That is
-exact for what is pressed from outside and steep for no more than about 75 degrees where it touches;
-a thing that comes from the side, or hooks under the sheet, is beyond a film.
+The kernel's format is that of kernels/qs_obstacles.c. Sizes are half sizes, as in MJCF. The surface
+of an obstacle is its first intersection with a line along z, from the side of the glass. Undercuts
+and slopes too steep for the membrane are ignored. This is exact for objects that approach from
+outside with slopes up to about 75 degrees at the contact. Objects that approach from the side or
+hook under the membrane are outside the model.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 
 NUMBERS = 20
-"""Of a body: kind, sizes (3), R_SO (9), p_SO (3), first entry in the pool and number of entries,
-its least width and its reach."""
+"""Entries of an obstacle: kind, sizes (3), R_SO (9), p_SO (3), first entry in the pool and number
+of entries, its minimum width and its reach."""
 
-# Name: the kernel's number, and what `sizes` are.
+# Name: the kernel's code, and the meaning of `sizes`.
 KINDS: dict[str, tuple[int, tuple[str, ...]]] = {
     "sphere": (0, ("radius",)),
     "capsule": (1, ("radius", "half length")),
@@ -41,20 +41,20 @@ KINDS: dict[str, tuple[int, tuple[str, ...]]] = {
 }
 _FEW = 16  # numbers, which Python looks at faster than numpy
 _UNIT = 0.01  # off one, of a quaternion that was rounded
-_FLAT = 1e-9  # m, of a skin that has no thickness
+_FLAT = 1e-9  # extent that counts as no thickness, m
 _SAME_PLANE = 9  # digits of m, and of a normal
 _MAY_VANISH = {"curvature x", "curvature y", "rim radius"}
 
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:
-    """One body that a film rests on.
+    """One obstacle in contact with a membrane.
 
     Attributes:
         kind: One of KINDS.
-        numbers: (NUMBERS,) for the kernel.
-        pool: Its planes, triangles or heights.
-        corners: (n, 3) m in its own frame, of what has a hull.
+        numbers: (NUMBERS,) Parameters for the kernel.
+        pool: Planes, triangles or heights of the obstacle.
+        corners: Corners (n, 3), m, in its own frame, for kinds with a convex hull.
     """
 
     kind: str
@@ -63,14 +63,14 @@ class Obstacle:
     corners: Array | None = None
 
     def at(self, p_SO: ArrayLike, R_SO: ArrayLike | None = None) -> Obstacle:
-        """Take the body to another pose, for a tenth of what making it anew costs.
+        """Return the obstacle at another pose, at a tenth of the cost of creating it.
 
         Args:
-            p_SO: The body's middle, (3,) m in S.
-            R_SO: Its rotation in S, as for `obstacle`; None: as it is.
+            p_SO: Position of the obstacle's center (3,), m, in S.
+            R_SO: Its rotation in S, as for `obstacle`; None: unchanged.
 
         Returns:
-            The body there.
+            The obstacle at that pose.
         """
         numbers = self.numbers.copy()
         numbers[13:16] = finite("p_SO", p_SO, (3,))
@@ -87,26 +87,26 @@ def obstacle(
     *,
     data: ArrayLike | None = None,
 ) -> Obstacle:
-    """A body with a pose.
+    """Create an obstacle with a pose.
 
     Args:
-        kind: one of KINDS. The axis of capsule, cylinder, disc and cone is the body's z; a cone's
-        tip and a wedge's edge are at its origin, and both open towards z; a wedge's edge lies along
-            x. A quadric is z >= (k_x x^2 + k_y y^2) / 2 as far out as `reach`. A plane is solid on
-            the side away from the sensor.
-        sizes: half sizes, m (curvatures 1/m), in the order that KINDS has.
-        p_SO: the body's middle, (3,) m in S.
-        R_SO: its rotation, a matrix (3, 3) or a unit quaternion (4,), real part first; None: none.
-        data: of a mesh the vertices (n, 3) m in the body's frame, whose convex hull is meant; of
-        triangles the corners (n, 3, 3) m; of heights the heights (nx, ny) m over the film's nodes,
-            infinite where there is nothing.
+        kind: One of KINDS. The axis of capsule, cylinder, disc and cone is the obstacle's z. A
+            cone's tip and a wedge's edge are at its origin, and both open towards z. A wedge's edge
+            lies along x. A quadric is z >= (k_x x^2 + k_y y^2) / 2 out to `reach`. A plane is solid
+            on the side away from the sensor.
+        sizes: Half sizes, m (curvatures 1/m), in the order of KINDS.
+        p_SO: Position of the obstacle's center (3,), m, in S.
+        R_SO: Rotation, a matrix (3, 3) or a unit quaternion (4,), real part first; None: identity.
+        data: For a mesh the vertices (n, 3), m, in the obstacle's frame, which define its convex
+            hull. For triangles the corners (n, 3, 3), m. For heights the heights (nx, ny), m, over
+            the membrane's nodes, infinite where there is no obstacle.
 
     Returns:
-        The body, for `QuasistaticMembrane.solve`.
+        The obstacle, for `QuasistaticMembrane.solve`.
 
     Raises:
-        InputError: an unknown kind, a number that is not finite or not positive, or the wrong
-        number of them.
+        InputError: An unknown kind, a value that is not finite or not positive, or the wrong number
+            of values.
     """
     if kind not in KINDS:
         raise InputError(f"{kind!r} is unknown", field="kind", choices=KINDS)
@@ -147,18 +147,20 @@ def ready(
     R_SO: Array | None = None,
     heights: Array | None = None,
 ) -> Obstacle:
-    """The same of numbers that are known to be right, for a fifth of the time: of a body without
-    planes or triangles, for fits, which make them by the hundred.
+    """Create an obstacle from valid parameters without checks, at a fifth of the cost.
+
+    This is for fits, which create hundreds of obstacles. Kinds with planes or triangles are not
+    supported.
 
     Args:
         kind: "sphere", "ellipsoid", "cylinder", or "heights".
-        sizes: As in `obstacle`; of heights none.
-        p_SO: Its middle, (3,) m.
-        R_SO: (3, 3); None: none.
-        heights: (nx, ny) m, finite, of such.
+        sizes: As in `obstacle`; empty for heights.
+        p_SO: Position of its center (3,), m.
+        R_SO: Rotation (3, 3); None: identity.
+        heights: Finite heights (nx, ny), m, for that kind.
 
     Returns:
-        The body.
+        The obstacle.
     """
     turned = _NOT_TURNED.tolist() if R_SO is None else R_SO.ravel().tolist()
     sides = [0.0, 0.0, 0.0]
@@ -174,7 +176,10 @@ def ready(
 
 
 def listed(obstacles: Obstacle | Iterable[Obstacle], field: str) -> list[Obstacle]:
-    """Bodies of what may be one; InputError that names `field` where something is none."""
+    """Return a list of obstacles from one obstacle or several.
+
+    Raises InputError that names `field` for any other object.
+    """
     if isinstance(obstacles, Obstacle):
         return [obstacles]
     found: list[Obstacle] = list(obstacles) if isinstance(obstacles, Iterable) else [obstacles]
@@ -185,8 +190,11 @@ def listed(obstacles: Obstacle | Iterable[Obstacle], field: str) -> list[Obstacl
 
 
 def pooled(bodies: Sequence[Obstacle], grid: tuple[int, int]) -> tuple[Array, Array | None]:
-    """Numbers (k, NUMBERS) of all bodies, and their pools one after the other (None: there are
-    none); InputError where heights are not over the nodes of `grid`."""
+    """Return the parameters (k, NUMBERS) of all obstacles and their concatenated pools.
+
+    The pool is None if it is empty. Raises InputError if heights do not match the nodes of
+    `grid`.
+    """
     if len(bodies) == 1 and not bodies[0].pool.size:
         return bodies[0].numbers[None], None
     for body in bodies:
@@ -201,7 +209,7 @@ def pooled(bodies: Sequence[Obstacle], grid: tuple[int, int]) -> tuple[Array, Ar
 
 
 def _min_width(kind: str, size: list[float], data: ArrayLike | None) -> float:
-    """How wide, m, a body is where it is thinnest; infinite for what cannot pass between nodes."""
+    """Return the minimum width of an obstacle, m; infinite if it cannot pass between nodes."""
     if kind in ("mesh", "triangles"):
         wide = np.ptp(np.asarray(data, dtype=float).reshape(-1, 3), axis=0)
         return float(wide[wide > _FLAT].min(initial=np.inf))
@@ -211,7 +219,7 @@ def _min_width(kind: str, size: list[float], data: ArrayLike | None) -> float:
 
 
 def _reach(kind: str, size: list[float], data: ArrayLike | None) -> float:
-    """How far from its middle, m, a body ends at the latest."""
+    """Return an upper bound of an obstacle's radius about its center, m."""
     if kind in ("mesh", "triangles"):
         return float(np.linalg.norm(np.asarray(data, dtype=float).reshape(-1, 3), axis=1).max())
     if kind in ("plane", "heights"):
@@ -222,7 +230,7 @@ def _reach(kind: str, size: list[float], data: ArrayLike | None) -> float:
 
 
 def _corners(kind: str, size: Array, data: ArrayLike | None) -> Array | None:
-    """Of a wedge or a mesh, (n, 3)."""
+    """Return the corners (n, 3) of a wedge or a mesh; None for other kinds."""
     if kind == "wedge":
         length, width, height = size
         ends = [[x, y, height] for x in (-length, length) for y in (-width, width)]

@@ -1,5 +1,7 @@
-"""How a film at rest answers small changes of what presses it (docs/theory/quasistatic_membrane.md,
-X6)."""
+"""Sensitivities of a membrane equilibrium to small changes of the obstacles.
+
+See docs/theory/quasistatic_membrane.md, X6.
+"""
 
 from __future__ import annotations
 
@@ -19,18 +21,18 @@ from mjtactile.quasistatic.solution import AREA, FOUND, PRESSURE, VOLUME, WRENCH
 
 Shape = Callable[[Array], Obstacle | Sequence[Obstacle]]
 _STEP = 1e-8  # of a number, or of one: differences of bodies alone, which are closed forms
-POSE_STEP = 1e-8  # m, rad
-_LOOSE = 1e-6  # m, a tolerance that single precision is enough for
+POSE_STEP = 1e-8  # step of the pose, m, rad
+_LOOSE = 1e-6  # tolerance for a solve in single precision, m
 _TURNS = np.array([
     [[0.0, 0, 0], [0, 0, -1], [0, 1, 0]],
     [[0.0, 0, 1], [0, 0, 0], [-1, 0, 0]],
     [[0.0, -1, 0], [1, 0, 0], [0, 0, 0]],
 ])  # fmt: skip
-"""What a small turn about x, y and z does to a place."""
+"""Derivatives of a position by rotation about x, y and z."""
 
 
 class Resting(Protocol):
-    """Of a `QuasistaticMembrane`, what derivatives want."""
+    """Attributes of a `QuasistaticMembrane` that the derivatives need."""
 
     grid: tuple[int, int]
     sealed: bool
@@ -44,21 +46,22 @@ class Resting(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class SolutionSensitivities:
-    """Derivatives of a film's state by n numbers of its bodies: what is in SI units, over the
-    number's own unit.
+    """Derivatives of a membrane state by n parameters of its obstacles.
 
-    Exact where a small change lets touch what touches; across a change of that set, which comes at
-    every few hundredths of a millimetre, they are the slope on this side of it. Of what is thinner
-    than the spacing they are rough: it is looked for in elevenths of that, and moved under nodes;
-    a blade's force by its height is 13 % off, by its place it is no derivative.
+    Each quantity is in SI units, divided by the unit of the parameter. The derivatives are exact
+    while the set of nodes in contact is unchanged. That set changes every few hundredths of a
+    millimeter, and there the derivatives are one-sided. For obstacles thinner than the spacing they
+    are approximate, since such obstacles are sampled at elevenths of the spacing and moved under
+    nodes. For a blade, the derivative of the force by height has an error of 13 %. The one by
+    position is not valid.
 
     Attributes:
-        displacements: (n, 3, nx, ny) of the nodes.
-        contact_forces: (n, nx, ny) of the force along -z at each node.
-        wrench: (n, 6) of force and torque about the origin of S.
-        gauge_pressure: (n,) of the gas.
-        volume: (n,) between the film and the frame's plane.
-        area: (n,) of the sheet in contact.
+        displacements: (n, 3, nx, ny) Derivatives of the node displacements.
+        contact_forces: (n, nx, ny) Derivatives of the force along -z at each node.
+        wrench: (n, 6) Derivatives of force and torque about the origin of S.
+        gauge_pressure: (n,) Derivatives of the gas pressure.
+        volume: (n,) Derivatives of the volume between the membrane and the frame's plane.
+        area: (n,) Derivatives of the contact area.
     """
 
     displacements: Array
@@ -82,19 +85,19 @@ class SolutionSensitivities:
 def changed_bodies(
     shape: Shape, numbers: ArrayLike, steps: ArrayLike | None
 ) -> tuple[list[list[Obstacle]], Array]:
-    """Bodies as they are, and after a step of each number.
+    """Create the obstacles at the given parameters and after a step of each parameter.
 
     Args:
-        shape: makes bodies of numbers.
-        numbers: (n,).
-        steps: (n,) of them; None: 1e-8 of each, or of one.
+        shape: Function that creates obstacles from parameters.
+        numbers: Parameters (n,).
+        steps: Steps (n,); None: 1e-8 of each parameter, at least 1e-8.
 
     Returns:
-        1 + n times the bodies; the steps (n,).
+        1 + n lists of obstacles; the steps (n,).
 
     Raises:
-        InputError: numbers that are not finite, steps that are zero or not finite, or another
-            number of bodies after a step.
+        InputError: Parameters that are not finite, steps that are zero or not finite, or a
+            different number of obstacles after a step.
     """
     at = obstacles.finite("numbers", numbers, (-1,))
     by = _STEP * np.maximum(1, np.abs(at))
@@ -110,14 +113,14 @@ def changed_bodies(
 
 
 def moved_rows(rows: Array) -> Array:
-    """Bodies as they are, and after a step of their pose, all of them as one.
+    """Compute the obstacles at their pose and after a step of each common rigid motion.
 
     Args:
-        rows: (k, NUMBERS) of the bodies.
+        rows: Parameters of the obstacles (k, NUMBERS).
 
     Returns:
-        (1 + 6, k, NUMBERS): as they are, shifted by POSE_STEP along x, y and z of S, and turned by
-        it about these axes through the origin of S.
+        (1 + 6, k, NUMBERS): unchanged, translated by POSE_STEP along x, y and z of S, and rotated
+        by it about these axes through the origin of S.
     """
     moved = np.repeat(rows[None], 1 + 6, axis=0)
     for axis in range(3):
@@ -132,20 +135,20 @@ def moved_rows(rows: Array) -> Array:
 def derived(
     film: Resting, state: MembraneSolution, rows: Array, pool: Array | None, by: Array
 ) -> SolutionSensitivities:
-    """Ask the kernel.
+    """Compute the derivatives of a state with the kernel.
 
     Args:
-        film: Whose state it is.
-        state: At rest.
-        rows: (1 + n, k, NUMBERS) of bodies, as they are, and after each of n steps.
-        pool: What they have of planes, triangles and heights.
-        by: (n,) steps.
+        film: The membrane of the state.
+        state: Equilibrium.
+        rows: (1 + n, k, NUMBERS) Obstacles, unchanged and after each of n steps.
+        pool: Their planes, triangles and heights.
+        by: Steps (n,).
 
     Returns:
         The derivatives.
 
     Raises:
-        InputError: The state is about to lose its balance, or rests on something else.
+        InputError: The state is close to instability, or belongs to other obstacles.
     """
     if not film._derive_room.size:
         film._derive_room = np.empty(kernel("film_derive_room")(film._numbers))
@@ -164,24 +167,26 @@ def derived(
 def answered(
     film: Resting, state: MembraneSolution, rows: Array, pool: Array | None, by: Array
 ) -> tuple[Array, Array]:
-    """Say about how a film's heights and contact forces change: what a step of its solution would
-    have them do, without what moves in the plane, for a fifth of what `derived` costs.
+    """Approximate the derivatives of heights and contact forces, at a fifth of the cost of
+    `derived`.
+
+    They are those of one solver step without the in-plane displacements.
 
     Args:
-        film: Whose state it is.
-        state: At rest.
-        rows: (1 + n, k, NUMBERS) of bodies, as they are, and after each of n steps.
-        pool: What they have of planes, triangles and heights.
-        by: (n,) steps.
+        film: The membrane of the state.
+        state: Equilibrium.
+        rows: (1 + n, k, NUMBERS) Obstacles, unchanged and after each of n steps.
+        pool: Their planes, triangles and heights.
+        by: Steps (n,).
 
     Returns:
-        (n, nx, ny) of the heights, m, and of the forces, N, over each step's unit. Heights are
-        within 5 to 10 % of the derivatives, forces 10 to 20 % larger; of light touches on few
-        nodes, and of sharp rims, both are within 40 %. Where a body ends between nodes, and that
-        end moves, nothing of it is seen.
+        (n, nx, ny) Derivatives of the heights, m, and of the forces, N, per unit of each step.
+        Heights are within 5 to 10 % of the exact derivatives, forces are 10 to 20 % too large. Both
+        are within 40 % for light contact on few nodes and for sharp rims. The motion of an
+        obstacle's end between nodes has no effect.
 
     Raises:
-        InputError: The state is about to lose its balance.
+        InputError: The state is close to instability.
     """
     by_z, by_force = (np.empty((len(by), *film.grid)) for _ in range(2))
     settings = np.array([film._gas, film.sealed, _LOOSE, 1.0, 0.0, 0.0])
@@ -198,7 +203,8 @@ def _given(state: MembraneSolution, rows: Array, pool: Array | None, by: Array) 
 
 
 def _ask(name: str, *arguments: Any) -> Any:
-    """What a kernel returns. Raises InputError where the sheet is not stiff in every direction."""
+    """Return the result of a kernel. Raises InputError if the stiffness is not positive
+    definite."""
     try:
         return kernel(name)(*arguments)
     except np.linalg.LinAlgError as error:

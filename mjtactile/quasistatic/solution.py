@@ -1,4 +1,4 @@
-"""Where a film came to rest."""
+"""Solution of the quasi-static membrane: an equilibrium state and its error estimates."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from mjtactile.quasistatic.obstacles import Obstacle
 
 
 class MembraneStatus(IntEnum):
-    """How a solution ended, as the kernel says it."""
+    """Status of a solution, as the kernel reports it."""
 
     CONVERGED = 0
     NOT_CONVERGED = 1
@@ -47,18 +47,18 @@ _COMPLAINTS = {
 WRENCH = slice(0, 6)
 PRESSURE, VOLUME, AREA, STATUS, STEPS, STRETCHED, TENSION, LAST_STEP = range(6, 14)
 FOUND = 14
-_TOUCHES = 5e-5  # m that a body may be behind a sheet that it does not touch
+_TOUCHES = 5e-5  # maximum distance behind an untouched membrane without an error, m
 
 
 @dataclass(frozen=True, eq=False)
 class ContactSetup:
-    """What presses a film.
+    """Obstacles of a solution, and the membrane's nodes.
 
     Attributes:
-        bodies: All of them.
-        x: (nx,) m, places of the flat sheet's nodes.
-        y: (ny,) m.
-        half_thickness: m, by which the sheet's middle stays off its outer face.
+        bodies: All obstacles.
+        x: Node positions on the flat membrane (nx,), m.
+        y: The same along y (ny,), m.
+        half_thickness: Distance of the membrane's mid-surface from its outer face, m.
     """
 
     bodies: Sequence[Obstacle] = ()
@@ -68,7 +68,7 @@ class ContactSetup:
 
     @property
     def spacing(self) -> float:
-        """m, the wider of both."""
+        """Larger of the two node spacings, m."""
         return max((float(line[1] - line[0]) for line in (self.x, self.y) if len(line)), default=0)
 
 
@@ -77,17 +77,18 @@ _BY_NOTHING = ContactSetup()
 
 @dataclass(frozen=True, eq=False)
 class MembraneSolution:
-    """A film at rest on what presses it. SI units, frame S.
+    """Equilibrium of a membrane on obstacles. SI units, frame S.
 
-    Numbers of a state that is not `converged` are NaN.
+    All numbers are NaN if the state is not `converged`.
 
     Attributes:
-        x: (3, nx, ny) m, the nodes' displacements.
-        force: (nx, ny) N of the contact at each of them, along -z.
-        found: What the kernel adds up; all are kept for a start from here.
-        trend: (4, nx, ny) m and N, how `x` and `force` changed on the way here; a start goes on
-            with it as far as the bodies that touch did. None: it begins where this ends.
-        pressed_by: The bodies, and the film's nodes; of a batch, none.
+        x: Node displacements (3, nx, ny), m.
+        force: Contact force at each node (nx, ny), N, along -z.
+        found: Results summed by the kernel, kept as the start of a later solution.
+        trend: (4, nx, ny), m and N, last change of `x` and `force`. The next solution extrapolates
+            it in proportion to the motion of the obstacles in contact. None: it starts without
+            extrapolation.
+        pressed_by: The obstacles and the membrane's nodes; empty for a batch.
     """
 
     x: Array
@@ -119,10 +120,12 @@ class MembraneSolution:
 
     @property
     def doubt(self) -> float:
-        """Share of the force within which 9 of 10 presses are, because bodies or the contact are
-        narrow for the grid, or a tip is behind the sheet between its nodes
-        (`QuasistaticMembrane.doubt`, `QuasistaticMembrane.refined_for`); 0 where nothing touches, 1
-        where a body should and does not."""
+        """Relative force error not exceeded in 9 of 10 cases.
+
+        The causes are narrow obstacles, a contact of few nodes, and a tip behind the membrane
+        between its nodes (`QuasistaticMembrane.doubt`, `QuasistaticMembrane.refined_for`). It is 0
+        without contact. It is 1 if an obstacle should be in contact and is not.
+        """
         if not self.converged:
             return float("nan")
         on = self.pressed_by
@@ -135,8 +138,11 @@ class MembraneSolution:
 
     @property
     def relative_area_error(self) -> float:
-        """Share of `area` within which 9 of 10 are: infinite where the contact is a point or a line
-        for this grid, whose area it cannot tell; 0 where nothing touches."""
+        """Relative error of `area` not exceeded in 9 of 10 cases.
+
+        It is infinite if the contact is a point or a line on this grid, so that its area is
+        unknown. It is 0 without contact.
+        """
         if not self.converged:
             return float("nan")
         touching = self.force > 0
@@ -147,12 +153,15 @@ class MembraneSolution:
         return area_error(on.bodies, np.count_nonzero(touching) / longer, on.spacing)
 
     def _gap(self, body: Obstacle) -> float:
-        """How far, m, a body's lowest place is behind the sheet; 0 where it is not over it."""
+        """Return the distance of an obstacle's lowest point behind the membrane, m.
+
+        It is 0 if the point is outside the grid.
+        """
         low, on = lowest_place(body), self.pressed_by
         if low is None:
             return 0.0
         at = low[:2]
-        for _ in range(3):  # which place of the flat sheet is there
+        for _ in range(3):  # fixed-point iteration for the point of the flat membrane
             found = _between(on.x, on.y, self.x, at)
             if found is None:
                 return 0.0
@@ -197,7 +206,7 @@ class MembraneSolution:
 
 
 def judged(state: MembraneSolution) -> MembraneSolution:
-    """The state, or InputError, in one line, for what cannot be."""
+    """Return the state. Raises a one-line InputError for an inadmissible one."""
     complaint = _COMPLAINTS.get(state.status)
     if complaint is not None:
         raise InputError(complaint, field="obstacle")
@@ -233,8 +242,10 @@ class MembraneSolutionBatch:
 
 
 def _between(x: Array, y: Array, fields: Array, at: Array) -> Array | None:
-    """Fields (k, nx, ny) at a place of the flat sheet, (k,), by the four nodes about it; None
-    beside the grid."""
+    """Interpolate fields (k, nx, ny) bilinearly at a point of the flat membrane.
+
+    Returns (k,), or None outside the grid.
+    """
     i = (at[0] - x[0]) / (x[1] - x[0])
     j = (at[1] - y[0]) / (y[1] - y[0])
     if not (0 <= i < len(x) - 1 and 0 <= j < len(y) - 1):

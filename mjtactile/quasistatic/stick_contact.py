@@ -1,8 +1,8 @@
-"""What sticks to a film: how stiffly a patch of contact is held against being dragged and turned.
+"""Sticking contact of a quasi-static membrane: the stiffness of a patch against drag and rotation.
 
-The film itself is frictionless. Of nodes that touch and go with their body, the sheet's stiffness
-says what a drag of that body meets, while all other nodes come to rest in height and in the plane;
-no number is fitted (docs/theory/quasistatic_membrane.md, X7).
+The membrane solution itself is frictionless. Nodes in contact move with their obstacle. The
+membrane's stiffness gives the reaction to that motion, while all other nodes go to equilibrium in
+height and in the plane. No parameter is fitted (docs/theory/quasistatic_membrane.md, X7).
 """
 
 from __future__ import annotations
@@ -19,14 +19,15 @@ from mjtactile.quasistatic.solution import MembraneSolution
 
 @dataclass(frozen=True, eq=False)
 class StuckPatch:
-    """One body's contact, all of which sticks. SI units, frame S.
+    """Contact patch of one obstacle that sticks completely. SI units, frame S.
 
     Attributes:
-        place: (2,) m, its middle, weighed by force: what it turns about.
-        stiffness: (3, 3) of force along x and y, N, and torque about z, N m, by displacements along
-            x and y, m, and a turn about z, rad.
-        force_normal: N that it presses with.
-        radius: m, the mean distance of its force from its middle: what friction's torque acts on.
+        place: Force-weighted center (2,), m, the center of rotation.
+        stiffness: (3, 3) Derivatives of force along x and y, N, and torque about z, N m, by
+            displacements along x and y, m, and rotation about z, rad.
+        force_normal: Normal force, N.
+        radius: Force-weighted mean distance from the center, m, the lever arm of the friction
+            torque.
     """
 
     place: Array
@@ -37,7 +38,7 @@ class StuckPatch:
 
 @dataclass(frozen=True, eq=False)
 class StickState:
-    """What a sticking patch remembers: how far, (3,) m, m, rad, it is dragged and turned."""
+    """State of a sticking patch: its drag along x and y, m, and rotation, rad, (3,)."""
 
     strain: Array
 
@@ -49,24 +50,24 @@ class StickState:
 def drag(
     patch: StuckPatch, held: StickState, moved: ArrayLike, friction: float
 ) -> tuple[Array, StickState]:
-    """Move a body that sticks, as far as friction lets it.
+    """Move a sticking obstacle within the limit of friction.
 
-    Coulomb's limit is one for force and torque together, an ellipse (Howe & Cutkosky, Int. J.
-    Robotics Res. 15(6), 1996): |f|^2 + (t / r)^2 <= (mu N)^2; beyond it, what is remembered shrinks
-    to the limit, and the rest has slid.
+    Coulomb's limit couples force and torque as an ellipse (Howe & Cutkosky, Int. J. Robotics Res.
+    15(6), 1996): |f|^2 + (t / r)^2 <= (mu N)^2. Beyond it, the stored drag is scaled back to the
+    limit. The remainder is slip.
 
     Args:
-        patch: As it is now; its force may have changed since.
-        held: What it remembers.
-        moved: (3,) by which the body moved and turned since, m, m, rad.
-        friction: Coefficient of Coulomb.
+        patch: The present patch; its normal force may have changed.
+        held: The previous drag.
+        moved: Motion of the obstacle since then (3,), m, m, rad.
+        friction: Coulomb friction coefficient.
 
     Returns:
-        Force along x and y, N, and torque about z, N m, (3,) of the sheet on the body; what is
-        remembered now.
+        Force along x and y, N, and torque about z, N m, (3,), of the membrane on the obstacle; the
+        new drag.
 
     Raises:
-        InputError: A motion that is not finite, or a negative friction.
+        InputError: A motion that is not finite, or a negative friction coefficient.
     """
     step = np.asarray(moved, dtype=float)
     if step.shape != (3,) or not np.isfinite(step).all():
@@ -109,16 +110,16 @@ def patches_of(x: Array, y: Array, state: MembraneSolution, factor: Array) -> li
 
 
 def _patch_of(places: Array, inner: NDArray[np.intp], force: Array, factor: Array) -> StuckPatch:
-    """The patch of some nodes.
+    """Compute the patch of a set of nodes.
 
     Args:
-        places: (m, 2) m, where they are.
-        inner: (m,) their numbers among the nodes that move.
-        force: (m,) N that each carries.
-        factor: As `QuasistaticMembrane.stiffness_factor` gives it.
+        places: Positions of the nodes (m, 2), m.
+        inner: Their indices among the free nodes (m,).
+        force: Contact force of each (m,), N.
+        factor: Factor from `QuasistaticMembrane.stiffness_factor`.
 
     Returns:
-        The patch, whose nodes move as one body.
+        The patch, whose nodes move as one rigid set.
     """
     from scipy.linalg import cho_solve_banded  # takes a while to import
 

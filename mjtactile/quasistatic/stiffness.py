@@ -1,4 +1,4 @@
-"""How stiff a film's sheet is where a state is, over a gas that stays at its pressure."""
+"""Tangent stiffness of a membrane at a state, with constant gas pressure."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mjtactile.quasistatic.solution import MembraneSolution
 
 
 class Sheet(Protocol):
-    """Of a `QuasistaticMembrane`, what its stiffness wants."""
+    """Attributes of a `QuasistaticMembrane` that its stiffness needs."""
 
     grid: tuple[int, int]
     _numbers: Array
@@ -21,29 +21,29 @@ class Sheet(Protocol):
 
 
 def factor_of(film: Sheet, state: MembraneSolution) -> Array:
-    """Factor a sheet's stiffness.
+    """Factor the stiffness of a membrane.
 
     Args:
-        film: Whose state it is.
-        state: At rest.
+        film: The membrane of the state.
+        state: Equilibrium.
 
     Returns:
-        The Cholesky factor's lower band (width + 1, 3 inner nodes), as SciPy has it; x, y and
-        height of a node in turn.
+        The Cholesky factor's lower band (width + 1, 3 inner nodes) in SciPy's format. Each node has
+        x, y and height in order.
     """
     width = 3 * film.grid[1] - 1
     return np.ascontiguousarray(_band(film, state)[:, : width + 1].T)
 
 
 def compliance_of(film: Sheet, state: MembraneSolution) -> Array:
-    """How a sheet gives in the plane while its heights are free.
+    """Compute the in-plane compliance of a membrane with free heights.
 
     Args:
-        film: Whose state it is.
-        state: At rest.
+        film: The membrane of the state.
+        state: Equilibrium.
 
     Returns:
-        (2 inner, 2 inner) m/N, displacements by forces; x and y of each inner node in turn.
+        (2 inner, 2 inner), m/N, displacements by forces; each inner node has x and y in order.
     """
     band = _band(film, state)
     count = 2 * len(band) // 3

@@ -1,5 +1,4 @@
-"""`DecimatedHistory` keeps some cycles of a run, evenly spread over it however long it gets, for
-what shows the run afterwards."""
+"""`DecimatedHistory`: a bounded number of cycles, spread evenly over a run, for its report."""
 
 from __future__ import annotations
 
@@ -18,7 +17,7 @@ class DecimatedHistory:
 
     def __init__(self, most: int = _MOST):
         self.kept: list[tuple[Seen, Any]] = []
-        """Cycles, and what was given as the scene at each."""
+        """Cycles, each with its scene."""
         self._most = most - most % 2
         self._every = 1
         self._seen = 0

@@ -1,8 +1,7 @@
-"""The files of a run: JSON that is always valid and never half there, and what a recording's first
-line says.
+"""Files of a run: valid JSON, written atomically, and the header of a recording.
 
-A recording is a folder with `log.jsonl` (one JSON object a line) and `frames/*.png` (camera images,
-lossless); the format: docs/reference/recording_format.md.
+A recording is a folder with `log.jsonl` (one JSON object per line) and `frames/*.png` (camera
+images, lossless). For the format see docs/reference/recording_format.md.
 """
 
 from __future__ import annotations
@@ -25,7 +24,8 @@ from mjtactile.core.types import FINGERS
 
 FORMAT = "mjtactile-recording"
 VERSION = 2
-"""Of what is written; from 2 on a force limit of 0 is 0 N, and one that is not known null."""
+"""Format version of written files. Since version 2, a force limit of 0 means 0 N, and null an
+unknown one."""
 READABLE = (1, 2)
 LOG = "log.jsonl"
 FRAMES = "frames"
@@ -34,7 +34,7 @@ RECORDINGS = "recordings"
 
 
 def finger_names(count: int) -> tuple[str, ...]:
-    """What the fingers are called in files: left, right, finger3, …"""
+    """Return the default names of the fingers in files: left, right, finger3, …"""
     return (*FINGERS, *(f"finger{number}" for number in range(3, count + 1)))[:count]
 
 
@@ -55,14 +55,14 @@ def to_json(value: Any) -> Any:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write `value` to `path` at once or not at all: a reader never sees half a file."""
+    """Write `value` to `path` atomically: a reader never reads a partial file."""
     part = path.with_name(path.name + ".part")
     part.write_text(json.dumps(to_json(value), indent=2, allow_nan=False) + "\n", encoding="utf-8")
     part.replace(path)
 
 
 def versions() -> dict[str, str]:
-    """Versions of what takes part in a measurement."""
+    """Return the versions of the software used in a measurement."""
     return {
         "mjtactile": importlib.metadata.version("mjtactile"),
         "opencv": cv2.__version__,
@@ -72,8 +72,10 @@ def versions() -> dict[str, str]:
 
 
 def provenance(header: Mapping[str, Any]) -> dict[str, Any]:
-    """Versions, and the text of the sensor and rig files that a header names: with what was
-    recorded can be looked up when those files have long changed."""
+    """Return the versions and the contents of the sensor and rig files that a header names.
+
+    They document the recording conditions after the files have changed.
+    """
     files = {}
     for key, folder in (("sensor", "models/sensors"), ("rig", "models/rigs")):
         name = header.get(key)

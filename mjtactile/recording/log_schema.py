@@ -1,9 +1,8 @@
-"""The columns of a recording's log: one entry of `SENSED` a key, what it is, and where it comes
-from.
+"""Columns of a recording's log: `SENSED` has one entry per key, with its meaning and source.
 
-docs/reference/recording_format.md has the same table; a test compares the two. SI units; one value
-a finger where that is said. What is not known is NaN here and null in the file, in the shape that
-it would have.
+docs/reference/recording_format.md contains the same table, and a test compares the two. SI units;
+columns with one value per finger are lists. An unknown value is NaN in memory and null in the file,
+with the shape of a known one.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ _BORDER = 24  # points of an outline, at most
 
 
 class Seen(Protocol):
-    """What is shown of a control cycle."""
+    """Part of a control cycle that displays use."""
 
     @property
     def time(self) -> float: ...
@@ -33,8 +32,7 @@ class Seen(Protocol):
 
 
 class CycleLike(Seen, Protocol):
-    """What one control cycle offers to be recorded; `mjtactile.runtime.control_loop.Cycle` is
-    one."""
+    """Recordable data of one control cycle, as in `mjtactile.runtime.control_loop.Cycle`."""
 
     @property
     def gripper(self) -> GripperState: ...
@@ -62,7 +60,7 @@ def _patch(patch: Contact) -> dict[str, Any]:
 
 
 def _outline(touch: Touch) -> Array:
-    """Of the body's contact, a few points of it, whole micrometres."""
+    """Return up to 24 points of the contact outline, m, rounded to whole micrometers."""
     if touch.shape is None:
         return np.zeros((0, 2))
     border = touch.shape.outline
@@ -87,8 +85,11 @@ def _of_touch(value: Callable[[Touch], Any]) -> Callable[[CycleLike], Any]:
 
 
 def _of_part(part: str, name: str, unknown: Any) -> Callable[[CycleLike], Any]:
-    """A value of a part of each touch, such as its slip or (with a dot) its shape's motion;
-    `unknown` where the touch has no such part."""
+    """Return a function that reads one attribute of a part of each touch.
+
+    The part is for example its slip or (with a dot) the motion of its shape. The value is `unknown`
+    if the touch has no such part.
+    """
     path = part.split(".")
 
     def value(touch: Touch) -> Any:
@@ -267,7 +268,7 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
     ),
     "reason": ("", "why, if it is not running", lambda c: getattr(c, "reason", "")),
 }
-"""Key to unit, meaning, and how a cycle says it."""
+"""Unit and meaning of each key, and the function that reads it from a cycle."""
 
 TRUE: Mapping[str, tuple[str, str]] = {
     "force_normal_true": ("N", "what scoring saw"),

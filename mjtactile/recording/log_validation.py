@@ -1,7 +1,7 @@
-"""Whether a log's lines are what they say: kinds and shapes of their values, so that nobody behind
-the reader need ask.
+"""Validation of a recording's log: kinds and shapes of all values.
 
-A recording may come from anywhere, and a disk may lose a part of it.
+A recording may come from an unknown source, or be damaged on disk. After this validation the
+reader's users need no checks of their own.
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ _LISTS = {
     "valve_open": FLAG,
     "images": TEXT,
 }
-"""What is in the lists; numbers otherwise."""
+"""Kind of the values in list columns; the default is NUMBER."""
 _MANY = {"patches": TABLE, "shape_outline": (NUMBER, NUMBER)}
-"""What is in lists of as many as there are, a list a finger."""
+"""Kind of the entries in columns with a list of variable length per finger."""
 _PARTS = {
     **dict.fromkeys(("wrench", "wrench_sd", "wrench_true"), 6),
     **dict.fromkeys(("contact_centroid", "slip_velocity"), 2),
@@ -59,7 +59,7 @@ _PARTS = {
     "shape_sliding": 2,
     "shape_place": 3,
 }
-"""How many numbers of each finger there are; one otherwise."""
+"""Number of values per finger; the default is one."""
 _VALVES = ("valve_open", "gauge_pressure", "valve_time", "valve_age")
 _FINGERS = (
     "image_time",
@@ -126,8 +126,11 @@ def kind(value: Any) -> Any:
 
 
 def wrong_column(row: Mapping[str, Any], first: Mapping[str, Any]) -> str | None:
-    """The first column of a cycle that is not what it should be: of another kind, or of another
-    shape than in the recording's `first` cycle. None: all is well."""
+    """Return the first invalid column of a cycle, or None.
+
+    A column is invalid if its kind is wrong, or if its shape differs from the recording's `first`
+    cycle.
+    """
     if row.get("time") is None:
         return "time"
     for key in (key for key in first if key != "kind"):
@@ -183,7 +186,7 @@ def wrong_note(row: Mapping[str, Any]) -> str | None:
 
 
 def _has_tables(row: Mapping[str, Any], key: str) -> bool:
-    """Whether what stands there are tables, those of files with nothing but texts in them."""
+    """Return True if all values under `key` are tables; those of "files" may contain text only."""
     for table in row.get(key, {}).values():
         if kind(table) != TABLE:
             return False
@@ -193,7 +196,8 @@ def _has_tables(row: Mapping[str, Any], key: str) -> bool:
 
 
 def _is_simulated(how: Mapping[str, Any]) -> bool:
-    """Whether this is how a world was simulated: mesh, step and effects, as pages show them."""
+    """Return True for a valid description of a simulation: mesh, step and effects, for report
+    pages."""
     effects = how.get("effects", [])
     return (
         kind(how.get("mesh", [])) in {(), (NUMBER, NUMBER)}
@@ -229,7 +233,7 @@ def _wrong_reference(row: Mapping[str, Any]) -> str | None:
 
 
 def _are_names(values: list[Any]) -> bool:
-    """Whether these are files inside of the recording."""
+    """Return True if all values are file paths inside the recording."""
     return all(
         isinstance(value, str)
         and "\0" not in value

@@ -1,4 +1,4 @@
-"""`Observer`: what a run tells to whoever looks on: a recorder, a progress line, Studio."""
+"""`Observer`: interface through which a run reports to a recorder, a progress line, or Studio."""
 
 from __future__ import annotations
 
@@ -9,15 +9,17 @@ from mjtactile.core.types import Image
 
 
 class Observer:
-    """Its methods are called by a run, in the order in which they stand here; each does nothing
-    unless it is overridden.
+    """Base class of run observers.
 
-    They are called from the thread of the control loop. Whatever one of them raises in a cycle
-    makes the hand go down and open before it is raised to who started the run.
+    A run calls the methods in the order of their definition. Each does nothing unless it is
+    overridden. The calls come from the thread of the control loop. If a method raises an exception
+    during a cycle, the hand is first lowered and opened. The exception is then raised to the caller
+    of the run.
     """
 
     sees: bool = True
-    """Whether it looks at the views that `add` is given: where nobody does, none is made."""
+    """True if the observer uses the views passed to `add`; without such an observer no views are
+    made."""
 
     def begin(self, session: Any) -> None:
         """The rig is there, and nothing has moved yet.
@@ -27,7 +29,7 @@ class Observer:
         """
 
     def message(self, text: str) -> None:
-        """The run has something to say to a person.
+        """Receive a message for the user.
 
         Args:
             text: One line.
@@ -55,18 +57,18 @@ class Observer:
         """A cycle's images were taken, and a simulated world still stands at that time."""
 
     def add(self, cycle: Any, view: Any = None, **truth: Any) -> None:
-        """A cycle's command was sent.
+        """Receive a cycle after its command was sent.
 
         Args:
-            cycle: What was seen, felt, asked for and sent.
-            view: The scene at that time; of a simulation alone, and where somebody looks at it.
-            **truth: Ground truth by column (`mjtactile.recording.log_schema`); of a simulation
-                alone.
+            cycle: Images, estimates, requested and sent command of the cycle.
+            view: The scene at that time; only in simulation, and only if an observer uses it.
+            **truth: Ground truth by column (`mjtactile.recording.log_schema`); only in
+            simulation.
         """
 
 
 class Observers(Observer):
-    """Several as one: each is told in turn."""
+    """Group of observers that forwards each call to all of them in order."""
 
     def __init__(self, observers: Iterable[Observer]):
         self._observers = tuple(observers)

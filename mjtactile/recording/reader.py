@@ -40,16 +40,16 @@ class RecordedReference:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A recording read back.
+    """Contents of a recording.
 
     Attributes:
-        folder: Where it is.
-        header: What ran: object, sensor, controller, rig, seed, versions.
-        notes: Facts that are no cycle, such as the fingers' names and how the run ended.
-        columns: By key one row a cycle; a JSON null is NaN.
-        complete: Whether it was closed properly.
-        problems: What is broken in it, a sentence each.
-        references: The images that the references were taken from.
+        folder: Folder of the recording.
+        header: Run configuration: object, sensor, controller, rig, seed, versions.
+        notes: Facts outside the cycles, such as the fingers' names and the outcome of the run.
+        columns: Values by key, one row per cycle; a JSON null is NaN.
+        complete: True if the recording was closed properly.
+        problems: Defects of the recording, one sentence each.
+        references: Images from which the references were taken.
     """
 
     folder: Path
@@ -72,12 +72,12 @@ class Recording:
 
     @property
     def flags(self) -> Mapping[str, str]:
-        """What made a simulation's numbers worse than usual: the kind of doubt, and its reason."""
+        """Reasons for reduced simulation accuracy, by kind of model error."""
         return self.notes.get("flags", {})
 
     @property
     def has_shapes(self) -> bool:
-        """Whether it was asked what body each touch is of: areas and forces are that body's."""
+        """True if contact shapes were estimated; areas and forces are then those of the shapes."""
         said = self.columns.get("shape_kind", ())
         return any(kind != "none" for row in said for kind in row)
 
@@ -89,13 +89,13 @@ class Recording:
         return len(self.columns["time"])
 
     def valves(self, cycle: int) -> tuple[ValveState, ...]:
-        """Look up what the valves said in one cycle.
+        """Return the valve states of one cycle.
 
         Args:
-            cycle: Its number, from 0.
+            cycle: Index of the cycle, from 0.
 
         Returns:
-            One state a valve, in the order of their fingers.
+            One state per valve, in the order of their fingers.
         """
 
         def number(key: str, finger: int) -> float:
@@ -128,19 +128,19 @@ class Recording:
         return tuple(float(one) for one in column[cycle])
 
     def column(self, key: str, width: int | None = None) -> Array:
-        """Look up a column of numbers.
+        """Return a numeric column.
 
         Args:
-            key: Its name (docs/reference/recording_format.md has all).
-            width: How wide it is where this recording has none; by default one number a finger.
+            key: Name of the column (docs/reference/recording_format.md lists all).
+            width: Width of the result if this recording lacks the column; by default one number per
+                finger.
 
         Returns:
-            (cycles, width), or (cycles, fingers, parts) of one with several numbers a finger. All
-                NaN when this recording has none, as for the truth of a real run.
+            (cycles, width), or (cycles, fingers, parts) for several numbers per finger. All values
+            are NaN if this recording lacks the column, as for the ground truth of a real run.
 
         Raises:
-            InputError: No recording has such a column, or it holds other things than numbers (they
-                are in `columns`).
+            InputError: No recording has such a column, or it is not numeric (see `columns`).
         """
         if key not in self.columns:
             if key not in KEYS:

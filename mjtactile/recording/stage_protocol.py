@@ -1,16 +1,15 @@
-"""What was done to a sensor while it was recorded: which indenter stood where, and how far it was
-driven in, when.
+"""Indentation protocol of a recording: the indenter, its position, and its moves over time.
 
-A protocol is a CSV file with one line a move, which a person with a stage follows, and the
-simulated stage too:
+A protocol is a CSV file with one line per move. A person with a stage follows it, as does the
+simulated stage:
 
     time_s,depth_mm,shear_mm,speed_mm_s,force_N
 
-`time_s` counts from the recording's first cycle. `depth_mm` is below first touch of the inflated
-membrane; `shear_mm` along x of the sensor (empty: 0), `speed_mm_s` of the way there (empty: 2).
-`force_N` is what a load cell or a weight on the indenter says of the hold that follows (empty:
-unknown); with a force alone, as of a weight that is put on, the depth is whatever it takes. With
-neither nothing touches. The recording keeps all of it as the note `stage`.
+`time_s` counts from the recording's first cycle. `depth_mm` is measured from first contact with the
+inflated membrane. `shear_mm` is along x of the sensor (empty: 0), and `speed_mm_s` is the speed of
+the move (empty: 2). `force_N` is the force during the following hold, from a load cell or a weight
+on the indenter (empty: unknown). With a force alone, for example a weight, the depth is free. With
+neither depth nor force there is no contact. The recording stores all of it as the note `stage`.
 """
 
 from __future__ import annotations
@@ -38,9 +37,11 @@ COLUMNS: dict[str, tuple[str, float, float, float]] = {
 
 @dataclass(frozen=True)
 class Move:
-    """From `time` s on the indenter goes to `depth` m and `shear` m at `speed` m/s, and stays;
-    there it pushes with `force` N. What is not known is NaN; with neither depth nor force nothing
-    touches."""
+    """Move of the indenter, and the hold that follows.
+
+    At `time`, s, it goes to `depth`, m, and `shear`, m, at `speed`, m/s, and stays. There the force
+    is `force`, N. Unknown values are NaN. Without depth and force there is no contact.
+    """
 
     time: float
     depth: float = math.nan
@@ -54,7 +55,7 @@ class Move:
 
     @property
     def is_weight(self) -> bool:
-        """Whether the force is known, and no depth."""
+        """True if the force is known and the depth is not."""
         return math.isnan(self.depth) and not math.isnan(self.force)
 
 
@@ -68,7 +69,7 @@ class Stage:
     moves: tuple[Move, ...]
 
     def note(self) -> dict[str, Any]:
-        """As a recording's notes have it; `stage_from_note` reads it."""
+        """Return the entry for a recording's notes; `stage_from_note` reads it."""
         rows = [
             {column: getattr(move, name) / scale for column, (name, scale, *_) in COLUMNS.items()}
             for move in self.moves
@@ -76,7 +77,7 @@ class Stage:
         return {"indenter": self.indenter, "at_mm": [1e3 * x for x in self.at], "moves": rows}
 
     def with_forces(self, forces: Sequence[float]) -> Stage:
-        """The same with what a load cell showed during each hold, N."""
+        """Return a copy with the load cell's force during each hold, N."""
         return replace(
             self, moves=tuple(replace(m, force=f) for m, f in zip(self.moves, forces, strict=True))
         )
@@ -98,7 +99,7 @@ def read_moves(name_or_path: str | Path) -> tuple[Move, ...]:
 
 
 def describe(move: Move) -> str:
-    """What a person at a stage does now."""
+    """Return the instruction of a move for a person at a stage."""
     if not move.touches:
         return f"{move.time:g} s: lift off"
     if move.is_weight:
@@ -111,7 +112,10 @@ def describe(move: Move) -> str:
 
 
 def stage_from_note(note: Mapping[str, Any], source: object) -> Stage:
-    """What `Stage.note` gave, or a person wrote. Raises InputError naming the field."""
+    """Create a stage from the result of `Stage.note` or from a user's table.
+
+    Raises InputError that names the field.
+    """
     try:
         indenter = str(note["indenter"])
         at = tuple(1e-3 * float(x) for x in note["at_mm"])

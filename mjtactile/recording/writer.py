@@ -1,7 +1,7 @@
-"""`Recorder` writes the recording of a run while it happens, and holds up nothing.
+"""`Recorder`: write the recording of a run in the background.
 
-A background thread writes the images of a cycle first and its line last, so what the log names is
-on disk.
+A thread writes the images of a cycle first and its log line last. All files that the log names are
+therefore on disk.
 """
 
 from __future__ import annotations
@@ -34,24 +34,24 @@ from mjtactile.recording.observer import Observer
 
 # that may wait for the disk: 2 s at 30 Hz, 40 MB with two cameras of 640 x 480 pixels
 _QUEUE_CYCLES = 64
-_FLUSH_TIME = 5.0  # s that the end of a run waits for the disk
+_FLUSH_TIME = 5.0  # maximum wait for the disk at the end of a run, s
 _logger = logging.getLogger(__name__)
 
 
 class Recorder(Observer):
-    """Writes a recording while a run goes on.
+    """Observer that writes a recording during a run.
 
-    Nothing here fails or blocks a run: a recording that cannot be written, or whose disk stands
-    still, is given up with a warning, and `problem` says why. Use it as a context manager, or call
-    `close` on every way out.
+    It neither fails nor blocks a run. If writing fails or the disk stalls, the recording stops with
+    a warning, and `problem` holds the reason. Use it as a context manager, or call `close` on every
+    exit path.
 
     Args:
-        folder: Where to; made if needed.
-        header: What runs: object, sensor, controller, rig, seed.
-        frames: The images of every so many cycles are kept; 0: none.
+        folder: Destination; created if needed.
+        header: Run configuration: object, sensor, controller, rig, seed.
+        frames: Interval of cycles with stored images; 0: none.
 
     Raises:
-        InputError: The folder holds a recording already, or cannot be written.
+        InputError: The folder already holds a recording, or cannot be written.
     """
 
     def __init__(self, folder: str | Path, header: Mapping[str, Any], *, frames: int = 1):
@@ -62,15 +62,15 @@ class Recorder(Observer):
         self.view: Any = None
         """The scene in that cycle."""
         self.views: list[tuple[float, Any]] | None = None
-        """The scene in every cycle and its time, where somebody makes this a list."""
+        """Time and scene of every cycle, if the caller sets a list."""
         self.strip: DecimatedHistory | None = None
-        """Cycles spread over the run, where somebody gives one."""
+        """Cycles spread over the run, if the caller sets a history."""
         self.cycles = self.references = 0
         self.flags: Mapping[str, str] = {}
-        """What makes a simulation's numbers worse than usual, as it was noted last."""
+        """Last noted reasons for reduced simulation accuracy."""
         self.problem = ""
         self.disk_wait_time = 10.0
-        """s that `add` waits for a disk that is 64 cycles behind; 0 where the world does not
+        """Maximum time that `add` waits for a disk 64 cycles behind, s; 0 if the world does not
         wait."""
         self._frames = frames
         self._closed = False
@@ -115,9 +115,9 @@ class Recorder(Observer):
         """Record one cycle.
 
         Args:
-            cycle: What the loop did in it.
-            view: The simulated scene at that time, kept (not written) for the picture.
-            **truth: Ground-truth columns that a scorer knows.
+            cycle: Data of the cycle.
+            view: The simulated scene at that time, kept (not written) for the figure.
+            **truth: Ground-truth columns from a scorer.
         """
         if self.cycles == 0 and (last := getattr(cycle, "last", None)) is not None:
             self.note(start_opening=last.opening, start_lift_height=last.lift_height)
@@ -187,18 +187,20 @@ class Recorder(Observer):
         self._enqueue({"kind": "note", **facts})
 
     def _names(self, count: int) -> tuple[str, ...]:
-        """What the fingers are called in the names of files: as was noted, where each name is a
-        file's; else by their place."""
+        """Return the names of the fingers in file names.
+
+        They are the noted names if all are valid in file names, else the default ones.
+        """
         noted = {name for name in self._fingers if name and not {"/", "\0"} & set(name)}
         if len(noted) == len(self._fingers) == count:
             return self._fingers
         return finger_names(count)
 
     def close(self, **outcome: Any) -> None:
-        """Write what is queued and an `end` line; later calls do nothing.
+        """Write the queue and an `end` line; later calls do nothing.
 
         Args:
-            **outcome: How the run ended, by name.
+            **outcome: Outcome of the run, by name.
         """
         if self._closed:
             return
@@ -213,13 +215,13 @@ class Recorder(Observer):
                 self._stop_recording("the disk stands still")
 
     def never_began(self, error: BaseException) -> bool:
-        """Say whether a run left nothing worth keeping: a device was missing, a name was wrong.
+        """Return True if a run left no useful data, for example because a device was missing.
 
         Args:
-            error: What ended it.
+            error: The error that ended it.
 
         Returns:
-            Whether its folder may go.
+            True if its folder may be removed.
         """
         return self.cycles == 0 and (self.references == 0 or isinstance(error, InputError))
 
@@ -255,7 +257,7 @@ class Recorder(Observer):
             self._stop_recording(f"the disk is {_QUEUE_CYCLES} cycles behind")
 
     def _stop_recording(self, why: object) -> None:
-        """Record no more, and say so once."""
+        """Stop recording and log a warning once."""
         if isinstance(why, Exception) and not isinstance(why, OSError):
             text = f"{type(why).__name__}: {why}"
         else:
@@ -278,15 +280,15 @@ class Recorder(Observer):
             except Exception as error:  # noqa: BLE001
                 # a full disk, a removed folder, a notebook that contains itself
                 self._stop_recording(error)
-        with contextlib.suppress(OSError):  # what could not be written before
+        with contextlib.suppress(OSError):  # buffered data that could not be written
             self._file.close()
-        with contextlib.suppress(queue.Empty):  # so that nobody waits for a place in it
+        with contextlib.suppress(queue.Empty):  # unblock waiting producers
             while True:
                 self._queue.get_nowait()
 
 
 def _has_pixels(shots: Sequence[Sequence[Image]]) -> bool:
-    """Whether these are images, and not what was simulated in their place."""
+    """Return True for camera images, False for synthetic touch in their place."""
     return all(image.pixels.size for images in shots for image in images)
 
 

@@ -1,8 +1,8 @@
-"""A recording as a rig: the same images, states and times again, as fast as they can be worked on.
+"""Rig that replays a recording: the same images, states and times, at maximum speed.
 
-Nothing reacts: what a controller commands is answered with what was really sent then. The same
-controller on the same code therefore gives the same numbers, bit for bit; another one shows what it
-would have wanted.
+Nothing reacts to commands: the answer to each command is the one that was sent in the recording.
+The same controller and code therefore reproduce the numbers bit for bit. Another controller shows
+the commands that it would have requested.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from mjtactile.rig.scenario import resolve_scenario
 
 
 class Tape:
-    """Where the replay is: first the references' images, then cycle after cycle."""
+    """Position of a replay: first the reference images, then cycle by cycle."""
 
     def __init__(self, recording: Recording):
         self.recording = recording
@@ -98,7 +98,7 @@ class ReplayCamera:
 
 
 class ReplayGripper:
-    """Recorded states, and as answer to a command what was sent then."""
+    """Gripper with recorded states, which answers a command with the recorded one."""
 
     def __init__(self, tape: Tape):
         self._tape = tape
@@ -159,21 +159,21 @@ class ReplayValve:
         """It was closed then."""
 
     def follow(self, gauge_pressure: float | None) -> None:
-        """It followed what was sent then."""
+        """Do nothing: the valve followed the recorded command."""
 
 
 def build_replay_rig(
     folder: str, design: SensorDesign, sensors: Mapping[str, str] | None = None
 ) -> Rig:
-    """The recording in `folder` as a rig.
+    """Build a rig from the recording in `folder`.
 
     Args:
-        folder: Of the recording, or of the run that it is in.
+        folder: Folder of the recording, or of the run that contains it.
         design: The sensor on the fingers.
-        sensors: Finger to its own sensor: name or file, where that is another one.
+        sensors: Name or file of a finger's own sensor, by finger.
 
     Raises:
-        InputError: When it cannot be replayed with this sensor design.
+        InputError: The recording cannot be replayed with this sensor design.
     """
     recording = load_recording(folder)
     _require_replayable(recording, design, folder)
@@ -212,7 +212,7 @@ def build_replay_rig(
 
 
 def _require_replayable(recording: Recording, design: SensorDesign, folder: str) -> None:
-    """Raise InputError for a recording that lacks what a run needs, or is of another sensor."""
+    """Raise InputError for an incomplete recording, or one of another sensor."""
     has_cycles = len(recording) > 0 and "start_opening" in recording.notes
     if not has_cycles or len(recording.references) != 2:
         raise InputError(

@@ -1,1 +1,1 @@
-"""What is shown of a run: figures, pages to zoom and turn, films, pictures of scenes."""
+"""Reports of a run: figures, interactive pages, videos, and images of scenes."""

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 from mjtactile.core.errors import DeviceError, MjtactileError
 from mjtactile.runtime.worker_process import Channel, WorkerProcess
 
-if TYPE_CHECKING:  # what a run needs is imported while this process starts
+if TYPE_CHECKING:  # imported by the run while this process starts
     from mjtactile.core.types import Array
     from mjtactile.recording.log_schema import CycleLike
     from mjtactile.recording.reader import Recording
     from mjtactile.report.software_renderer import SceneCamera
 
-_PATIENCE = 60.0  # s; a busy computer draws for some
+_PATIENCE = 60.0  # timeout of a figure on a busy computer, s
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class _Still:
     thing: Array | None
 
     def things(self) -> Array:
-        assert self.thing is not None  # who asks for them has shapes to draw
+        assert self.thing is not None  # used only with shapes
         return self.thing
 
     def triangles(self) -> tuple[Array, Array]:
@@ -46,8 +46,10 @@ def _still(scene: SceneCamera, snapshot: CycleLike | None) -> _Still:
 
 
 class FigureWriter:
-    """As `mjtactile.report.summary_figure.write_figure`, in a process; where there is none, or
-    none any more, here."""
+    """Callable like `mjtactile.report.summary_figure.write_figure` that uses a worker process.
+
+    Without a worker, or if the worker has failed, it draws in this process.
+    """
 
     def __init__(self, worker: WorkerProcess | None):
         self._worker = worker
@@ -80,7 +82,7 @@ class FigureWriter:
 
 @contextlib.contextmanager
 def figure_writer_process() -> Iterator[FigureWriter]:
-    """What draws the figure of a run that goes on meanwhile."""
+    """Start a process that draws the figure of a run; yields its `FigureWriter`."""
     with contextlib.ExitStack() as stack:
         worker = None
         with contextlib.suppress(OSError):  # a computer that has no room for another process
@@ -90,7 +92,7 @@ def figure_writer_process() -> Iterator[FigureWriter]:
 
 
 def serve(channel: Channel) -> None:
-    """Draw what comes, until the parent hangs up."""
+    """Draw the requested figures until the parent closes the channel."""
     from mjtactile.report.summary_figure import import_matplotlib, write_figure
     from mjtactile.runtime.perception_threads import outcome_of
 

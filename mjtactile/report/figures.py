@@ -8,8 +8,10 @@ from typing import Any
 
 
 def new_figure(name: str, size: tuple[float, float], dpi: int = 110) -> Any:
-    """A figure of `size` inches without a window, for the file `name`; None, said on stderr,
-    without matplotlib."""
+    """Create a figure of `size` inches without a window, for the file `name`.
+
+    Without matplotlib it returns None and prints a warning on stderr.
+    """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure

@@ -1,5 +1,5 @@
-"""Images from what a user names (one file, a folder in file-name order, or a video), and images
-with what was found in them."""
+"""Images from a user's file, folder (in file-name order) or video, and overlays of found
+markers."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Pages of one file, to look at or to send: what reports share. They ask for nothing over a
-network."""
+"""Shared parts of HTML reports: self-contained pages that need no network."""
 
 from __future__ import annotations
 

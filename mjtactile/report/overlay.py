@@ -17,8 +17,8 @@ TRUSTED = (83, 211, 57)
 FLAGGED = (60, 60, 230)
 _PAPER = 190  # grey level where there is no image
 _NO_PIXELS = (480, 640)
-# of so many circles one this much larger than the median is no marker: those of one sensor are
-# alike, and the camera sees the nearest of a bulge less than twice as large as the farthest
+# Among this many circles, one this much larger than the median is not a marker. The markers of a
+# sensor are alike, and within a bulge the image size varies by less than a factor of two.
 _FEWEST = 4
 _TOO_LARGE = 3.0
 
@@ -35,7 +35,7 @@ def find_ellipses(image: Image) -> Ellipses:
     largest = _TOO_LARGE * float(np.median(radii))
     if radii.max() < largest:
         return found
-    # once more, for what touches the edge has been doubted
+    # repeat the search: the first one flagged ellipses that touch the edge
     return as_ellipses(*search(grey_image(image), max_radius_px=largest))
 
 

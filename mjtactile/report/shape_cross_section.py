@@ -1,5 +1,7 @@
-"""Sections through a felt body, as pixels: along its smaller curvature and across it, with what a
-simulation truly has there."""
+"""Images of two cross sections of a contact shape: along its smaller curvature and across it.
+
+In simulation they also show the ground truth.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ from numpy.typing import NDArray
 from mjtactile.core.types import Array, ContactShape
 from mjtactile.report.shape_wireframe import describe_shape, directions_of, lines_of
 
-_REACH = 9e-3  # m to either side
+_REACH = 9e-3  # half-width of a section, m
 _BELIEVED = (25, 25, 25)  # blue, green, red
 _TRUE = (0, 123, 224)
 _PAPER = (255, 255, 255)
@@ -21,11 +23,11 @@ _NAMES = ("along", "across")
 def plot_section(
     shape: ContactShape | None, true: Array, size: tuple[int, int]
 ) -> NDArray[np.uint8]:
-    """Two sections side by side, heights to scale.
+    """Draw two cross sections side by side, with heights to scale.
 
     Args:
-        shape: What is believed; None: nothing.
-        true: Pieces (n, 2, 3) m in S of what is truly there (`body_lines.true_lines`).
+        shape: The estimated contact shape, or None.
+        true: Segments (n, 2, 3), m, in S, of the ground truth (`shape_wireframe.true_lines`).
         size: Height and width, px.
 
     Returns:

@@ -1,5 +1,7 @@
-"""A felt body as lines to draw: the border of its contact, and the body itself in two arcs; what is
-truly there in a simulation, cut along the same arcs."""
+"""Wireframe of a contact shape: the border of its contact, and two arcs along its surface.
+
+In simulation, the ground truth is cut along the same arcs.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +14,10 @@ from mjtactile.recording.reader import Recording
 from mjtactile.report.software_renderer import SceneCamera
 
 _ARC = 1.2  # rad to either side of the nearest point, of a bent body
-_REACH = 8e-3  # m, of a flat one, and at most of any
+_REACH = 8e-3  # half-length of the arc of a flat shape, m, and maximum for any shape
 _POINTS = 17
 _FLAT = 1.0  # 1/m
-# m, about the body's nearest point: further off is another thing
+# Heights relative to the shape's nearest point, m; points outside belong to another object
 _BELOW = 2e-3
 _ABOVE = 8e-3
 
@@ -38,7 +40,8 @@ def lines_of(shape: ContactShape) -> list[Array]:
 
 
 def directions_of(shape: ContactShape) -> tuple[float, float]:
-    """Which way its arcs go, rad from x: along the smaller curvature, and across."""
+    """Return the directions of the two arcs, rad from x: along the smaller curvature, and
+    across."""
     angle = shape.direction if math.isfinite(shape.direction) else 0.0
     return angle, angle + math.pi / 2
 
@@ -55,8 +58,11 @@ def _arc(curvature: float) -> tuple[Array, Array]:
 
 
 def true_lines(shape: ContactShape, view: SceneCamera, finger: int) -> Array:
-    """What a simulated scene truly has where a body is believed: straight pieces (n, 2, 3) m in S,
-    in which the planes of the body's arcs cut it. For pictures only; sensing knows no scene."""
+    """Cut the simulated scene with the planes of a contact shape's arcs.
+
+    Returns segments (n, 2, 3), m, in S. They are for figures only, since sensing has no access to
+    the scene.
+    """
     if shape.kind == "unknown" or not np.isfinite(shape.p_SO).all():
         return np.zeros((0, 2, 3))
     corners_O = (view.things() - view.p_WS[finger]) @ view.R_WS[finger] - shape.p_SO
@@ -85,7 +91,7 @@ def _cut(corners: Array, turn: float) -> Array:
 
 
 def describe_shape(shape: ContactShape) -> str:
-    """What it is, in a few words."""
+    """Return a short description of a contact shape."""
     if shape.kind == "unknown":
         return f"shape unknown: {shape.status}"
     if math.isfinite(shape.radius):
@@ -96,15 +102,15 @@ def describe_shape(shape: ContactShape) -> str:
 
 
 def recorded_shape(recording: Recording, cycle: int, finger: int) -> ContactShape | None:
-    """As much of a shape as the log keeps.
+    """Read the logged part of a contact shape.
 
     Args:
         recording: The recording.
-        cycle: Its number.
-        finger: Its number.
+        cycle: Index of the cycle.
+        finger: Index of the finger.
 
     Returns:
-        The shape; None where none was felt, or nobody had asked.
+        The shape; None if there was no estimate.
     """
     columns = recording.columns
     kind = columns["shape_kind"][cycle][finger] if "shape_place" in columns else "none"

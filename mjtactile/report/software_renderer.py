@@ -21,14 +21,14 @@ _HEIGHT = 1.5  # of the picture, in widths
 # across the picture; samples along a side of a pixel
 _PIXELS = 320
 _SAMPLES = 2
-# m, and in distances of the sensors from their middle: half of what is shown
+# Half of the image width: minimum, m, and multiple of the sensors' distance from their center
 _LEAST = 0.07
 _AROUND = 2.4
 _PER_NEWTON = 0.75  # length of a force's arrow, in halves of the picture
 
 
 class SceneCamera(Protocol):
-    """What `mjtactile.sim.scenes.scene_triangles.SceneView` is."""
+    """Interface of `mjtactile.sim.scenes.scene_triangles.SceneView`."""
 
     @property
     def p_WS(self) -> Array: ...
@@ -41,8 +41,11 @@ class SceneCamera(Protocol):
 def render_scene(
     axes: Any, view: SceneCamera, touch: Sequence[Touch], colours: Sequence[str]
 ) -> None:
-    """Draw what is around the sensors, and how each of them that touches feels to push, an arrow in
-    its colour."""
+    """Draw the scene around the sensors, with an arrow for the estimated force of each finger in
+    contact.
+
+    Each arrow has the color of its finger.
+    """
     middle, half, axes_PW = _framing(view)
     image = picture_of(view, (round(_HEIGHT * _PIXELS), _PIXELS))
     axes.imshow(image, extent=(-1, 1, -_HEIGHT, _HEIGHT), interpolation="bilinear")
@@ -119,9 +122,11 @@ def _arrow(axes: Any, start: Array, tip: Array, colour: str, text: str) -> None:
 
 
 def image_axes(p_WS: Array) -> Array:
-    """Rows: the picture's right, up, and direction towards the viewer, in W. Two sensors lie side
-    by side, of more the last is behind the middle, where the viewer looks at it between the
-    others."""
+    """Return the image's axes in W as rows: right, up, and towards the viewer.
+
+    Two sensors appear side by side. With more, the last is behind the center, visible between the
+    others.
+    """
     across = p_WS[-1] - p_WS[0] if len(p_WS) == 2 else p_WS.mean(axis=0) - p_WS[-1]
     turn = _TURN if len(p_WS) == 2 else np.pi / 2
     yaw = (np.arctan2(across[1], across[0]) if np.hypot(*across[:2]) > 1e-6 else 0.0) + turn

@@ -1,5 +1,7 @@
-"""The pictures of a run, written side by side: `summary.png` by matplotlib, `summary.html` in a
-thread beside it."""
+"""Reports of a run, written in parallel.
+
+`summary.png` uses matplotlib in the calling thread, `summary.html` a second thread.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +30,11 @@ def write_plots(
     summary: Mapping[str, Any],
     figure: Callable[..., None] = write_figure,
 ) -> list[MjtactileError | OSError]:
-    """Draw the run that `recorder` wrote into `folder`, the `figure` in `figure_writer_process`'s
-    way where there is one; returns what went wrong, such as a missing matplotlib."""
+    """Write the reports of the run that `recorder` wrote into `folder`.
+
+    `figure` writes the PNG, for example in the process of `figure_writer_process`. Returns the
+    errors, such as a missing matplotlib.
+    """
     recording = load_recording(folder)
     strip = [] if recorder.strip is None else recorder.strip.kept
     problems: list[MjtactileError | OSError] = []
@@ -52,7 +57,7 @@ def write_plots(
 
 @dataclass(frozen=True, eq=False)
 class ReplayedCycle:
-    """What was seen and is felt again in a recorded cycle."""
+    """Recorded cycle with its images and the recomputed touch."""
 
     time: float
     images: tuple[Image, ...]
@@ -60,11 +65,10 @@ class ReplayedCycle:
 
 
 def replay_estimate(recording: Recording, on_cycle: Callable[[Seen], None]) -> bool:
-    """Give `on_cycle` what was seen and felt in each cycle that has its images; whether anything
-    could be felt again.
+    """Recompute the touch of all cycles with images, and pass each to `on_cycle`.
 
-    That takes the images of the references and those of all cycles. Raises InputError for a missing
-    image or sensor file.
+    Returns True if the touch could be recomputed. This requires the reference images and the images
+    of all cycles. Raises InputError for a missing image or sensor file.
     """
     session = session_of(recording)
     perceptions = [] if session is None else session.perceptions
@@ -81,20 +85,24 @@ def replay_estimate(recording: Recording, on_cycle: Callable[[Seen], None]) -> b
 
 
 def session_of(recording: Recording) -> Session | None:
-    """Chains that know what a recording's sensors measured of themselves; None without the images
-    for it. Raises InputError for a missing image or sensor file."""
+    """Return a session with the references of a recording, or None if images are missing.
+
+    Raises InputError for a missing image or sensor file.
+    """
     if len(recording.references) < 2 or not all(len(n) for n in recording.columns["images"]):
         return None
     sensor = str(recording.header.get("sensor", "dense"))
     rig = build_rig(Scenario(rig=f"replay:{recording.folder}", sensor=sensor))
-    session = Session(rig, shapes=recording.has_shapes)
+    session = Session(rig, contact_shapes=recording.has_shapes)
     session.take_references()
     return session
 
 
 def with_shapes(recording: Recording, strip: Sequence[tuple[Seen, Any]]) -> list[tuple[Seen, Any]]:
-    """Cycles with what body touches each finger, found in their images: some tenths of a second
-    each."""
+    """Estimate the contact shape of each finger in all cycles from their images.
+
+    A cycle takes a few tenths of a second.
+    """
     session = session_of(recording)
     if session is None:
         return list(strip)

@@ -1,7 +1,7 @@
-"""`summary.json` and `summary.png` of a run: what the camera saw, the surface felt, and the forces
-over time.
+"""`summary.json` and `summary.png` of a run: camera images, estimated surface, and forces over
+time.
 
-matplotlib is an optional dependency (extra `plots`); without it only the picture is left out.
+matplotlib is an optional dependency (extra `plots`); without it only the figure is missing.
 """
 
 from __future__ import annotations
@@ -53,10 +53,10 @@ def write_figure(
     summary: Mapping[str, Any],
     scene: SceneCamera | None = None,
 ) -> None:
-    """Draw the run's picture into `path` (PNG); `snapshot` is the cycle whose images, surfaces and
-    `scene` are shown.
+    """Write the figure of a run to `path` (PNG).
 
-    Raises MjtactileError when matplotlib is not installed.
+    `snapshot` is the cycle with the images, surfaces and `scene` to show. Raises MjtactileError if
+    matplotlib is not installed.
     """
     figure_class, canvas_class = import_matplotlib()
     fingers = 1 if snapshot is None else len(snapshot.touch)
@@ -152,7 +152,7 @@ def _title(summary: Mapping[str, Any]) -> str:
 
 
 def _plot_estimate(axes: Any, touch: Touch, name: str) -> None:
-    """Where touch was drawn, there is neither a picture nor a surface: what was felt, in words."""
+    """Write the estimated force as text; synthetic touch has neither an image nor a surface."""
     axes.set_axis_off()
     felt = f"{touch.force_normal:.2f} ± {touch.force_normal_sd:.2f} N"
     text = f"{name}: touch was drawn\nnormal force {felt}"
@@ -186,9 +186,11 @@ def _plot_image(axes: Any, image: Image, ellipses: Ellipses, title: str) -> None
 
 
 def plot_surface_map(axes: Any, touch: Touch, unit: float | None = None) -> None:
-    """The reconstructed membrane; arrows are the traction on it where it touches, drawn outward
-    (minus sign) like in the paper's Fig. 7. The arrow in the corner is `unit` Pa long (default:
-    what suits this touch)."""
+    """Plot the reconstructed membrane.
+
+    Arrows show the traction on the contact area, drawn outward (minus sign) as in the paper's Fig.
+    7. The arrow in the corner corresponds to `unit` Pa (default: suitable for this touch).
+    """
     surface = touch.surface
     unit = arrow_unit([touch]) if unit is None else unit
     if surface is None:
@@ -241,7 +243,7 @@ def plot_surface_map(axes: Any, touch: Touch, unit: float | None = None) -> None
 
 
 def _plot_shape(axes: Any, shape: ContactShape, scene: SceneCamera | None, finger: int) -> None:
-    """What is believed to touch, and, where a scene knows, what is truly there."""
+    """Plot the estimated contact shape, and in simulation the ground truth."""
     true = [] if scene is None else true_lines(shape, scene, finger)
     for piece in true:
         axes.plot(*(_MM * piece.T), color=_TRUE_BODY, linewidth=2.0, zorder=4)
@@ -252,8 +254,7 @@ def _plot_shape(axes: Any, shape: ContactShape, scene: SceneCamera | None, finge
 
 
 def arrow_unit(touch: Sequence[Touch]) -> float:
-    """The traction, Pa, that the arrow of the scale stands for: round, and a little less than the
-    largest felt."""
+    """Return the traction of the scale arrow, Pa: a round value up to the largest estimate."""
     largest = max(
         (float(np.linalg.norm(_tractions(t), axis=-1).max(initial=0.0)) for t in touch), default=0.0
     )
@@ -280,12 +281,12 @@ def _tractions(touch: Touch) -> Array:
 
 
 def arrows(touch: Touch, surface: Surface) -> tuple[Array, Array]:
-    """Where to draw the traction where something touches, (n, 3) mm on the membrane, and the
-    traction there (n, 3) Pa."""
+    """Return positions (n, 3), mm, on the membrane, and tractions (n, 3), Pa, in the contact
+    area."""
     stress = _tractions(touch)
     size = np.linalg.norm(stress, axis=-1)
     keep = np.zeros(size.shape, dtype=bool)
-    step = max(1, round(max(size.shape) / 24))  # no more than about 24 arrows a row
+    step = max(1, round(max(size.shape) / 24))  # at most about 24 arrows per row
     keep[::step, ::step] = True
     keep &= size > 0.03 * size.max(initial=0.0)
     if touch.traction is None or not keep.any():

@@ -1,9 +1,8 @@
-"""A film of a run: the scene (where there is one), what each camera saw with its ellipses, the body
-that each finger believes in (where it was asked for), and the forces over time.
+"""Video of a run: the scene (if available), camera images with ellipses, and forces over time.
 
-In step with the run's own clock, whatever the cameras' rate. It is made from a recording, so that
-it holds up no run; scenes that were kept beside a simulated one are drawn without OpenGL
-(`scene_picture`).
+It also shows the estimated contact shape of each finger, if recorded. The video follows the run's
+clock, whatever the cameras' rate. It is made from a recording, so it does not delay the run. Scenes
+kept from a simulation are rendered without OpenGL (`software_renderer`).
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ _MARGIN = 54  # px left of the curve, for its scale
 _INK = (40, 40, 40)
 _GRID = (225, 225, 225)
 _PAPER = (255, 255, 255)
-_SAME = 0.05  # s between a scene and a cycle, that still show the same
+_SAME = 0.05  # maximum time between a scene and its cycle, s
 
 
 def write_video(
@@ -52,11 +51,13 @@ def write_video(
     seconds: float = math.inf,
     say: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Film `recording` into `path` (.mp4, .gif or .webp), `speed` times as fast as it was,
-    `seconds` of it from `begin` s on; `views` are scenes and their times, s. Returns how many
-    images of how many pixels it has.
+    """Write a video of `recording` to `path` (.mp4, .gif or .webp).
 
-    Raises InputError for another suffix or a recording without images, MjtactileError without PyAV.
+    It plays `speed` times faster than the run and covers `seconds` from `begin`, s, on. `views` are
+    scenes with their times, s. Returns the number and the size of the frames.
+
+    Raises InputError for another suffix or a recording without images, MjtactileError without
+    PyAV.
     """
     if path.suffix not in FORMATS:
         raise InputError(
@@ -97,14 +98,16 @@ def write_video(
 
 
 def is_own(path: Path) -> bool:
-    """Whether an earlier run wrote the film, which may then be replaced; of .gif and .webp, which
-    carry no note, nobody knows."""
+    """Return True if an earlier run wrote the video, so that it may be replaced.
+
+    For .gif and .webp this is False, since they carry no note.
+    """
     try:
         import av
 
         with av.open(str(path)) as file:
             return file.metadata.get("comment") == NOTE
-    except (ImportError, OSError, ValueError, EOFError):  # no film at all
+    except (ImportError, OSError, ValueError, EOFError):  # not a video
         return False
 
 
@@ -155,7 +158,8 @@ class _Film:
         return np.vstack(parts)
 
     def _bodies_at(self, row: int) -> Pixels:
-        """Below each camera's picture a section through what is believed to touch."""
+        """Return the row of cross sections of the estimated contact shapes, below the camera
+        images."""
         if row == self._bodies[0] and self._bodies[1] is not None:
             return self._bodies[1]
         view = self._view_at(float(self._time[row]))
@@ -180,7 +184,7 @@ class _Film:
         return self._views[index][1]
 
     def _finger(self, finger: int, picture: Pixels, row: int) -> Pixels:
-        """A camera's picture and below it what is felt."""
+        """Return a camera image with the estimate below it."""
         panel = np.full((_TOP, _CAMERA, 3), 255, np.uint8)
         height = min(picture.shape[0], _TOP - 84)
         panel[:height] = picture[:height]

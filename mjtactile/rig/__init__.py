@@ -1,1 +1,1 @@
-"""What a rig is: small Protocols, rig files, and the builder that finds the backend of each."""
+"""Rigs: device protocols, rig files, and the builder that selects the backend."""

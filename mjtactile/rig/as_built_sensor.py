@@ -1,8 +1,8 @@
-"""One sensor as it really is, against its sensor file: what `[emulator.specimen.FINGER]` of a rig
-file and `--vary` change.
+"""Deviation of an as-built sensor from its sensor file.
 
-Only simulated and emulated worlds and their devices know; sensing reads the sensor file, and
-measures the rest as on a real rig.
+The deviations come from `[emulator.as_built.FINGER]` of a rig file and from `--randomization`. Only
+simulated and emulated worlds and their devices use them. Sensing reads the sensor file, and
+measures the remainder as on a real rig.
 """
 
 from __future__ import annotations
@@ -19,13 +19,15 @@ from mjtactile.core.relaxation import Relaxation, decades
 from mjtactile.core.types import Array
 from mjtactile.rig.camera_faults import UNTROUBLED, CameraFaults
 
-_CREEP_TIMES = (1.0, 1e3)  # s: shortest and longest
+_CREEP_TIMES = (1.0, 1e3)  # shortest and longest time constant, s
 
 
 @dataclass(frozen=True)
 class AsBuiltSensor:
-    """How the sensor on one finger really is, against its file, SI. What has the group "sensor" or
-    "gas" can be drawn by a variation, too."""
+    """Deviations of the sensor on one finger from its file, SI.
+
+    Domain randomization can also set the fields of the groups "sensor" and "gas".
+    """
 
     finger: str
     focal_fraction: float = number(
@@ -135,12 +137,15 @@ class AsBuiltSensor:
 
 
 NOMINAL = AsBuiltSensor("")
-"""One that is as its file says."""
+"""Sensor without deviations from its file."""
 
 
 def true_design(design: SensorDesign, specimen: AsBuiltSensor) -> SensorDesign:
-    """The sensor as it is, but for the camera's pose (`camera_pose`), what is not drawn
-    (`marker_radii`), and what goes on with its gas."""
+    """Return the as-built design of a sensor.
+
+    It excludes the camera pose (`camera_pose`), missing markers (`marker_radii`), and changes of
+    the gas over time.
+    """
     camera = design.camera
     k = design.camera.distortion
     focal = 1 + specimen.focal_fraction
@@ -180,7 +185,8 @@ def true_design(design: SensorDesign, specimen: AsBuiltSensor) -> SensorDesign:
 
 
 def camera_pose(design: SensorDesign, specimen: AsBuiltSensor) -> tuple[Array, Array]:
-    """Pose R_SC (3, 3), p_SC (3,) m of the camera, with its pane and LEDs, in S."""
+    """Return the as-built pose of the camera with its glass and LEDs: R_SC (3, 3), p_SC (3,), m, in
+    S."""
     return geometry.rotation_from_vector(specimen.tilt), design.camera.p_SC + np.array(
         specimen.shift
     )

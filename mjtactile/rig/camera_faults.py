@@ -1,6 +1,7 @@
-"""What a camera's picture suffers on its way: `[emulator.specimen.FINGER.camera]` of a rig file and
-`[camera]` of a variation. All is off unless asked; what each does is in
-mjtactile/sim/rendering/image_faults.
+"""Faults of a camera image: `[emulator.as_built.FINGER.camera]` of a rig file and `[camera]` of a
+randomization file.
+
+All are off by default. For their effects see mjtactile/sim/rendering/image_faults.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from mjtactile.core.config_fields import DEGREE, MS, PERCENT, number, numbers
 
 @dataclass(frozen=True)
 class CameraFaults:
-    """Troubles of one camera, in the order in which a picture meets them."""
+    """Faults of one camera, in the order of their application."""
 
     start: float = number(
         "from_s", 0, 1e6, default=0.0, about="when all of them begin, on the world's clock"

@@ -1,4 +1,4 @@
-"""What no controller can exceed."""
+"""Limits of a rig that apply to every command."""
 
 from __future__ import annotations
 
@@ -6,16 +6,19 @@ from dataclasses import dataclass
 
 from mjtactile.core.types import Command
 
-# Pa: what an image may find changed (the sensing chain takes 60 for a valve that has jumped)
+# Maximum pressure change between two images, Pa (the sensing chain treats 60 as a valve jump)
 PRESSURE_STEP = 45.0
 
 
 @dataclass(frozen=True)
 class CommandLimits:
-    """What no controller can exceed: `opening` m (lowest, highest), `speed` m/s of the opening,
-    `force` N of the servo, `lift` m (lowest, highest), `lift_speed` m/s; `pressure` Pa above
-    ambient in the chambers (lowest, highest; None: no valve obeys, or has no gauge) and
-    `pressure_rate` Pa/s, at most `PRESSURE_STEP` in a period."""
+    """Limits that apply to the commands of every controller.
+
+    `opening`, m (minimum, maximum), `speed` of the opening, m/s, `force` of the servo, N, `lift`, m
+    (minimum, maximum), `lift_speed`, m/s. `pressure` in the chambers, Pa above ambient (minimum,
+    maximum; None: no controlled valve, or no pressure sensor). `pressure_rate`, Pa/s; the change
+    per period is at most `PRESSURE_STEP`.
+    """
 
     opening: tuple[float, float] = (0.0, 0.12)
     speed: float = 0.1

@@ -1,4 +1,4 @@
-"""What `mjtactile doctor` says of a rig: findings in plain words, each with a remedy."""
+"""Findings of `mjtactile doctor` about a rig in plain text, each with a remedy."""
 
 from __future__ import annotations
 
@@ -7,8 +7,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Finding:
-    """`level` "ok", "warn" or "bad"; `what` was looked at, `text` what was found, `remedy` how to
-    mend it ("": nothing to)."""
+    """Result of one check.
+
+    `level` is "ok", "warn" or "bad". `what` names the checked item, `text` is the result, `remedy`
+    the repair ("": none needed).
+    """
 
     level: str
     what: str

@@ -1,11 +1,10 @@
-"""What varies from one grasp to the next: a file of ranges and distributions, and the values that a
-seed draws from it.
+"""Domain randomization: a file of ranges and distributions, and the values sampled for a seed.
 
-    rig = build_sim_rig(Scenario(object="egg", seed=3, vary="default"))
+    rig = build_sim_rig(Scenario(object="egg", seed=3, randomization="default"))
 
-The world is made of the drawn values; sensing and control keep the sensor file and the rig file. A
-value depends on the seed and on its own name alone, so that one more line in a file leaves the
-others as they were. The format: docs/how-to/evaluate.md.
+The simulated world uses the sampled values. Sensing and control keep those of the sensor file and
+the rig file. A value depends only on the seed and on its own name. An additional line in a file
+therefore leaves the other values unchanged. For the format see docs/how-to/evaluate.md.
 """
 
 from __future__ import annotations
@@ -43,13 +42,13 @@ MISSING = "missing_markers"
 NONE = "none"
 CAMERA = "camera"
 _CUT = 3.0
-"""sd at which a normal distribution ends: what is drawn has bounds."""
+"""Truncation of normal distributions, in standard deviations."""
 _MISSING_MAX = 40
 
 
 @dataclass(frozen=True)
 class ObjectChange:
-    """How the object differs from its file; None: as the seed places it."""
+    """Deviation of the object from its file; None: the pose that the seed gives."""
 
     size: float = number(
         "size_percent", -50, 100, PERCENT, default=0.0, about="larger, with its mass"
@@ -82,7 +81,7 @@ UNCHANGED = ObjectChange()
 
 @dataclass(frozen=True)
 class RigChange:
-    """How the gripper differs from its file."""
+    """Deviation of the gripper from its file."""
 
     delay: float = number(
         "delay_ms", 0, 1000, MS, default=0.0, about="until a command takes effect"
@@ -104,8 +103,10 @@ FAULTLESS = RigChange()
 
 @dataclass(frozen=True)
 class Drawn:
-    """The world of one grasp. `values` are as drawn, in the file's units, by name: what a result
-    keeps."""
+    """Sampled world of one grasp.
+
+    `values` are the samples by name in the file's units, as stored with a result.
+    """
 
     object: ObjectChange = UNCHANGED
     rig: RigChange = FAULTLESS
@@ -113,12 +114,12 @@ class Drawn:
     values: Mapping[str, Any] = field(default_factory=dict)
 
     def specimen(self, finger: str) -> AsBuiltSensor:
-        """That finger's; one like the sensor file where nothing else is said."""
+        """Return the as-built sensor of a finger; without an entry it equals the sensor file."""
         return next((one for one in self.specimens if one.finger == finger), AsBuiltSensor(finger))
 
 
 def _entries_of(group: str) -> tuple[Number, ...]:
-    """What of a specimen a section of the file draws."""
+    """Return the fields of an as-built sensor that belong to a section of the file."""
     found = [entry for entry in entries(AsBuiltSensor).values() if entry.group == group]
     # of missing markers their number is drawn, then which
     count = Number(key=MISSING, low=0, high=_MISSING_MAX)
@@ -132,14 +133,18 @@ SECTIONS: dict[str, tuple[Number, ...]] = {
     CAMERA: tuple(entries(CameraFaults).values()),
     "rig": tuple(entries(RigChange).values()),
 }
-"""What can vary; `sensor`, `gas` and `camera` are drawn for each finger."""
+"""Parameters that can be randomized; those of `sensor`, `gas` and `camera` are sampled per
+finger."""
 _OF_FINGERS = ("sensor", "gas", CAMERA)
 
 
 @dataclass(frozen=True)
 class Spread:
-    """A distribution: evenly from `low` to `high`, around a `mean` with an `sd` (normal, cut at
-    three of them), or one of `choices`, each as likely."""
+    """Distribution of a parameter.
+
+    It is uniform from `low` to `high`, normal with `mean` and `sd` (truncated at three), or one of
+    `choices` with equal probability.
+    """
 
     low: float = 0.0
     high: float = 0.0
@@ -199,10 +204,10 @@ class Randomization:
 
 
 def load_variation(name_or_path: str | Path) -> Randomization:
-    """Read a variation by shipped name or from a TOML file; "none" varies nothing.
+    """Read a randomization by shipped name or from a TOML file; "none" randomizes nothing.
 
-    Raises InputError naming file, field and valid choices for what is unknown, out of range or no
-    distribution.
+    Raises InputError that names file, field and valid choices for an unknown name, a value out of
+    range or an invalid distribution.
     """
     if name_or_path == NONE:
         return Randomization(NONE, {})
@@ -210,16 +215,18 @@ def load_variation(name_or_path: str | Path) -> Randomization:
     shipped = resources.names("models/randomization", ".toml")
     if not text.endswith(".toml") and "/" not in text and text not in shipped:
         raise InputError(
-            f"unknown variation {text!r}", field="--vary", choices=[*shipped, NONE, "FILE.toml"]
+            f"unknown variation {text!r}",
+            field="--randomization",
+            choices=[*shipped, NONE, "FILE.toml"],
         )
     path = resources.find(name_or_path, "models/randomization", ".toml")
     return variation_from_table(read_toml(path), path)
 
 
-def draw(vary: str | Path, seed: int, design: SensorDesign, file: SimRigFile) -> Drawn:
-    """The world of `seed` for the rig of `file` with `design` on its fingers; `vary` as in
+def draw(randomization: str | Path, seed: int, design: SensorDesign, file: SimRigFile) -> Drawn:
+    """The world of `seed` for the rig of `file` with `design` on its fingers; `randomization` as in
     `load_variation`."""
-    return load_variation(vary).draw(
+    return load_variation(randomization).draw(
         seed, fingers=[finger.name for finger in file.fingers], markers=design.markers.count
     )
 

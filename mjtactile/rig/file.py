@@ -1,8 +1,7 @@
-"""`RigFile`: which camera, valve and servos a rig has, read from a TOML file and checked. The
-format: docs/how-to/hardware.md.
+"""`RigFile`: cameras, valves and servos of a rig, read from a TOML file and checked.
 
-Every quantity is SI inside; the file's keys carry the unit, and each field says its own
-(`mjtactile.core.config_fields`).
+For the format see docs/how-to/hardware.md. All quantities are SI internally. The keys of the file
+contain the unit, and each field defines its own (`mjtactile.core.config_fields`).
 """
 
 from __future__ import annotations
@@ -39,16 +38,19 @@ from mjtactile.rig.as_built_sensor import AsBuiltSensor
 from mjtactile.rig.simulated import OPENING, SimRigFile, sim_rig_from_table
 
 _PORT_SCHEMES = ("socket", "rfc2217")
-_RATIO_LAWS = ("law", ("rack", "crank"))
+_RATIO_LAWS = ("transmission", ("rack", "crank"))
 _SERVO_LIFT = ("kind", ("servo",))
 
 
 @dataclass(frozen=True)
 class BusConfig:
-    """Serial bus of the servos: `port`, `baud`, `reply_timeout` s on top of the wire's own time,
-    `watchdog` s after which a servo that hears nothing stops by itself, `fast_sync`: ask all servos
-    in one reply packet (newer firmware), `host_timeout` s after which a control loop that no longer
-    calls counts as hung: the watchdogs are then let trip."""
+    """Serial bus of the servos: `port`, `baud` and timing.
+
+    `reply_timeout`, s, is added to the transmission time. A servo without messages stops after
+    `watchdog`, s. With `fast_sync`, all servos answer in one reply packet (newer firmware). After
+    `host_timeout`, s, without a call, the control loop counts as hung. The watchdogs are then
+    allowed to trip.
+    """
 
     port: str = text("port")
     baud: int = whole("baud", 9600, 4_000_000, default=1_000_000)
@@ -61,21 +63,23 @@ class BusConfig:
 
 @dataclass(frozen=True)
 class ServoConfig:
-    """One jaw servo. `opening_part` m of the gripper's opening belong to this servo at
-    `zero_ticks`; see `mjtactile.devices.dynamixel.jaw_kinematics` for `law`, `per_rad` (m/rad) and
-    `table` (rad, m). `torque_per_A` N m/A (None: data sheet).
+    """One jaw servo.
+
+    `opening_part`, m, is this servo's part of the gripper opening at `zero_ticks`. For
+    `transmission`, `per_rad` (m/rad) and `table` (rad, m) see
+    `mjtactile.devices.dynamixel.jaw_kinematics`. `torque_per_A` is in N m/A (None: data sheet).
     """
 
     id: int = whole("id", 0, 252)
     model: str = text("model")
-    law: str = text("law", ("rack", "crank", "table"), default="rack")
+    transmission: str = text("transmission", ("rack", "crank", "table"), default="rack")
     per_rad: float = number(
         "mm_per_rad", -500, 500, MM, default=0.0, required=True, only_if=_RATIO_LAWS
     )
     opening_part: float = number("jaw_offset_mm", -500, 500, MM, default=0.0)
     zero_ticks: int = whole("zero_ticks", -1_048_575, 1_048_575, default=2048)
     table: tuple[tuple[float, float], ...] = entry(
-        Pairs(key="table_deg_mm", units=(DEGREE, MM), only_if=("law", ("table",))), ()
+        Pairs(key="table_deg_mm", units=(DEGREE, MM), only_if=("transmission", ("table",))), ()
     )
     torque_per_A: float | None = number("torque_Nm_per_A", 1e-3, 100, default=None)
     position_p_gain: int | None = whole("position_p_gain", 0, 16383, default=None)
@@ -83,8 +87,10 @@ class ServoConfig:
 
 @dataclass(frozen=True)
 class LiftConfig:
-    """What lifts the hand: `"servo"` (rack of `per_rad` m/rad, `travel` m) or `"none"`: nothing
-    does; the height that was asked for is reported as reached at `speed` m/s."""
+    """Lift of the hand: `"servo"` (rack with `per_rad`, m/rad, and `travel`, m) or `"none"`.
+
+    Without a lift, the requested height is reported as reached at `speed`, m/s.
+    """
 
     kind: str = text("kind", ("servo", "none"), default="none", required=True)
     speed: float = number("speed_max_mm_s", 0.1, 1000, MM, default=0.05)
@@ -103,8 +109,11 @@ class LiftConfig:
 
 @dataclass(frozen=True)
 class GripperConfig:
-    """Jaws: `opening` m (lowest, highest), `force_max` N on each finger, `speed_max` m/s of the
-    opening; `calibration` is the file that `calibrate gripper` writes (None: none is named)."""
+    """Jaws of the gripper.
+
+    `opening`, m (minimum, maximum), `force_max` on each finger, N, `speed_max` of the opening, m/s.
+    `calibration` is the file that `calibrate gripper` writes (None: not specified).
+    """
 
     opening: tuple[float, float] = entry(OPENING)
     servos: tuple[ServoConfig, ...] = parts("servo", ServoConfig)
@@ -115,21 +124,22 @@ class GripperConfig:
 
 UNFLIPPED = "no"
 FLIPS = (UNFLIPPED, "left-right", "top-bottom", "both")
-"""Of a camera's picture; "both" is upside down."""
+"""Flips of a camera image; "both" is upside down."""
 
 
 @dataclass(frozen=True)
 class CameraConfig:
-    """One finger's camera. `source`: a device file or a stream's address. None of a control: leave
-    it as it is.
+    """Camera of one finger.
 
-    `backend`: "v4l2", "ffmpeg" or a driver that somebody registered as an entry point of
-    `mjtactile.cameras`. `fourcc` is asked of a V4L2 camera; of a stream (ffmpeg) it says what
-    comes: "MJPG" is decoded straight to grey. `timestamps`: "kernel" (V4L2's, on the monotonic
-    clock) or "arrival" (streams, which carry none). `delay` s from capture to arrival for
-    "arrival". `sensor` is the finger's own sensor file and `calibration` what was measured of it
-    (None: none is named). `flipped`: how the camera's picture must be turned over so that the
-    sensor's x points right in it and its y down."""
+    `source` is a device file or the address of a stream. A camera control of None is left
+    unchanged. `backend` is "v4l2", "ffmpeg" or a driver registered as an entry point of
+    `mjtactile.cameras`. `fourcc` is requested from a V4L2 camera. For a stream (ffmpeg) it declares
+    the received format: "MJPG" is decoded directly to grayscale. `timestamps` is "kernel" (from
+    V4L2, monotonic clock) or "arrival" (streams, which carry none). `delay`, s, is the time from
+    capture to arrival for "arrival". `sensor` is the finger's own sensor file and `calibration` its
+    measured calibration (None: not specified). `flipped` is the flip after which the sensor's x
+    points right in the image and its y down.
+    """
 
     finger: str = text("finger", FINGERS)
     source: str = text("source")
@@ -150,11 +160,12 @@ class CameraConfig:
 
 @dataclass(frozen=True)
 class ValveConfig:
-    """Valve of one finger's chamber: `channel` on the board at `port` (firmware/valve);
-    `pressure_max` Pa gauge is set in the board, `pressure_rate` Pa/s is the fastest that a
-    controller may change it by, `heartbeat` s is the silence after which the board vents,
-    `reply_timeout` s what an answer to the heartbeat's questions may take, `supply_gauge` Pa of a
-    board without a sensor."""
+    """Valve of one finger's chamber, at `channel` of the board at `port` (firmware/valve).
+
+    `pressure_max`, Pa gauge, is set in the board. `pressure_rate`, Pa/s, is the maximum rate for a
+    controller. The board vents after `heartbeat`, s, without a message. `reply_timeout`, s, limits
+    the reply to a heartbeat request. `supply_gauge`, Pa, applies to a board without a sensor.
+    """
 
     finger: str = text("finger", FINGERS)
     port: str = text("port")
@@ -177,11 +188,13 @@ class ValveConfig:
 
 @dataclass(frozen=True)
 class EmulatorConfig:
-    """How to start the emulated hardware; the ports of such a file are "emulator".
-    `torque_fraction`: how much more torque per ampere its servos give than their data sheet says;
-    `backlash` m of the opening by which their shafts turn before the jaws follow; `servo_firmware`
-    None: the newest; `watchdog`: what a tripped bus watchdog leaves of a servo, held where it is
-    ("brake") or free ("limp")."""
+    """Settings of the emulated hardware; ports in such a rig file are "emulator".
+
+    `torque_fraction` is the excess of the servos' torque per ampere over the data sheet.
+    `backlash`, m, is the change of opening that the shafts make before the jaws follow.
+    `servo_firmware` None is the newest. `watchdog` is the state of a servo after a tripped bus
+    watchdog: held in position ("brake") or free ("limp").
+    """
 
     usb_latency: float = number("usb_latency_ms", 0, 100, MS, default=1e-3)
     valve_sensors: bool = flag("valve_sensors", default=True)
@@ -193,12 +206,12 @@ class EmulatorConfig:
 
     @classmethod
     def from_section(cls, section: Section) -> EmulatorConfig:
-        """`[emulator]` with its `[emulator.specimen.left]` and so on."""
+        """`[emulator]` with its `[emulator.as_built.left]` and so on."""
         values = read_fields(cls, section)
-        return cls(**values, specimens=_specimens(section.optional("specimen")))
+        return cls(**values, specimens=_specimens(section.optional("as_built")))
 
     def specimen(self, finger: str) -> AsBuiltSensor:
-        """That finger's; one like the sensor file where nothing else is said."""
+        """Return the as-built sensor of a finger; without an entry it equals the sensor file."""
         return next((s for s in self.specimens if s.finger == finger), AsBuiltSensor(finger))
 
 
@@ -213,10 +226,12 @@ def _specimens(section: Section | None) -> tuple[AsBuiltSensor, ...]:
 
 @dataclass(frozen=True)
 class RigFile:
-    """A whole rig. `emulator` is None for real hardware. `on_host_loss` says what becomes of what
-    is held when the host is late or gone: chambers stay sealed for `hold_time` s and then vent
-    slowly ("hold"), or vent at once ("open"); jaws stand still in both, as far as their watchdogs
-    do what they promise."""
+    """Complete rig of real or emulated devices.
+
+    `emulator` is None for real hardware. `on_host_loss` selects the reaction to a late or lost
+    host. "hold": chambers stay sealed for `hold_time`, s, and then vent slowly. "open": they vent
+    immediately. The jaws stop in both cases, provided that their watchdogs work as specified.
+    """
 
     name: str = text("name")
     path: Path = given()
@@ -231,12 +246,12 @@ class RigFile:
 
     @property
     def backend(self) -> str:
-        """Which builder of rigs this file is for (see `mjtactile.rig.registry`)."""
+        """Backend that builds this rig (see `mjtactile.rig.registry`)."""
         return "devices" if self.emulator is None else "emulator"
 
     @property
     def hold(self) -> float:
-        """s that chambers stay sealed without a host beyond their heartbeat."""
+        """Time that chambers stay sealed without a host after the heartbeat timeout, s."""
         return self.hold_time if self.on_host_loss == "hold" else 0.0
 
     def validate(self, section: Section) -> None:
@@ -274,7 +289,7 @@ def load_rig_file(name_or_path: str | Path) -> RigFile:
         name_or_path: A shipped name, or a TOML file.
 
     Returns:
-        What it says, SI.
+        The rig, SI.
 
     Raises:
         InputError: The file is missing or wrong, or its rig is simulated.

@@ -1,4 +1,4 @@
-"""The nouns: a `Finger` is one sensor that can be asked, a `Rig` is what a controller drives."""
+"""Rig data types: a `Finger` is one sensor with its devices, a `Rig` is a complete gripper."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from mjtactile.rig.protocols import CameraDevice, Clock, Gripper, Valve
 
 @dataclass(frozen=True)
 class Finger:
-    """One sensor of a rig, and what was measured of it.
+    """One sensor of a rig with its calibration.
 
     Attributes:
-        name: Such as "left".
-        design: What it was built as.
+        name: Name such as "left".
+        design: Nominal design of the sensor.
         camera: Its camera.
-        valve: None: it has none that obeys, and its chamber is sealed by hand.
-        calibration: None: nothing was measured.
+        valve: Its controlled valve; None: the chamber is sealed by hand.
+        calibration: Its measured calibration; None: not measured.
     """
 
     name: str
@@ -34,13 +34,13 @@ class Finger:
     calibration: Calibration | None = None
 
     def pressure(self, reading: float | None) -> float:
-        """Find the gauge pressure of the inflated chamber.
+        """Return the gauge pressure of the inflated chamber.
 
         Args:
-            reading: What its sensor shows, Pa; None: it has none.
+            reading: Pressure sensor reading, Pa; None: no sensor.
 
         Returns:
-            Pa; without a sensor, the supply's.
+            Calibrated gauge pressure, Pa; without a sensor, the supply pressure.
         """
         if reading is None:
             return self.design.chamber.supply_gauge
@@ -62,43 +62,42 @@ class Finger:
         self.valve.follow(None if gauge_pressure is None else gauge_pressure + zero)
 
     def reading(self, valve: ValveState | None) -> PressureReading | None:
-        """Find what the chamber's gauge says.
+        """Return the corrected reading of the chamber's pressure sensor.
 
         Args:
-            valve: The valve's state, which has the reading; None: the finger has no valve.
+            valve: State of the valve, which contains the reading; None: the finger has no valve.
 
         Returns:
-            The reading, its zero taken off; None: there is no gauge, or it is silent.
+            The reading minus its zero offset; None: there is no pressure sensor, or no reading.
         """
         return None if valve is None else pressure_reading(valve, self.calibration)
 
 
 @dataclass(frozen=True)
 class Rig:
-    """A gripper with one or more fingers.
+    """Gripper with one or more fingers.
 
     Attributes:
-        name: Of the backend.
-        fingers: In the order in which an observation has their touch.
-        gripper: The jaws, and what lifts the hand.
-        clock: The rig's time; in simulation, waiting on it is what moves the world.
-        limits: What commands are cut to.
-        close: Brings everything to its safe state and lets go of it; called on every exit path.
-        host_timeout: s without a call after which the devices take the loop for dead and stop by
-            themselves; inf: this world waits, as the simulated one and a replay do.
-        length: s from the first cycle to the last: a recording ends, a world does not.
-        varied: In a simulated world that is not as its files say: the values drawn for it, by name,
-            in the files' units.
-        simulated: How a world is simulated: `mesh`, `timestep_ms`, and each of the `effects`, on or
-            off, why, and its price.
-        flags: What makes the numbers of a simulation worse than usual, so far: the kind of doubt
-            and its reason; of a replay those that were recorded.
-        told: What the task asks of the robot.
-        touch_is_synthetic: Whether its cameras hand over touch in place of images
-            (`FingerSnapshot`).
-        scene: The simulated world, for scoring alone; None on a real rig. Sensing and controllers
-            never see a `Rig`.
-        truth: What really happens in an emulated world, likewise; None elsewhere.
+        name: Name of the backend.
+        fingers: The fingers, in the order of their touch in an observation.
+        gripper: The jaws and the lift.
+        clock: Clock of the rig; in simulation, waiting on it advances the world.
+        limits: Limits that apply to commands.
+        close: Function that brings everything to its safe state and releases it; called on every
+            exit path.
+        host_timeout: Time without a call after which the devices stop by themselves, s; inf: the
+            world waits, as in simulation and replay.
+        length: Time from the first to the last cycle, s; finite for a recording only.
+        varied: Values sampled for a randomized simulated world, by name, in the files' units.
+        simulated: Settings of a simulation: `mesh`, `timestep_ms`, and each of the `effects` with
+            state, reason and cost.
+        flags: Reasons for reduced simulation accuracy so far, by kind of model error; in a replay
+            the recorded ones.
+        goal: Goal of the task.
+        touch_is_synthetic: True if its cameras return touch in place of images (`FingerSnapshot`).
+        scene: The simulated world, for scoring only; None on a real rig. Sensing and controllers
+            have no access to a `Rig`.
+        truth: Ground truth of an emulated world, also for scoring only; None elsewhere.
     """
 
     name: str
@@ -114,7 +113,7 @@ class Rig:
     flags: Callable[[], Mapping[str, str]] = dict
     scene: Any = None
     truth: Callable[[], Mapping[str, Any]] | None = None
-    told: TaskGoal = DEFAULT_GOAL
+    goal: TaskGoal = DEFAULT_GOAL
     touch_is_synthetic: bool = False
 
     @cached_property
@@ -133,13 +132,13 @@ class Rig:
         return tuple(finger.valve for finger in self.fingers if finger.valve is not None)
 
     def readings(self, valves: Sequence[ValveState]) -> tuple[PressureReading | None, ...]:
-        """Find what each finger's gauge says.
+        """Return the corrected pressure readings of all fingers.
 
         Args:
             valves: The states of all valves, in the order of their fingers.
 
         Returns:
-            One reading a finger; None without a gauge.
+            One reading per finger; None without a pressure sensor.
         """
         states = iter(valves)
         return tuple(

@@ -1,4 +1,4 @@
-"""What `calibrate gripper` measured of a gripper, in place of what its rig file says."""
+"""Measured values of `calibrate gripper`, which replace those of the rig file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _MEASURED = ("zero_ticks", "per_rad", "torque_per_A")
 
 
 def gripper_fingerprint(config: GripperConfig) -> str:
-    """SHA-256 of what the rig file says of the servos."""
+    """Return the SHA-256 of the servo settings in the rig file."""
     return hashlib.sha256(repr(config.servos).encode()).hexdigest()
 
 
@@ -36,7 +36,7 @@ def calibrated_gripper(config: GripperConfig) -> GripperConfig:
 
 
 def gripper_state(config: GripperConfig) -> PartState:
-    """How the gripper's calibration stands, for `mjtactile doctor`."""
+    """Return the state of the gripper's calibration, for `mjtactile doctor`."""
     table = _read(config)
     if table is None:
         path = config.calibration
@@ -61,7 +61,7 @@ def _read(config: GripperConfig) -> Section | None:
 
 
 def _servo(servo: ServoConfig, line: Section) -> ServoConfig:
-    """The rig file's, with what the line says in its place."""
+    """Return the servo with the measured values of the line in place of the rig file's."""
     values = {name: _SERVO[name].read(line, getattr(servo, name)) for name in _MEASURED}
     line.done()
     return replace(servo, **values)

@@ -1,14 +1,14 @@
-"""How a jaw's part of the opening follows from what drives it: the laws of rig files, for real and
-simulated grippers.
+"""Jaw transmissions of rig files, for real and simulated grippers.
 
-What drives has a coordinate a: a servo's angle (rad), or the length of a simulated actuator (rad,
-or m of a slide or a tendon). Each owns a part x (m) of the gripper's opening by one of three laws:
+Each drive has a coordinate a: a servo's angle (rad), or the length of a simulated actuator (rad, or
+m for a slide or a tendon). It determines a part x (m) of the gripper's opening by one of three
+laws:
 
 - linear (a rack, a slide, a tendon): x = x0 + r a, with r m/rad of the pinion, or m/m;
 - crank: x = x0 + r sin a, with the crank's length r m (a parallel linkage; |a| < 90 degrees);
 - table: measured pairs (a, x), strictly monotonic in both, linear between.
 
-By virtual work a torque (or force) tau along a gives the force f = -tau / (dx/da) that closes the
+By virtual work, a torque (or force) tau along a gives the closing force f = -tau / (dx/da) of the
 jaws.
 """
 
@@ -69,7 +69,7 @@ class JawLaw:
         return float((x[low + 1] - x[low]) / (a[low + 1] - a[low]))
 
     def reaches(self, coordinate: float) -> bool:
-        """Whether the law says something there, but for a twentieth beyond its ends."""
+        """Return True if the coordinate is in the range of the law, with a tolerance of 5 %."""
         if self.kind == CRANK:
             return abs(coordinate) <= math.pi / 2 + 0.05
         if self.kind == TABLE:

@@ -1,7 +1,6 @@
-"""What devices are: a few small Protocols that the simulator, the emulator, real devices and
-recordings all meet.
+"""Device protocols, shared by the simulator, the emulator, real devices and recordings.
 
-The control loop and everything above it know only these.
+The control loop and all higher layers use only these.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ class CameraDevice(Protocol):
 
 @runtime_checkable
 class Gripper(Protocol):
-    """The jaws, however many, and what lifts the hand."""
+    """The jaws, in any number, and the lift of the hand."""
 
     def ask(self) -> None:
         """Begin the measurement that the next `state` returns, so that servos answer while a
@@ -39,8 +38,7 @@ class Gripper(Protocol):
         ...
 
     def command(self, command: Command) -> Command:
-        """Send the goals of `command`, limited to what the rig allows; returns what was really
-        sent."""
+        """Send the goals of `command`, limited to the rig's range; returns the sent command."""
         ...
 
 
@@ -62,15 +60,17 @@ class Valve(Protocol):
         ...
 
     def follow(self, gauge_pressure: float | None) -> None:
-        """Keep the chamber at what its gauge shows as `gauge_pressure` Pa from now on; None: seal
-        it as it is, if it was kept so. Waits for nothing; asked of rigs whose `CommandLimits` have
-        a pressure."""
+        """Keep the chamber at a pressure sensor reading of `gauge_pressure`, Pa, from now on.
+
+        None stops this and seals the chamber. The call does not wait. It is used only on rigs whose
+        `CommandLimits` have a pressure.
+        """
         ...
 
 
 @runtime_checkable
 class Clock(Protocol):
-    """Monotonic time in s. In simulation, waiting is what makes the world move."""
+    """Monotonic time, s. In simulation, waiting advances the world."""
 
     def now(self) -> float: ...
 

@@ -1,9 +1,8 @@
-"""The builder of rigs: from what a user names to the backend that has it.
+"""Builder of rigs: find the backend for the name that the user gives.
 
-Backends register themselves as entry points, so that a third party's are found like the shipped
-ones: a builder of whole rigs in the group `mjtactile.rigs`, a driver of one camera in
-`mjtactile.cameras`. Nothing here imports one by name, and nothing falls back to another backend by
-itself.
+Backends are registered as entry points, the shipped ones and those of third parties alike. The
+group `mjtactile.rigs` holds builders of whole rigs, `mjtactile.cameras` drivers of one camera. This
+module imports no backend by name. There is no automatic fallback to another backend.
 """
 
 from __future__ import annotations
@@ -32,8 +31,11 @@ CAMERAS = "mjtactile.cameras"
 
 @dataclass(frozen=True)
 class RigRequest:
-    """What a backend is to build: the rig of `scenario`, by its `argument` (the folder of
-    "replay:FOLDER") or a rig `file`; `design` is the sensor of fingers that name none."""
+    """Request to a backend: the rig of `scenario`.
+
+    `argument` is the folder of "replay:FOLDER", or `file` is the rig file. `design` is the sensor
+    of fingers without their own.
+    """
 
     scenario: Scenario
     design: SensorDesign
@@ -47,15 +49,15 @@ def build_rig(scenario: Scenario | str, design: SensorDesign | None = None, **fi
     Args:
         scenario: A scenario; or the rig's name alone: "sim", "replay:FOLDER", a third party's, or a
             rig file (shipped or FILE.toml).
-        design: With a name: the sensor on the fingers.
-        **fields: With a name: other fields of the scenario (`object_name` is its object).
+        design: Sensor on the fingers; only with a name.
+        **fields: Other fields of the scenario; only with a name (`object_name` is its object).
 
     Returns:
-        The rig; whoever builds it closes it.
+        The rig; the caller must close it.
 
     Raises:
-        InputError: For an unknown rig, object or sensor.
-        DeviceError: For a device that is not there.
+        InputError: An unknown rig, object or sensor.
+        DeviceError: A device is missing.
     """
     wanted = as_scenario(scenario, design, **fields)
     name = wanted.rig
@@ -73,15 +75,15 @@ def build_rig(scenario: Scenario | str, design: SensorDesign | None = None, **fi
         kind = file.backend
     if kind not in SIMULATES and (wanted.accuracy, wanted.effects) != ("", "auto"):
         raise InputError(f"the rig {name!r} is not simulated here", field="--accuracy or --effects")
-    if kind not in SIMULATES and wanted.vary != NONE:
+    if kind not in SIMULATES and wanted.randomization != NONE:
         raise InputError(
             f"the rig {name!r} is not simulated here: its world is what it is",
-            field="--vary",
+            field="--randomization",
             choices=[NONE],
         )
-    told = load_task(wanted.task).orders.told()
+    goal = load_task(wanted.task).orders.goal()
     rig = load_backend(RIGS, kind)(RigRequest(wanted, wanted.design(), argument, file))
-    return replace(rig, told=told)
+    return replace(rig, goal=goal)
 
 
 def as_scenario(
@@ -111,7 +113,7 @@ SIMULATES = ("sim",)
 
 
 def rig_names() -> list[str]:
-    """List what a user may write after `--rig`.
+    """List the valid values of `--rig`.
 
     Returns:
         Shipped rigs, then the forms "FILE.toml" and "replay:FOLDER".
@@ -120,8 +122,7 @@ def rig_names() -> list[str]:
 
 
 def load_backend(group: str, name: str) -> Callable[..., Any]:
-    """What a third party, or this package, registered as `name` in an entry point `group`. Raises
-    InputError."""
+    """Load the backend `name` from the entry point `group`. Raises InputError."""
     found = _found(group)
     if name not in found:
         raise InputError(f"no backend {name!r} is installed", field=group, choices=sorted(found))

@@ -1,5 +1,7 @@
-"""Read a scenario from a file or from a run's result, and complete it with what its rig file says.
-The format: docs/reference/scenario_files.md."""
+"""Read a scenario from a file or from a run's result, and complete it from its rig file.
+
+For the format see docs/reference/scenario_files.md.
+"""
 
 from __future__ import annotations
 
@@ -22,16 +24,17 @@ from mjtactile.rig.simulated import SimRigFile
 def load_scenario(source: str | Path) -> Scenario:
     """Read a scenario from a TOML file, or from the `summary.json` of a run.
 
-    Files that a scenario names are looked for beside it first, then as they are.
+    Files that a scenario names are searched relative to it first, then by their own path.
 
     Args:
-        source: The file; of a JSON file, what stands under "scenario".
+        source: The file; in a JSON file, the entry "scenario" is read.
 
     Returns:
-        The scenario; a field that the file leaves out has its default.
+        The scenario; missing fields have their defaults.
 
     Raises:
-        InputError: Naming file, field, value and valid choices for what is missing or wrong.
+        InputError: A value is missing or wrong; the error names file, field, value and valid
+            choices.
     """
     path = Path(source).expanduser()
     if path.suffix not in (".toml", ".json"):
@@ -56,20 +59,20 @@ def scenario_from_table(table: Mapping[str, Any], path: Path, label: str = "") -
 
 
 def resolve_scenario(scenario: Scenario) -> Scenario:
-    """Fill in the sensor that each of the rig's fingers really has.
+    """Fill in the actual sensor of each of the rig's fingers.
 
-    A rig file's fingers may name their own, and so do those of a recording that is replayed. Where
-    all fingers have the same, that is the scenario's `sensor`. A recording is replayed with the
-    sensor that it names where nobody asks for another, and with shapes if it has them.
+    The fingers of a rig file or of a replayed recording may name their own sensors. If all fingers
+    have the same one, it becomes the scenario's `sensor`. A recording is replayed with its own
+    sensor unless another one is requested, and with shapes if it has them.
 
     Args:
-        scenario: As it was asked for.
+        scenario: The requested scenario.
 
     Returns:
-        The scenario with its sensors, of a recording with its shapes.
+        The scenario with its sensors, and for a recording with its shapes.
 
     Raises:
-        InputError: For a rig file that is missing or wrong.
+        InputError: The rig file is missing or wrong.
     """
     backend, _, folder = scenario.rig.partition(":")
     if backend == "replay":
@@ -78,7 +81,7 @@ def resolve_scenario(scenario: Scenario) -> Scenario:
             scenario,
             sensor=_recorded_sensor(recording, scenario.sensor),
             sensors=_recorded_sensors(recording) | dict(scenario.sensors),
-            shapes=scenario.shapes or recording.has_shapes,
+            contact_shapes=scenario.contact_shapes or recording.has_shapes,
         )
     if not _is_file(scenario.rig):
         return scenario
@@ -95,7 +98,7 @@ def resolve_scenario(scenario: Scenario) -> Scenario:
 
 
 def _fitted(file: RigFile | SimRigFile) -> dict[str, str | None]:
-    """The sensor that the file gives each finger; None: whatever the scenario says."""
+    """Return the sensor of each finger in the file; None: the scenario's sensor applies."""
     if isinstance(file, RigFile):
         return {camera.finger: camera.sensor for camera in file.cameras}
     sensors = {finger.name: finger.sensor for finger in file.fingers}
@@ -132,8 +135,8 @@ def _is_file(rig: str) -> bool:
 
 
 def _recorded_sensor(recording: Recording, asked: str | SensorDesign) -> str | SensorDesign:
-    """What a replay takes its fingers' sensor for: what was `asked`; else the recording's, where
-    that is still to be had."""
+    """Return the sensor of a replay: the requested one, else the recorded one if it still
+    exists."""
     scenario = recording.header.get("scenario")
     known = scenario.get("sensor") if isinstance(scenario, Mapping) else None
     if asked != Scenario().sensor or not isinstance(known, str):

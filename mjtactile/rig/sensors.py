@@ -1,4 +1,4 @@
-"""Which sensor each finger of a rig file has, and what was measured of it."""
+"""Sensor and calibration of each finger of a rig file."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ def finger_design(finger: CameraConfig, default: SensorDesign) -> SensorDesign:
 
 
 def finger_calibration(finger: CameraConfig, design: SensorDesign) -> Calibration | None:
-    """What was measured of a finger whose sensor file says `design`: nothing yet where the file
-    that is named is not there; None where none is named. Raises InputError for a file that is
-    broken, or of another finger or sensor.
+    """Return the calibration of a finger whose sensor is `design`.
+
+    If the named file is missing, the calibration is empty. If no file is named, it is None. Raises
+    InputError for a broken file, or one of another finger or sensor.
     """
     path = finger.calibration or design.calibration
     if path is None:
@@ -34,8 +35,10 @@ def finger_calibration(finger: CameraConfig, design: SensorDesign) -> Calibratio
 
 
 def calibration_findings(rig_file: RigFile, default: SensorDesign) -> Iterator[Finding]:
-    """What `mjtactile doctor` says of the calibrations that a rig file names: missing, refused,
-    outdated, good, or broken."""
+    """Yield the findings of `mjtactile doctor` about a rig file's calibrations.
+
+    Their states are missing, refused, outdated, good, or broken.
+    """
     for camera in rig_file.cameras:
         yield from _finger_findings(rig_file, camera, default)
     try:

@@ -42,15 +42,17 @@ LAWS = {
 }
 """Law to its kind and to the key of its ratio."""
 OPENING = Span(key="opening_max_mm", low_key="opening_min_mm", low=0, high=1000, unit=MM)
-"""Of jaws, simulated or real."""
+"""Opening range of real and simulated jaws."""
 _PER = {"mm_per_rad": 1e-3, "mm_per_mm": 1.0}
 
 
 @dataclass(frozen=True)
 class SimFingerConfig:
-    """A finger: the `site` of the MJCF that carries its sensor (z points at the object, out of the
-    sensor), and the `sensor`: its file, shipped name or design (None: the one that the command
-    names)."""
+    """Finger of a simulated rig.
+
+    `site` is the MJCF site of its sensor (z points outward, to the object). `sensor` is its file,
+    shipped name or design (None: the one of the command).
+    """
 
     name: str = text("name")
     site: str = text("site")
@@ -65,15 +67,16 @@ class SimFingerConfig:
 
 @dataclass(frozen=True)
 class SimActuator:
-    """A position actuator that moves jaws; `law` says what part of the opening its length makes."""
+    """Position actuator that moves jaws; `transmission` maps its length to a part of the
+    opening."""
 
     name: str
-    law: JawLaw
+    transmission: JawLaw
 
     @classmethod
     def from_section(cls, section: Section) -> SimActuator:
-        """By the law that the section names. Raises InputError for one that cannot be inverted."""
-        law = section.text("law", LAWS)
+        """Read an actuator with its law. Raises InputError for a law without an inverse."""
+        law = section.text("transmission", LAWS)
         kind, key = LAWS[law]
         offset = 0.0
         ratio = 0.0
@@ -94,7 +97,8 @@ class SimActuator:
 @dataclass(frozen=True)
 class SimGripperConfig:
     """Jaws: `opening` m (lowest, highest), `start` m, `force_max` N on each finger, `speed` m/s of
-    the opening."""
+    the opening.
+    """
 
     opening: tuple[float, float]
     start: float
@@ -104,7 +108,7 @@ class SimGripperConfig:
 
     @classmethod
     def from_section(cls, section: Section) -> SimGripperConfig:
-        """The jaws start within their opening, at its end where nothing is said."""
+        """Read the jaws; the default of their initial opening is the maximum."""
         opening = OPENING.read(section, ...)
         low, high = opening
         low_mm = low / MM - 1e-6
@@ -115,12 +119,12 @@ class SimGripperConfig:
 
 @dataclass(frozen=True)
 class SimLift:
-    """What lifts the hand by `travel` m at `speed` m/s. By `kind`:
+    """Lift of the hand by `travel`, m, at `speed`, m/s. By `kind`:
 
-    "actuator": the position actuator `name`, by `ratio` m of height for each unit of its length;
+    "actuator": the position actuator `name`, with `ratio` m of height per unit of its length;
     "mocap": the mocap body `name`; "arm": the position actuators `actuators` (empty: all on joints
-    between the world and the hand); "none": nothing, and the height that was asked for is reported
-    as reached.
+    between the world and the hand); "none": no lift, and the requested height is reported as
+    reached.
     """
 
     kind: str = text("kind", ("actuator", "mocap", "arm", "none"))
@@ -132,7 +136,7 @@ class SimLift:
 
     @classmethod
     def from_section(cls, section: Section) -> SimLift:
-        """What a kind needs stands in its own keys."""
+        """Read a lift with the keys of its kind."""
         lift = cls(**read_fields(cls, section))
         if lift.kind == "mocap":
             return replace(lift, name=section.text("body"))
@@ -147,8 +151,8 @@ class SimLift:
 
 @dataclass(frozen=True)
 class SimAir:
-    """What the valves give: up to `pressure_max` Pa above ambient, at `pressure_rate` Pa/s while a
-    controller commands it."""
+    """Range of the valves: `pressure_max`, Pa above ambient, and `pressure_rate`, Pa/s, for a
+    controller."""
 
     pressure_max: float = number("pressure_max_kPa", 0.01, 1000, KPA, default=3000.0)
     pressure_rate: float = number("pressure_rate_kPa_s", 0.01, 100, KPA, default=1200.0)
@@ -156,7 +160,7 @@ class SimAir:
 
 @dataclass(frozen=True)
 class _World:
-    """Section [sim]: the robot, and what it stands on."""
+    """Section [sim]: the robot and its support."""
 
     model: Path = entry(FilePath(key="model"))
     keyframe: str | None = text("keyframe", default=None)
@@ -171,8 +175,12 @@ class _World:
 
 @dataclass(frozen=True)
 class SimRigFile:
-    """A simulated rig. `model` is its MJCF; it starts in the `keyframe` (None: as the MJCF stands);
-    a `table` is put under the hand, or the MJCF has its own; its top is at `table_height` m."""
+    """Simulated rig.
+
+    `model` is its MJCF. The initial state is the `keyframe` (None: the MJCF's default). If `table`
+    is True, a table is added below the hand; otherwise the MJCF contains one. Its top is at
+    `table_height`, m.
+    """
 
     name: str = text("name")
     path: Path = given()
@@ -201,13 +209,13 @@ def sim_rig_from_table(table: Mapping[str, Any], path: Path) -> SimRigFile:
 
     Args:
         table: The sections of a rig file.
-        path: The file that they stood in; what it names is relative to its folder.
+        path: The rig file; file names in it are relative to its folder.
 
     Returns:
         The rig, SI.
 
     Raises:
-        InputError: names file, field, value and valid choices.
+        InputError: The error names file, field, value and valid choices.
     """
     root = Section(table, "", str(path))
     world = read(_World, root.section("sim"))

@@ -27,7 +27,7 @@ from mjtactile.runtime.supervisor import Supervisor
 
 # 0.2 s of 0.25 s, so that the devices never take the loop for dead
 _STEP_FRACTION = 0.8
-_IN_THE_AIR = 5e-3  # m that the hand may be measured above where it is thought to be down
+_IN_THE_AIR = 5e-3  # maximum measured height above the commanded one for a lowered hand, m
 
 
 def run_loop(
@@ -42,31 +42,32 @@ def run_loop(
     threads: int | None = None,
     pool: PerceptionPool | None = None,
 ) -> Command:
-    """Run the controller until it says "done" or "abort".
+    """Run the controller until it returns the phase "done" or "abort".
 
-    Whatever fails, takes longer than `time_limit`, or ends with the hand in the air: the controller
-    is no longer called, the hand goes down and opens first, and then the error is raised; so also
-    when `stop` was asked for, and without any delay when it shall be at once.
+    The loop stops early on an error, after `time_limit`, on request through `stop`, or if the
+    controller ends with the hand in the air. The controller is then no longer called. The hand is
+    lowered and opened first, and the error is raised afterwards. An immediate stop skips this
+    retreat.
 
     Args:
-        rig: What is driven; the caller closes it.
-        perceptions: The chains of its fingers, zeroed.
-        controller: What is asked for a command in every cycle.
-        time_limit: s on the rig's clock.
-        observer: Is told of every cycle: `on_images`, then `add`.
-        supervisor: Stands between controller and rig (None: a new one).
-        stop: Says that the run shall end (None: nothing does).
-        threads: That perceive beside the loop (None: as many as are worth it here).
-        pool: Processes that perceive instead of threads.
+        rig: The rig; the caller closes it.
+        perceptions: The sensing chains of its fingers, with references taken.
+        controller: Controller that returns a command in every cycle.
+        time_limit: Time limit on the rig's clock, s.
+        observer: Observer of every cycle, called with `on_images`, then `add`.
+        supervisor: Supervisor between controller and rig (None: a new one).
+        stop: Stop request (None: never).
+        threads: Number of perception threads in addition to the loop (None: automatic).
+        pool: Perception processes instead of threads.
 
     Returns:
         The last command sent.
 
     Raises:
-        ControllerError: What the controller did wrong.
-        DeviceError: Also when a fault brought the rig to its safe state.
-        Interrupted: When `stop` was asked for.
-        SimulationError: When the simulated world broke.
+        ControllerError: The controller failed.
+        DeviceError: A device failed; also after a fault brought the rig to its safe state.
+        Interrupted: A stop was requested through `stop`.
+        SimulationError: The simulation failed.
     """
     stop = stop or Stop()
     names = [finger.name for finger in rig.fingers]
@@ -97,7 +98,7 @@ def run_loop(
 
 
 def _report_flag(cycle: ControlCycle) -> None:
-    """Say and record that the safe state is not verified, whatever is raised then."""
+    """Report and record that the safe state is not verified, before any error is raised."""
     doubt = cycle.supervisor.doubt
     if doubt:
         cycle.attempt(lambda: cycle.observer.message(f"not verified safe: {doubt}"))
@@ -111,8 +112,7 @@ def _rotate_until_over(
     limit_memory: Callable[[], None],
     time_limit: float,
 ) -> None:
-    """Cycle after cycle, each a period after the one before, until the supervisor says that it is
-    over or the hand has landed."""
+    """Run one cycle per period until the supervisor is latched or the hand has landed."""
     rig = cycle.rig
     start = deadline = cycle.now
     while not cycle.supervisor.is_over:
@@ -137,15 +137,18 @@ def _rotate_until_over(
 
 
 def _has_landed(cycle: ControlCycle) -> bool:
-    """Whether the controller has ended with the hand down, or empty over the place where it was
-    told to set down; one that ends with the hand in the air makes it go down first."""
+    """Return True if the controller has ended with the hand down.
+
+    An empty hand above the commanded placement also counts. If the controller ends with the hand in
+    the air, the retreat starts.
+    """
     command = cycle.last
     if command.phase not in ENDS or cycle.supervisor.state == "safe":
         return False
     is_up = cycle.gripper.lift_height > command.lift_height + _IN_THE_AIR
     if command.lift_height < HEIGHT_TOLERANCE and not is_up:
         return True
-    if cycle.rig.told.place_height > 0 and not any(map(may_hold, cycle.touch)):
+    if cycle.rig.goal.place_height > 0 and not any(map(may_hold, cycle.touch)):
         return True
     why = f"the controller ended ({command.phase}) with the hand in the air"
     cycle.supervisor.make_safe(why, cycle.now)
@@ -208,8 +211,7 @@ def _report_disabled_effects(cycle: ControlCycle) -> None:
 
 
 def _think(cycle: ControlCycle, controller: ControllerThread, observation: Observation) -> Command:
-    """What the controller wants; once the hand retreats it is no longer called, and what was sent
-    last stands."""
+    """Return the controller's command; during a retreat, return the last command sent."""
     if cycle.supervisor.state != "safe":
         try:
             return controller.step(observation)

@@ -21,7 +21,7 @@ from mjtactile.core import resources, scaled_clock
 from mjtactile.core.errors import ControllerError, InputError
 from mjtactile.core.types import Command, Observation
 
-# s that the first step may take in any case: it may import, and nothing is held yet
+# Minimum timeout of the first step, s: it may import modules, and nothing is grasped yet
 _FIRST_TIME = 3.0
 _ANOTHER_MOMENT = 0.02
 
@@ -35,14 +35,16 @@ class LoadedController(Protocol):
     def step(self, observation: Observation) -> Command: ...
 
 
-READABLE = ("shape",)
-"""What of a touch is found only for controllers that say so, in `READS`: it costs time."""
+READABLE = ("contact_shape",)
+"""Parts of a touch that are computed only if `REQUIRES` of the controller lists them, for speed."""
 
 
 @dataclass(frozen=True)
 class Controller:
-    """A controller file and its `step` function; calling it checks what comes back. `reads` are
-    those of READABLE that it wants."""
+    """A controller file and its `step` function; a call checks the returned command.
+
+    `reads` are the entries of READABLE that it needs.
+    """
 
     path: Path
     function: Callable[[Observation], Any]
@@ -51,8 +53,8 @@ class Controller:
     def step(self, observation: Observation) -> Command:
         """Run the user's `step`.
 
-        Raises ControllerError naming the file and the line when it raises, and the field when it
-        returns nothing or something that is not a Command (a Command checks its own numbers).
+        Raises ControllerError. It names the file and the line if `step` raises an exception, and
+        the field if `step` returns no Command. A Command checks its own numbers.
         """
         try:
             command = self.function(observation)
@@ -63,7 +65,7 @@ class Controller:
             ):
                 raise  # Ctrl-C; in another thread the controller itself raised it
             if isinstance(error, MemoryError):
-                traceback.clear_frames(error.__traceback__)  # what it has taken is needed
+                traceback.clear_frames(error.__traceback__)  # free the memory of its frames
             raise ControllerError(
                 f"step() raised {type(error).__name__}: {error} at t = {observation.time:.3f} s",
                 source=self.path,
@@ -101,8 +103,11 @@ class ControllerThread:
         self._questions.put(None)
 
     def step(self, observation: Observation) -> Command:
-        """The controller's answer, its values checked. Raises what it raised, and ControllerError
-        when it did not answer in time: such a controller must not be asked again."""
+        """Return the controller's command after checks of its values.
+
+        Raises the controller's own error. Raises ControllerError on a timeout; the controller must
+        not be called again then.
+        """
         self._questions.put(observation)
         try:
             answer = self._answer()
@@ -136,8 +141,8 @@ class ControllerThread:
                 )
 
     def _late(self, time: float) -> ControllerError:
-        """What to say of a step that does not return; it is also asked to end, so that it takes no
-        more computing time."""
+        """Return the error for a step that timed out, and request the thread to exit to save CPU
+        time."""
         thread = self._thread.ident or 0
         path = self.controller.path
         frame = sys._current_frames().get(thread)
@@ -163,8 +168,11 @@ def _line(path: Path, stack: traceback.StackSummary) -> str | None:
 
 
 class _AsItStands(importlib.machinery.SourceFileLoader):
-    """Compiles a file as it is now and keeps nothing beside it. What Python keeps of a file it
-    takes for current if time and length are the same: an edit within a second could be missed."""
+    """Loader that compiles the current file and stores no bytecode.
+
+    Python's bytecode cache compares only time and length, so it can miss an edit within one
+    second.
+    """
 
     def get_code(self, fullname: str) -> types.CodeType:
         return self.source_to_code(self.get_data(self.path), self.path)
@@ -178,11 +186,11 @@ def load_controller(name_or_path: str | Path) -> Controller:
             command`.
 
     Returns:
-        The controller; its `step` checks what comes back.
+        The controller; its `step` checks the returned command.
 
     Raises:
-        InputError: There is no such file.
-        ControllerError: It does not import, or has no `step`.
+        InputError: The file does not exist.
+        ControllerError: The file cannot be imported, or has no `step`.
     """
     path = resources.find(name_or_path, "controllers", ".py")
     place = zlib.crc32(str(path.absolute()).encode())  # others of the same name have theirs
@@ -213,14 +221,15 @@ def load_controller(name_or_path: str | Path) -> Controller:
 
 
 def _reads(module: types.ModuleType, path: Path) -> tuple[str, ...]:
-    """What a controller's file says in READS. Raises ControllerError for what is not readable."""
-    reads = getattr(module, "READS", ())
+    """Return the entries of REQUIRES in a controller's file. Raises ControllerError for an unknown
+    one."""
+    reads = getattr(module, "REQUIRES", ())
     listed = (reads,) if isinstance(reads, str) else tuple(reads)
     unknown = [name for name in listed if name not in READABLE]
     if unknown:
         raise ControllerError(
-            f"{unknown[0]!r} is nothing that a controller asks for; choices: {', '.join(READABLE)}",
+            f"{unknown[0]!r} cannot be required; choices: {', '.join(READABLE)}",
             source=path,
-            field="READS",
+            field="REQUIRES",
         )
     return listed

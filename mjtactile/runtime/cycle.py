@@ -19,7 +19,7 @@ from mjtactile.runtime.perception_threads import unknown_touch
 from mjtactile.runtime.references import patient_read
 from mjtactile.runtime.supervisor import Supervisor
 
-# s that a world which waits gives a perception or a controller; the real one gives a share of its
+# Timeout of perception and controller in a world that waits, s; on a real rig it is a fraction of
 # host_timeout
 WAIT_TIME = 10.0
 # 0.1 s of 0.25 s, so that the devices never take the loop for dead
@@ -30,7 +30,7 @@ _UNKNOWN_GRIPPER = GripperState(math.nan, math.nan, math.nan, math.nan)
 
 @dataclass(frozen=True, eq=False)
 class Cycle:
-    """One turn of the loop, as it is recorded: of memories, only what can be written."""
+    """Recorded data of one cycle; memories contain serializable entries only."""
 
     time: float
     images: tuple[Image, ...]
@@ -57,17 +57,17 @@ class Perceiving(Protocol):
 
 @dataclass(eq=False)
 class ControlCycle:
-    """A rig between two commands: `look`, `feel`, then `send` what somebody wants; and what its
-    cameras, sensors and devices said last.
+    """State of a rig between two commands, with its newest images, touch and device states.
 
-    A blind camera makes the force unknown; whatever else fails makes the supervisor take over.
+    A cycle consists of `look`, `feel`, and `send` with the requested command. Without images the
+    force is unknown. Any other failure makes the supervisor take over.
 
     Attributes:
-        last: The command before.
-        now: s on the rig's clock, when the images were taken.
-        failure: What made the supervisor retreat, to be raised when that is done; None: nothing,
-            or a fault of a device.
-        left_out: Entries of `Command.memory` that cannot be written, as was said once.
+        last: The previous command.
+        now: Time of the images on the rig's clock, s.
+        failure: The error that caused the retreat, raised after it; None: no error, or a device
+            fault.
+        left_out: Entries of `Command.memory` that cannot be recorded, as reported once.
     """
 
     rig: Rig
@@ -99,7 +99,7 @@ class ControlCycle:
         return cls(rig, perceptions, supervisor, observer, last, now)
 
     def look(self) -> None:
-        """Take the newest images and what the valves say; a simulated world stands meanwhile."""
+        """Read the newest images and the valve states; a simulated world stands still meanwhile."""
         begin = wall.perf_counter()
         self._blind = self._take_images()
         self._seen = wall.perf_counter()
@@ -114,7 +114,7 @@ class ControlCycle:
         self.attempt(self.observer.on_images)
 
     def feel(self) -> Observation:
-        """What the images say, and all else that a controller is shown."""
+        """Estimate the touch from the images and return the controller's observation."""
         if self._blind:
             self._touch_unknown(Status(StatusCode.NO_IMAGE, self._blind))
         elif not self.attempt(self._perceive):
@@ -129,15 +129,15 @@ class ControlCycle:
             self.gripper,
             self.valves,
             self.last,
-            self.rig.told,
+            self.rig.goal,
         )
 
     def send(self, wanted: Command) -> Command:
-        """Send what supervisor and limits leave of `wanted`.
+        """Send the command `wanted` after supervisor and limits.
 
         Returns:
-            What was sent: the command before, if nothing obeys any more, and then the devices' own
-            watchdogs act. A command that cannot be obeyed leads to the retreat.
+            The sent command. If no device responds, it is the previous command, and the devices'
+            own watchdogs act. A command that cannot be executed starts the retreat.
         """
         try:
             self.last = self._send(wanted)
@@ -161,8 +161,10 @@ class ControlCycle:
             self.supervisor.make_safe(str(error), self.now)
 
     def attempt(self, act: Callable[[], None]) -> bool:
-        """Do what may fail; whatever does is no reason to drop what the hand holds, but one to set
-        it down."""
+        """Run a function that may fail; returns True on success.
+
+        A failure starts the retreat, which sets the held object down instead of dropping it.
+        """
         try:
             act()
         except SimulationError:  # there is no world any more to set it down in
@@ -170,14 +172,14 @@ class ControlCycle:
         except DeviceError as error:
             self.supervisor.make_safe(str(error), self.now)
         except Exception as error:  # noqa: BLE001
-            # also a mistake in this package, or in what an observer does
+            # includes errors in this package or in an observer
             self.give_up(error)
         else:
             return True
         return False
 
     def _take_images(self) -> str:
-        """What is wrong with the cameras, "" for nothing. The first images must come."""
+        """Read the images and return the camera error, or "". The first images are mandatory."""
         rig = self.rig
         if not self.images:
             self.images = tuple(

@@ -1,10 +1,10 @@
-"""What force error a run has, by its own reckoning: the same contact again on a coarser mesh with a
-longer step.
+"""Estimate of a run's discretization error from a second simulation of the same contact.
 
-Step doubling over mesh and time step at once. The membrane is of second order in the mesh width, so
-that the coarse run's error is r^2 times the fine one's, and the fine one's is their difference over
-r^2 - 1 (Richardson 1911; Roache, Verification and Validation, 1998). The estimate leaves out what
-both runs share: the material law, and the camera.
+The second simulation uses a coarser mesh and a longer time step (step doubling in both). The
+membrane converges with second order in the mesh width. With a width ratio r, the error of the
+coarse run is r^2 times that of the fine run. The fine run's error is the difference of both divided
+by r^2 - 1 (Richardson 1911; Roache, Verification and Validation, 1998). The estimate excludes
+errors common to both runs: the material law, and the camera.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 
 RATIO = 1.5  # of mesh widths, coarse over fine
-_LONGEST_STEP = 8e-3  # s
-_FREE = 0.04  # m of opening beyond the grasp, at which both membranes inflate
-# s
+_LONGEST_STEP = 8e-3  # maximum time step, s
+_FREE = 0.04  # additional opening for the inflation of both membranes, m
+# Durations, s
 _CLOSING = 0.4
 _RESTING = 0.3
 
@@ -68,11 +68,11 @@ def press_errors(
 
 
 class GraspEstimate:
-    """Error of the contact force in a grasp: where hand and object stand, the grasp is repeated on
-    two meshes.
+    """Discretization error of the contact force in a grasp.
 
-    Both repetitions start from the inflated, untouched membranes, and drive jaws and object to
-    where they stood in the run, so that what differs is the discretisation alone.
+    The grasp is repeated on two meshes. Both repetitions start from the inflated, untouched
+    membranes. They move jaws and object to their poses in the run, so the results differ by the
+    discretization only.
     """
 
     def __init__(self, world: GraspWorld):

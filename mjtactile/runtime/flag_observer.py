@@ -1,4 +1,4 @@
-"""`FlagObserver`: what a simulation says of its own numbers reaches whoever looks on, as a note."""
+"""`FlagObserver`: pass on the accuracy warnings of a simulation to the observers as notes."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ from mjtactile.recording.observer import Observer
 
 
 class FlagObserver(Observer):
-    """Notes `flags` (kind of doubt to reason) whenever `ask` has others; a context manager, which
-    asks once more when the run has ended, however it did."""
+    """Observer that notes `flags` (kind of model error to reason) whenever those of `ask` change.
+
+    It is a context manager that checks the flags once more at the end of the run, also after an
+    error.
+    """
 
     def __init__(self, ask: Callable[[], Mapping[str, str]], observer: Observer):
         self._ask = ask

@@ -26,9 +26,12 @@ from mjtactile.runtime.session import open_session
 
 @dataclass(frozen=True)
 class GraspResult:
-    """Outcome of a grasp; forces in N on one finger, `slip` m. `milliseconds` are means of wall
-    time per control cycle for camera, perception, controller and the rest (in simulation: waiting
-    for the world, which steps and draws meanwhile); `perception_median` is a median."""
+    """Outcome of a grasp; forces on one finger, N, `slip`, m.
+
+    `milliseconds` are mean wall times per control cycle of camera, perception, controller and the
+    remainder. In simulation, the remainder is the wait for the world, which steps and renders
+    meanwhile. `perception_median` is a median.
+    """
 
     scenario: Scenario
     outcome: str
@@ -43,20 +46,20 @@ class GraspResult:
     force_error_estimate: float | None = None
     reason: str = ""
     peak_stress_true: float = math.nan
-    """Pa, von Mises, of a soft object; `peak_energy_true` J/m^3."""
+    """Von Mises stress of a soft object, Pa; `peak_energy_true` is in J/m^3."""
     peak_energy_true: float = math.nan
     left_out: tuple[str, ...] = ()
-    """Of "sheet" (a film lay in its place), "chain" (touch was drawn) and "images" (markers had
-    errors drawn): what `--effects` left out."""
+    """Parts disabled by `--effects`: "mesh" (a quasi-static membrane replaced it), "pipeline"
+    (synthetic touch) and "images" (markers with sampled errors)."""
     flags: Mapping[str, str] = field(default_factory=dict)
-    """What makes the simulation's numbers worse than usual: the kind of doubt, and its reason."""
+    """Reasons for reduced simulation accuracy, by kind of model error."""
 
     measures: Mapping[str, float] = field(default_factory=dict)
-    """What the task measures by truth, by its name in results."""
+    """Ground-truth measures of the task, by name."""
 
     def summary(self) -> dict[str, Any]:
-        """The JSON object of `mjtactile grasp --json`; what is unknown is NaN here and null
-        there."""
+        """Return the JSON object of `mjtactile grasp --json`; unknown values are NaN, and null in
+        JSON."""
         found = {
             "outcome": self.outcome,
             "peak_force_N": self.peak_force,
@@ -83,7 +86,8 @@ class GraspResult:
 
 
 class _Log(Observer):
-    """What the loop says, cycle by cycle, for the result; hands it on with what is true of it."""
+    """Observer that collects the cycles for the result and forwards them with their ground
+    truth."""
 
     def __init__(self, watching: Observer, score: Any, estimate: Any):
         self._watching = watching
@@ -133,7 +137,7 @@ class _Log(Observer):
         return float(np.nanmean(held)) if np.isfinite(held).any() else math.nan
 
     def gave_up(self, period: float) -> str:
-        """When, at what and why the controller gave up, "" if it did not."""
+        """Return time, phase and reason of the controller's abort, or ""."""
         before = [phase for phase in self.phases if phase != "abort"]
         if len(before) in (0, len(self.phases)):
             return ""
@@ -143,7 +147,7 @@ class _Log(Observer):
         )
 
     def ended(self) -> str:
-        """Why a controller that has not given up set nothing down, "" if it did."""
+        """Return the reason why a finished controller set nothing down, or ""."""
         if self.left:
             return "the controller ended (done) with the hand in the air"
         return ""
@@ -165,21 +169,22 @@ def run_grasp(
     """Run one grasp.
 
     Args:
-        scenario: What is grasped, with what.
-        observers: Are told what happens.
-        controller: In place of the scenario's.
-        workers: Processes beside a simulated world, or threads on a real rig, that look at the
-            images (None: as many as are worth it here); the result is the same with any number.
-        error_estimate: Simulate again on a coarser mesh, for the force error that follows.
+        scenario: Object, rig and settings of the grasp.
+        observers: Observers of the run.
+        controller: Controller in place of the scenario's.
+        workers: Number of perception processes in simulation, or threads on a real rig (None:
+            automatic); it does not change the result.
+        error_estimate: True to repeat the simulation on a coarser mesh and estimate the force
+            error.
 
     Returns:
-        How it went; a fault is raised.
+        The result; a fault is raised.
 
     Raises:
-        InputError: For bad files or names.
-        ControllerError: What the controller did wrong.
-        DeviceError: For a fault; the rig is brought to its safe state on every way out.
-        SimulationError: When the simulated world broke.
+        InputError: A file or name is invalid.
+        ControllerError: The controller failed.
+        DeviceError: A device failed; the rig is brought to its safe state on every exit path.
+        SimulationError: The simulation failed.
     """
     watching = Observers(observers)
     controller = load_controller(scenario.controller) if controller is None else controller
@@ -209,14 +214,14 @@ def run_grasp(
 
 
 def _time_limit(scenario: Scenario) -> float:
-    """s: the task's, where the scenario says nothing else."""
+    """Return the time limit, s: the scenario's if set, else the task's."""
     if scenario.time_limit != TIME_LIMIT:
         return scenario.time_limit
     return load_task(scenario.task).time_limit
 
 
 def _estimate(rig: Rig) -> Any:
-    """What reckons the run's own force error. Raises InputError on a rig that is not simulated."""
+    """Return the estimator of the run's force error. Raises InputError on a real rig."""
     if rig.scene is None:
         raise InputError(
             "only a simulated rig can repeat its run on another mesh", field="--error-estimate"
@@ -236,7 +241,7 @@ def _score(scenario: Scenario, rig: Rig, observer: Observer) -> Any:
     score = GraspScore(rig.scene, TaskScorer.of(scenario, rig))
     rig.scene.after_each_stretch(score.after_stretch, score.due)
     force = rig.scene.object.break_force
-    varied = {"varied": rig.varied} if rig.varied else {}
+    varied = {"randomized": rig.varied} if rig.varied else {}
     observer.note(break_force_N=force if math.isfinite(force) else None, **varied)
     return score
 
@@ -252,8 +257,10 @@ def _left(cycle: Cycle) -> str:
 def _result(
     scenario: Scenario, log: _Log, factor: float, *, completed: bool, period: float
 ) -> GraspResult:
-    """Put the loop's log and the score together. Without a truth, "held" is what the controller
-    believes that has set down what it held."""
+    """Combine the loop's log and the score.
+
+    Without ground truth, "held" means that the controller reports a successful placement.
+    """
     score = log.score
     parts = {part: float(np.mean(ms)) for part, ms in log.milliseconds.items()}
     parts["rest"] = 1e3 * period / factor - sum(parts.values())

@@ -1,5 +1,7 @@
-"""What really happened in a simulated grasp, by ground truth: forces, slip, held or dropped or
-crushed. Never sensed."""
+"""Ground-truth score of a simulated grasp: forces, slip, held or dropped or crushed.
+
+It is never an input of sensing.
+"""
 
 from __future__ import annotations
 
@@ -17,13 +19,14 @@ from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.scene_triangles import SceneView
 
-_RISEN = 0.01  # m of the hand, from where on it can be told whether the object comes along
-# the object counts as held when it rose by at least this share of what the hand rose,
+_RISEN = 0.01  # minimum lift of the hand for the decision between held and lost, m
+# An object counts as held if it rose by at least this fraction of the hand's lift,
 _HELD_FRACTION = 0.5
-# s between two looks at a soft object's strain, which changes no faster than the fingers
+# Interval of the strain check of a soft object, s; strain changes as slowly as the fingers move
 _STRAIN_EVERY = 0.02
 _NO_MARKERS = np.zeros((0, 3))
-_HELD_SLACK = 1e-3  # m, less this: on a rig that does not lift, what it does not drop is held
+# minus this tolerance, m: without a lift, an object that is not dropped counts as held
+_HELD_SLACK = 1e-3
 
 
 @dataclass
@@ -36,8 +39,7 @@ class GraspScore:
     phase: str = "approach"
     peak_force: float = 0.0
     peak_stress: float = math.nan
-    """Pa, and `peak_energy` J/m^3: what the worst twentieth of a soft object's volume had to
-    stand."""
+    """Maximum stress, Pa, and `peak_energy`, J/m^3, exceeded in 5 % of a soft object's volume."""
     peak_energy: float = math.nan
     crushed_at: float | None = None
     _next_phase: str = "approach"
@@ -52,7 +54,7 @@ class GraspScore:
     lost: bool = False
     """The hand has risen, and the object has not come along."""
     fell: bool = False
-    """It was let go of in the air, and nobody had it."""
+    """True if the object was released in the air and fell."""
     _let_go_height: float = math.nan
     _carried: float = 0.0
     _grip_start: Array | None = None
@@ -74,13 +76,15 @@ class GraspScore:
         self._next_phase = phase
 
     def snapshot(self, with_view: bool = True) -> None:
-        """Keep the truth of this moment, at which the images were taken; the world must not be
-        moving. To keep its view, too, takes a tenth of what a cycle without images does."""
+        """Store the ground truth at the time of the images; the world must stand still.
+
+        Storing its view as well costs a tenth of a cycle without images.
+        """
         self.start_cycle()
         sensors = range(len(self.world.sensors))
         self._wrenches = [ground_truth.contact_wrench(self.world, i) for i in sensors]
-        # where touch is drawn nobody sees markers, and finding them takes a sixth of an episode
-        sees = "chain" in self.world.effects
+        # synthetic touch has no markers, and computing them takes a sixth of an episode
+        sees = "pipeline" in self.world.effects
         self._markers = [self.world.marker_poses(i)[0] if sees else _NO_MARKERS for i in sensors]
         p_WO, q_WO = ground_truth.object_pose(self.world, self.world.solid)
         self._object_pose = {
@@ -90,9 +94,9 @@ class GraspScore:
         self.view = SceneView.of(self.world) if with_view else None
 
     def columns(self, touch: Sequence[Touch], phase: str) -> dict[str, list[Any]]:
-        """The columns of truth beside one cycle's touch (`mjtactile.recording.log_schema.TRUE`).
+        """Return the ground-truth columns of one cycle (`mjtactile.recording.log_schema.TRUE`).
 
-        `phase` is that of the command which was sent for it.
+        `phase` is that of the command sent in this cycle.
         """
         self.send(phase)
         errors = []
@@ -137,14 +141,17 @@ class GraspScore:
             self._held.append(risen)
 
     def due(self) -> float:
-        """s in the world's time at which `after_stretch` must be called at the latest: after each
-        step where the task counts how hard it is set down, which takes milliseconds."""
+        """Return the latest world time of the next call to `after_stretch`, s.
+
+        If the task measures the placement impact, it is after each step, since an impact lasts
+        milliseconds.
+        """
         sets_down = self.phase in ("lower", "release")
         counts = self.judge is not None and math.isfinite(self.judge.task.counts.bump)
         return self.world.time if sets_down and counts else math.inf
 
     def _watch_fall(self) -> None:
-        """From where it was let go of."""
+        """Detect a fall of the object from its height at release."""
         height = float(self._object_position()[2])
         if math.isnan(self._let_go_height):
             self._let_go_height = height
@@ -152,7 +159,7 @@ class GraspScore:
         self.fell |= self._let_go_height - height > counts.fall
 
     def _is_torn(self) -> bool:
-        """Whether a soft object is strained beyond what its material stands."""
+        """Return True if the strain of a soft object exceeds its material's limit."""
         flesh = self.world.object.flesh
         solid = self.world.solid
         time = self.world.time
@@ -179,8 +186,11 @@ class GraspScore:
         self._slip = max(self._slip, float(np.linalg.norm(relative - self._grip_start)))
 
     def reason(self) -> str:
-        """Why a lifted object was dropped, if it was too heavy for the grip, or let go of in the
-        air; "" otherwise."""
+        """Return the reason why a lifted object was dropped, or "".
+
+        The reasons are insufficient grip for its weight, a release in the air, or failure of the
+        task.
+        """
         if self.outcome() == "dropped" and self._is_held and self.fell:
             return "it was let go of in the air, and fell"
         if self.outcome() == "dropped" and self._is_held and self.judge is not None:
@@ -207,7 +217,7 @@ class GraspScore:
         return bool(self._held) and all(self._held)
 
     def measures(self) -> dict[str, float]:
-        """What else the task measures, by its name in results."""
+        """Return additional measures of the task, by name."""
         return {} if self.judge is None else self.judge.measures()
 
     @property

@@ -1,9 +1,8 @@
-"""Fingers felt in processes of their own, beside a simulated world that needs the interpreter as
-much as they do.
+"""Perception in separate processes, for a simulated world that also needs the Python interpreter.
 
-A process is given the chains and their states when a run begins, then images, and hands the states
-back when the run ends: what a chain finds does not depend on where it runs
-(docs/decisions/0024-a-process-beside-the-world.md). It is told nothing but images and pressures.
+At the start of a run a process receives the sensing chains with their states, then images. At the
+end of the run it returns the states. The result of a chain does not depend on where it runs
+(docs/decisions/0024-a-process-beside-the-world.md). The only inputs are images and pressures.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from mjtactile.runtime.perception_threads import (
 from mjtactile.runtime.worker_process import Channel, WorkerProcess
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
-_START = 120.0  # s; a busy computer takes 10 to import what a chain needs
+_START = 120.0  # timeout, s; a busy computer takes 10 to import the chain's modules
 
 
 class PerceptionPool:
@@ -52,10 +51,11 @@ class PerceptionPool:
 
     @contextlib.contextmanager
     def at_work(self, perceptions: Sequence[Any], names: Sequence[str]) -> Iterator[PerceptionPool]:
-        """Feel with these chains (`StatefulPipeline`), from the states that they are in; they are
-        left in those that the run ends in.
+        """Run these chains (`StatefulPipeline`) in the processes, starting from their present
+        states.
 
-        Raises DeviceError for a process that does not start.
+        At the end the chains have the final states of the run. Raises DeviceError for a process
+        that does not start.
         """
         self._perceptions = perceptions
         self._names = names
@@ -79,9 +79,10 @@ class PerceptionPool:
         disk_wait_time: float = PATIENCE,
         readings: Sequence[PressureReading | None] = (),
     ) -> tuple[Touch, ...]:
-        """What every sensor feels; see `mjtactile.runtime.perception_threads.Perceivers.perceive`.
+        """Estimate the touch of every sensor; see
+        `mjtactile.runtime.perception_threads.Perceivers.perceive`.
 
-        Raises DeviceError for a process that has ended, and what a chain raised, when all have
+        Raises DeviceError for a process that has ended. Raises the error of a chain after all have
         answered.
         """
         for worker, own in self._shares(with_readings(images, readings)):
@@ -96,7 +97,7 @@ class PerceptionPool:
                 zip(own, answer, strict=False)
             ):
                 felt[first + finger * len(self._workers)] = outcome
-                # for whoever draws them; the rest of a state is large, and not needed here
+                # for display; the other parts of a state are large and not needed here
                 if tracks is not None:
                     perception.state = replace(perception.state, tracks=tracks)
         return tuple(
@@ -116,20 +117,22 @@ class PerceptionPool:
         self._started.close()
 
     def _shares(self, values: Sequence[Any]) -> list[tuple[WorkerProcess, list[Any]]]:
-        """Each process that has something to do, and what of `values` is its own."""
+        """Return each process that has work, with its part of `values`."""
         shares = [list(values[first :: len(self._workers)]) for first in range(len(self._workers))]
         return [(worker, own) for worker, own in zip(self._workers, shares, strict=True) if own]
 
 
 def default_count(cameras: int) -> int:
-    """How many processes are worth having beside a simulated world: one a camera, as far as there
-    are processors for them."""
+    """Return the useful number of processes in addition to a simulated world.
+
+    It is one per camera, limited by the number of processors.
+    """
     return min(cameras, platform_support.processors() - 1)
 
 
 def serve(channel: Channel) -> None:
-    """What a process does until its parent hangs up: takes chains, feels images, and gives the
-    chains' states back."""
+    """Serve requests until the parent closes the channel: load chains, process images, return
+    states."""
     perceptions: list[StatefulPipeline] = []
     with contextlib.suppress(OSError):
         while True:

@@ -1,8 +1,8 @@
-"""Fingers felt at the same time: sensing chains in threads, and none is waited for too long.
+"""Parallel perception: the sensing chains of all fingers in threads, with a timeout.
 
-The chain's kernels and MuJoCo let go of Python while they compute, so that threads use the
-processors. What a chain finds does not depend on the others: a run gives the same bits with any
-number of threads (docs/decisions/0017-threads.md).
+The chain's kernels and MuJoCo release Python's lock while they compute, so threads use several
+processors. Each chain is independent of the others. A run is therefore bit-identical for any number
+of threads (docs/decisions/0017-threads.md).
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from mjtactile.core import platform_support, scaled_clock
 from mjtactile.core.status import Status, StatusCode
 from mjtactile.core.types import Image, PressureReading, SyntheticTouch, Touch
 
-# s for an answer where nobody says how long; a chain needs a hundredth of a second for an image
+# Default timeout of a chain, s; it needs about 0.01 s for an image
 PATIENCE = 10.0
 
 
 class Perceiver(Protocol):
     """One sensor's perception; see `mjtactile.sensing.stateful_pipeline.StatefulPipeline`."""
 
-    shapes: bool
+    contact_shapes: bool
 
     def measure_flat_reference(self, images: Sequence[Image]) -> Any: ...
     def measure_rest_reference(
@@ -37,10 +37,12 @@ class Perceiver(Protocol):
 
 
 class SyntheticPerception:
-    """In place of a chain where touch was drawn (`SyntheticTouch`): it hands on what it is given.
-    Shapes are not drawn."""
+    """Replacement of a chain for synthetic touch (`SyntheticTouch`), which it passes on.
 
-    shapes = False
+    It does not provide contact shapes.
+    """
+
+    contact_shapes = False
     state: Any = None
 
     def measure_flat_reference(self, images: Sequence[Image]) -> None: ...
@@ -56,9 +58,12 @@ class SyntheticPerception:
 
 
 class Perceivers:
-    """The chains of all fingers. The last `threads` of them (None: as many as are worth it here)
-    work in threads of their own, the others in the caller's; `busy` threads are at work anyway. A
-    context manager; a chain that hangs is not waited for."""
+    """Sensing chains of all fingers.
+
+    The last `threads` of them (None: automatic) run in their own threads, the others in the
+    caller's. `busy` is the number of other busy threads. It is a context manager and does not wait
+    for a chain that hangs.
+    """
 
     def __init__(
         self,
@@ -91,10 +96,10 @@ class Perceivers:
         disk_wait_time: float = PATIENCE,
         readings: Sequence[PressureReading | None] = (),
     ) -> tuple[Touch, ...]:
-        """What every sensor feels, with its gauge's newest reading where there are any.
+        """Estimate the touch of every sensor, with the newest pressure readings if available.
 
-        A thread that does not answer within `patience` s makes its touch unknown, and is given no
-        other image before it has. Raises what a chain raised, when all have ended.
+        If a thread does not answer within `disk_wait_time`, s, its touch is unknown. It receives no
+        other image until it has answered. Raises the error of a chain after all have ended.
         """
         if not self._has_threads:
             return self._in_turn(images, now, readings)
@@ -137,24 +142,28 @@ def with_readings(
 
 
 def unknown_touch(image: Image, now: float, status: Status) -> Touch:
-    """Nothing is known of the touch in `image`; `status` says why."""
+    """Return an unknown touch for `image`; `status` is the reason."""
     return Touch(image.time, now - image.time, math.nan, math.nan, False, status=status)
 
 
 def default_threads(cameras: int = 2, busy: int = 0) -> int:
-    """How many threads are worth having beside `busy` others, such as a simulated world's: one a
-    camera where there are processors for all of them, else none."""
+    """Return the useful number of threads in addition to `busy` others, such as a simulated
+    world's.
+
+    It is one per camera if there are processors for all of them, else zero.
+    """
     if cameras > 1 and platform_support.processors() >= cameras + busy:
         return cameras
     return 0
 
 
 Outcome = tuple[bool, Any]
-"""Whether it is good, and the value or the error."""
+"""True for success, and the value or the error."""
 
 
 class _Thread:
-    """Does one thing at a time. A daemon: the process can end while it hangs."""
+    """Worker that runs one call at a time. It is a daemon, so the process can exit while it
+    hangs."""
 
     def __init__(self, name: str):
         self._work: queue.SimpleQueue[tuple[Callable[..., Any], tuple[Any, ...]] | None] = (
@@ -166,9 +175,9 @@ class _Thread:
         threading.Thread(target=self._run, name=f"perception {name}", daemon=True).start()
 
     def begin(self, act: Callable[..., Any], *arguments: Any) -> None:
-        """Begin with it, unless what it began with before has not ended yet."""
+        """Start a call, unless the previous one is still running."""
         while self._due and not self._done.empty():
-            self._done.get()  # nobody waits for it any more
+            self._done.get()  # discard the late result
             self._due -= 1
         self._is_late = self._due > 0
         if not self._is_late:
@@ -176,7 +185,7 @@ class _Thread:
             self._due += 1
 
     def outcome(self, disk_wait_time: float) -> Outcome | None:
-        """What came of it; None if it did not end within `patience` s."""
+        """Return the outcome of the call; None if it did not end within `disk_wait_time`, s."""
         if self._is_late:
             return None
         try:

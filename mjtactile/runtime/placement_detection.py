@@ -1,6 +1,9 @@
-"""When a hand that goes down must stop, since what it holds stands already: by what is felt, as the
-table pushes back, or by how far it had slid down in the grip. Further down, the fingers would be
-dragged over it."""
+"""Detection of placement: a hand that moves down must stop when the held object stands.
+
+The object stands when the estimated load shows support by the table. It also stands when the
+remaining height is at most the distance that it had slipped in the grip. Further down, the fingers
+would be dragged over it.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +13,13 @@ from collections.abc import Sequence
 from mjtactile.core.types import Array, Touch
 from mjtactile.grasp_estimation import shear, support
 
-_TABLE_FORCE = 0.3  # N on each finger, beyond what the load was: a nudge on the way down is less
-_FOLLOWS = 0.2  # of a new shear in what is taken for the load's, against noise
-_UP = 2e-3  # m of the hand, from where on what it holds hangs on the fingers
+_TABLE_FORCE = 0.3  # minimum support per finger, N; a nudge on the way down is less
+_FOLLOWS = 0.2  # weight of a new shear sample in the low-pass filter of the load
+_UP = 2e-3  # minimum hand height for a suspended load, m
 
 
 class SuspendedLoad:
-    """What hangs on the fingers while the hand is up and does not go down."""
+    """Load on the fingers while the hand is up and does not move down."""
 
     def __init__(self) -> None:
         self._shear: Array | None = None
@@ -24,7 +27,7 @@ class SuspendedLoad:
         self._height = 0.0
 
     def note(self, touch: Sequence[Touch], height: float) -> None:
-        """Keep what was felt in a cycle with the hand at `height` m."""
+        """Store the load of a cycle with the hand at `height`, m."""
         goes_down = height < self._height
         self._height = height
         if height < _UP or goes_down:
@@ -38,8 +41,7 @@ class SuspendedLoad:
             self._shear = before + _FOLLOWS * (now - before)
 
     def stands(self, touch: Sequence[Touch], height: float) -> bool:
-        """Whether what hung there stands on something, with the hand at `height` m on its way
-        down."""
+        """Return True if the held object stands, with the hand at `height`, m, on its way down."""
         if height <= self._slid:
             return True
         return self._shear is not None and support(touch, self._shear) > _TABLE_FORCE

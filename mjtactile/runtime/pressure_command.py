@@ -34,8 +34,11 @@ def check(rig: Rig, wanted: Command) -> None:
 
 
 def started(rig: Rig, wanted: Command, last: Command, valves: Sequence[ValveState]) -> Command:
-    """The command before, from which the limits reckon: the first pressures begin at what the
-    gauges show; those that are silent at what is wanted."""
+    """Return the previous command, with pressures from which the rate limits start.
+
+    The first pressures start at the sensor readings, or without a reading at the requested
+    value.
+    """
     if wanted.gauge_pressure is None or last.gauge_pressure is not None:
         return last
     pairs = zip(wanted.gauge_pressure, rig.readings(valves), strict=True)
@@ -44,11 +47,10 @@ def started(rig: Rig, wanted: Command, last: Command, valves: Sequence[ValveStat
 
 
 def send(rig: Rig, command: Command, last: Command) -> None:
-    """Have each finger's valve follow a command, or let go of the air when none is commanded any
-    more.
+    """Make each finger's valve follow a command, or stop its control when no pressure is commanded.
 
     Raises:
-        DeviceError: A valve does not obey.
+        DeviceError: A valve does not respond.
     """
     if command.gauge_pressure is None and last.gauge_pressure is None:
         return

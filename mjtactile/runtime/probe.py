@@ -1,7 +1,7 @@
-"""The second job: press, hold, release, touch again, and say what the object is made of. Live on a
-rig, or replayed.
+"""Probe of an object: press, hold, release, touch again, and classify its material.
 
-Like `mjtactile.runtime.grasp` it joins the control loop to a result; no truth takes part in it.
+It runs on a rig or on a recording. Like `mjtactile.runtime.grasp` it combines the control loop and
+a result. It does not use ground truth.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from mjtactile.sensing.touch.squeeze import Squeeze
 
 
 class _Log(Observer):
-    """What the sensors said, cycle by cycle."""
+    """Observer that stores the touch of every cycle."""
 
     def __init__(self) -> None:
         self.touches: list[tuple[Touch, ...]] = []
@@ -52,15 +52,14 @@ class _Log(Observer):
 
 @dataclass(frozen=True, eq=False)
 class ProbeResult:
-    """What was found, and the history that it was found in. `frames` is the number of control
-    cycles."""
+    """Result of a probe with its time series. `frames` is the number of control cycles."""
 
     names: dict[str, Any]
     material: Material
     squeeze: Squeeze
     phases: tuple[str, ...]
     flags: Mapping[str, str] = field(default_factory=dict)
-    """What makes the simulation's numbers worse than usual: the kind of doubt, and its reason."""
+    """Reasons for reduced simulation accuracy, by kind of model error."""
 
     def summary(self) -> dict[str, Any]:
         """The JSON object of `mjtactile probe --json`; unknown is NaN here and null there."""
@@ -102,21 +101,21 @@ class ProbeResult:
 def run_probe(
     scenario: Scenario, observers: Sequence[Observer] = (), *, settings: Settings = DEFAULTS
 ) -> ProbeResult:
-    """Squeeze an object, and judge what was felt.
+    """Squeeze an object and classify its material.
 
     Args:
-        scenario: What is probed, with what; its controller moves.
-        observers: Are told what happens.
-        settings: Of the sensing chains, and of the verdict.
+        scenario: Object, rig and controller of the probe.
+        observers: Observers of the run.
+        settings: Settings of the sensing chains and of the classification.
 
     Returns:
-        The verdict, and what it rests on.
+        The material, and the data of the estimate.
 
     Raises:
-        InputError: For bad files or names.
-        ControllerError: What the controller did wrong.
-        DeviceError: For a fault; the rig is closed on every way out.
-        SimulationError: When the simulated world broke.
+        InputError: A file or name is invalid.
+        ControllerError: The controller failed.
+        DeviceError: A device failed; the rig is closed on every exit path.
+        SimulationError: The simulation failed.
     """
     watching = Observers(observers)
     controller = load_controller(scenario.controller)
@@ -147,7 +146,7 @@ def replay_probe(
             source=recording.folder,
         )
     rig = build_rig(Scenario(rig=f"replay:{recording.folder}", sensor=name))
-    session = Session(rig, settings=settings, shapes=recording.has_shapes)
+    session = Session(rig, settings=settings, contact_shapes=recording.has_shapes)
     session.take_references()
     perceptions = session.perceptions
     log = _Log()

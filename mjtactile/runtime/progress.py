@@ -1,5 +1,7 @@
-"""Progress of a run on stderr: phase, time, force and real-time factor; on a terminal one line that
-is rewritten, elsewhere (a log file, CI) one line for each phase. It never writes to stdout.
+"""Progress of a run on stderr: phase, time, force and real-time factor.
+
+On a terminal, one line is rewritten. Elsewhere (a log file, CI), one line per phase is printed.
+Nothing is written to stdout.
 """
 
 from __future__ import annotations
@@ -18,13 +20,16 @@ if TYPE_CHECKING:
     from mjtactile.runtime.cycle import Cycle
 
 _BAR = 18
-_REFRESH = 0.1  # s of wall time between two drawings of the line
+_REFRESH = 0.1  # minimum wall time between updates of the line, s
 _STEPS = PHASES[: PHASES.index("done")]  # the phases of a grasp in order: the bar counts them
 
 
 class Progress(Observer):
-    """An observer of a run, or by itself: call `update` each cycle and `message` for what happens
-    before and after; `close` ends the line."""
+    """Progress display, as an observer of a run or on its own.
+
+    On its own, call `update` in each cycle, `message` for messages before and after the run, and
+    `close` to end the line.
+    """
 
     def __init__(self, stream: TextIO | None = None, *, quiet: bool = False):
         self._stream = sys.stderr if stream is None else stream
@@ -35,19 +40,22 @@ class Progress(Observer):
         self._start_wall = self._start_time = self._drawn = -math.inf
 
     def message(self, text: str) -> None:
-        """Say one line."""
+        """Print one line."""
         if not self._quiet:
             self.close()
             print(text, file=self._stream, flush=True)
 
     def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
-        """Show a cycle, with the mean of what its fingers feel."""
+        """Show a cycle with the mean estimated force of its fingers."""
         force = float(np.mean([touch.force_normal for touch in cycle.touch]))
         self.update(cycle.sent.phase, cycle.time, force)
 
     def update(self, phase: str, time: float, force: float) -> None:
-        """`time` s on the rig's clock (shown: since the first call), `force` N mean felt normal
-        force a finger (NaN: unknown)."""
+        """Update the display.
+
+        `time`, s, is on the rig's clock and shown relative to the first call. `force`, N, is the
+        mean estimated normal force per finger (NaN: unknown).
+        """
         now = wall.perf_counter()
         if self._start_wall == -math.inf:
             self._start_wall = now

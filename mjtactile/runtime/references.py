@@ -14,8 +14,8 @@ from mjtactile.rig.finger import Finger
 from mjtactile.rig.protocols import CameraDevice, Clock
 
 REFERENCE_IMAGES = 10  # averaging ten takes the reference's noise to a third of an image's
-SETTLE_TIME = 0.5  # s for the membrane to come to rest after the valve moved
-PATIENCE = 2.0  # s to wait for an image before anything moves
+SETTLE_TIME = 0.5  # settling time of the membrane after a valve change, s
+PATIENCE = 2.0  # maximum wait for an image before any motion, s
 
 Shots = list[list[Image]]
 """Images of every finger."""
@@ -23,12 +23,12 @@ Shots = list[list[Image]]
 
 @dataclass(frozen=True, eq=False)
 class ReferenceImages:
-    """Images of the membranes in one state, with nothing touching.
+    """Images of the membranes in one reference state, without contact.
 
     Attributes:
         stage: "flat" (valves open to the air) or "rest" (inflated and sealed).
-        images: One list a finger.
-        gauge_pressure: Pa, one a valve; None: it has no pressure sensor.
+        images: One list per finger.
+        gauge_pressure: One per valve, Pa; None: no pressure sensor.
     """
 
     stage: str
@@ -41,19 +41,19 @@ def take_references(
 ) -> Iterator[ReferenceImages]:
     """Bring the membranes into each of their two reference states, and take their images there.
 
-    A generator: the second state is gone to when the first was worked on, so that a sensor that
-    does not know itself when flat is not inflated.
+    This is a generator. The second state starts after the caller has processed the first. A sensor
+    that fails its flat reference is therefore not inflated.
 
     Args:
         fingers: The sensors; nothing may touch them.
-        clock: Of their rig.
-        say: Is told which state comes.
+        clock: Clock of their rig.
+        say: Callback for messages about the next state.
 
     Yields:
         "flat", then "rest".
 
     Raises:
-        DeviceError: For a device that does not answer.
+        DeviceError: A device does not answer.
     """
     valves = [finger.valve for finger in fingers if finger.valve is not None]
     say("reference: flat, valve open")
@@ -98,7 +98,7 @@ def settled_images(
 
 
 def _mean(readings: Sequence[float | None]) -> float | None:
-    """Of what a gauge said several times; None where there is none."""
+    """Return the mean of the known pressure readings; None without any."""
     known = [reading for reading in readings if reading is not None]
     return math.fsum(known) / len(known) if known else None
 
@@ -120,5 +120,5 @@ def patient_read(camera: CameraDevice, clock: Clock, period: float) -> Image:
 
 
 def control_period(fingers: Sequence[Finger]) -> float:
-    """s: one frame of the slowest camera."""
+    """Return the control period, s: one frame of the slowest camera."""
     return 1.0 / min(finger.design.camera.rate for finger in fingers)

@@ -1,7 +1,7 @@
-"""The way to the safe state: down as far as what is held does not stand, then open, both slowly.
+"""Retreat to the safe state: lower the hand until the held object stands, then open, both slowly.
 
-Each step starts from what is measured, and the end is verified by it: the jaws are measured open,
-or no finger touches anything. What was commanded proves neither.
+Each step starts from measured values. The end is verified by measurement: the jaws are open, or no
+finger is in contact. A command alone verifies neither.
 """
 
 from __future__ import annotations
@@ -13,27 +13,34 @@ from dataclasses import replace
 from mjtactile.core.types import Command, Touch
 from mjtactile.runtime.placement_detection import SuspendedLoad
 
-RETREAT_SPEED = 0.030  # m/s of opening, and of lowering
-RETREAT_OPENING = 0.015  # m to open: an object is released, and not thrown
-RETREAT_FORCE = 4.0  # N that the servo may open with, where it was allowed less to grip
-# s, of periods: lowering 0.1 m takes 3.3 s, and longer where the loop is late or was stopped
+RETREAT_SPEED = 0.030  # speed of opening and lowering, m/s
+RETREAT_OPENING = 0.015  # additional opening, m: it releases an object without throwing it
+RETREAT_FORCE = 4.0  # minimum force limit of the servo for opening, N
+# Minimum time limit of lowering, s, counted in periods. Lowering 0.1 m takes 3.3 s, or longer if
+# the loop is late or was stopped.
 RETREAT_TIME_MAX = 5.0
-OPEN_TIME_MAX = 3.0  # s; opening takes 0.5 s, and the goal's way to where the jaws are
-# m and s: a hand above its goal has the rest of its way first, but something may keep it up
+# time limit of opening, s; it takes 0.5 s plus the time for the goal to reach the jaws
+OPEN_TIME_MAX = 3.0
+# Height tolerance, m, and time limit, s: a hand above its goal first completes its motion, unless
+# an obstacle blocks it
 _DOWN = 1e-3
 _DOWN_TIME_MAX = 1.0
-_OPEN_SLACK = 2e-3  # m short of the goal: gears' play and a soft servo
-OPENING_TOLERANCE = HEIGHT_TOLERANCE = 2e-4  # m: a servo's goal is rounded to 0.02 to 0.1 mm
+_OPEN_SLACK = 2e-3  # tolerance of the measured opening, m: backlash and a compliant servo
+# tolerance, m: a servo's goal is rounded to 0.02 to 0.1 mm
+OPENING_TOLERANCE = HEIGHT_TOLERANCE = 2e-4
 
 
 def may_hold(touch: Touch) -> bool:
-    """Whether the finger touches something, or may do so unseen."""
+    """Return True if the finger is in contact, or its contact is unknown."""
     return touch.touching or not math.isfinite(touch.force_normal)
 
 
 class Retreat:
-    """One run's way to the safe state. `next` is called once a cycle; `doubt` says afterwards what
-    could not be verified, empty: nothing."""
+    """Retreat of one run to the safe state.
+
+    `next` is called once per cycle. Afterwards, `doubt` describes the unverified part, or is
+    empty.
+    """
 
     def __init__(self, period: float):
         self._period = period
@@ -41,13 +48,13 @@ class Retreat:
         self._stands = False
         self._lowering_time = self._down_time = self._open_time = 0.0
         self._lowering_time_max = RETREAT_TIME_MAX
-        self._measured: float | None = None  # m, the last opening that is known
-        self._goal: float | None = None  # m, None: the hand is not down yet
+        self._measured: float | None = None  # last known opening, m
+        self._goal: float | None = None  # goal of the opening, m; None: the hand is not down yet
         self._way = self._before = math.nan
         self.doubt = ""
 
     def watch(self, touch: Sequence[Touch], height: float) -> None:
-        """Note what hangs on the fingers before the retreat, at `height` m."""
+        """Store the load on the fingers before the retreat, at `height`, m."""
         self._load.note(touch, height)
 
     def next(
@@ -107,7 +114,7 @@ class Retreat:
 
 
 def _doubt(touch: Sequence[Touch], opening: float, goal: float) -> str:
-    """What is measured of a hand that is not verified open, in words."""
+    """Return the measured values of a hand that is not verified open, as text."""
     jaws = "the opening is unknown"
     if math.isfinite(opening):
         jaws = f"the jaws are at {1e3 * opening:.1f} mm and not at {1e3 * goal:.1f} mm"

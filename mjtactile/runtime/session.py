@@ -39,18 +39,19 @@ Say = Callable[[str], None]
 
 
 class Session:
-    """A rig and what its sensors know of themselves.
+    """A rig with its sensing chains and their references.
 
-    Whoever builds the rig closes it: `open_session` does both.
+    The caller that builds the rig must close it: `open_session` does both.
 
     Args:
-        rig: What is driven.
-        perceptions: The sensing chain of each finger; None: made here, with `settings`.
-        settings: Of the chains that are made here.
-        threads: That perceive beside the loop (None: as many as are worth it here).
-        pool: Processes that perceive instead of threads.
-        shapes: Whether every touch has its shape, whatever the controller reads.
-        say: Is given a line where something is worth saying.
+        rig: The rig.
+        perceptions: The sensing chain of each finger; None: created here with `settings`.
+        settings: Settings of the chains created here.
+        threads: Number of perception threads in addition to the loop (None: automatic).
+        pool: Perception processes instead of threads.
+        contact_shapes: True to estimate the shape of every touch, even if the controller does not
+            require it.
+        say: Callback for messages, one line each.
     """
 
     def __init__(
@@ -61,14 +62,14 @@ class Session:
         settings: Settings = DEFAULTS,
         threads: int | None = None,
         pool: PerceptionPool | None = None,
-        shapes: bool = False,
+        contact_shapes: bool = False,
         say: Say = lambda _: None,
     ):
         self.rig = rig
         self.settings = settings
         self._threads = threads
         self._pool = pool
-        self._shapes = shapes
+        self._shapes = contact_shapes
         self._say = say
         self._supervisor = Supervisor(rig.period)
         names = tuple(finger.name for finger in rig.fingers)
@@ -81,28 +82,33 @@ class Session:
                 for finger in rig.fingers
             ]
         self.perceptions: Sequence[Perceiver] = perceptions
-        self._require_shapes(shapes)
+        self._require_shapes(contact_shapes)
 
     @property
     def disk_wait_time(self) -> float:
-        """s that this world waits for a disk that is behind: a real one does not."""
+        """Maximum wait of this world for a slow disk, s; 0 on a real rig."""
         return 0.0 if math.isfinite(self.rig.host_timeout) else WAIT_TIME
 
     @property
     def flags(self) -> Mapping[str, str]:
-        """What makes the numbers worse than usual, so far: the kind of doubt, and its reason. On a
-        real rig there is one, "beyond": its servos push more than its fingers feel."""
+        """Reasons for reduced accuracy so far, by kind of model error.
+
+        On a real rig the only kind is "unsensed_force": the servo forces exceed the forces
+        estimated on the fingers.
+        """
         return {**self.rig.flags(), **self._push.flags}
 
     def take_references(self, observer: Observer | None = None) -> None:
-        """Let every sensor measure itself: flat with the valve open to the air, then inflated,
-        sealed, touching nothing.
+        """Take the references of every sensor.
+
+        They are taken flat with the valve open to the air, then inflated and sealed, without
+        contact.
 
         Args:
-            observer: A recorder, for example: is given the images that it was done with.
+            observer: Observer that receives the reference images, for example a recorder.
 
         Raises:
-            DeviceError: When what the cameras see does not agree with the sensor file.
+            DeviceError: The camera images do not agree with the sensor file.
         """
         observer = observer or Observer()
         rig = self.rig
@@ -113,7 +119,7 @@ class Session:
             **simulated,
         )
         self._report_references(observer)
-        if rig.touch_is_synthetic:  # nobody looks at references
+        if rig.touch_is_synthetic:  # references are not used
             inflate(rig.fingers, rig.clock)
             return
         for reference in take_references(rig.fingers, rig.clock, self._say):
@@ -133,8 +139,7 @@ class Session:
                 perception.measure_rest_reference(images, finger.pressure(gauge))
 
     def _report_references(self, observer: Observer) -> None:
-        """Name the parts of calibrations that do not count, and keep all of them with what is
-        recorded."""
+        """Report the unused parts of the calibrations, and record all calibrations."""
         known = {
             finger.name: finger.calibration
             for finger in self.rig.fingers
@@ -162,35 +167,36 @@ class Session:
         observer: Observer | None = None,
         supervisor: Supervisor | None = None,
     ) -> Command:
-        """Run the controller until it says "done" or "abort"; see
-        `mjtactile.runtime.control_loop.run_loop`.
+        """Run the controller until it returns the phase "done" or "abort".
+
+        See `mjtactile.runtime.control_loop.run_loop`.
 
         Args:
-            controller: Is asked for a command in every cycle; where its file says `READS =
-                ("shape",)`, every touch has its shape.
-            time_limit: s on the rig's clock.
-            on_cycle: Is given every cycle after its command was sent.
-            observer: The same, and is also told when a cycle's images were taken.
-            supervisor: Stands between controller and rig (None: a new one).
+            controller: Controller that returns a command in every cycle. If its file contains
+                `REQUIRES = ("contact_shape",)`, every touch has its shape.
+            time_limit: Time limit on the rig's clock, s.
+            on_cycle: Function called with every cycle after its command was sent.
+            observer: Observer of every cycle, also called after the images of a cycle were taken.
+            supervisor: Supervisor between controller and rig (None: a new one).
 
         Returns:
             The last command sent.
 
         Raises:
-            InputError: The controller reads shapes, which are not drawn.
-            ControllerError: What the controller did wrong.
-            DeviceError: Also when a fault brought the rig to its safe state.
-            Interrupted: When a signal asked the process to end.
-            SimulationError: When the simulated world broke.
+            InputError: The controller requires shapes, but the touch is synthetic.
+            ControllerError: The controller failed.
+            DeviceError: A device failed; also after a fault brought the rig to its safe state.
+            Interrupted: A signal requested the end of the process.
+            SimulationError: The simulation failed.
         """
         self._supervisor = Supervisor(self.rig.period) if supervisor is None else supervisor
         watching: list[Observer] = [] if observer is None else [observer]
         if on_cycle is not None:
             watching.append(CycleCallback(on_cycle))
-        reads = "shape" in getattr(controller, "reads", ())
+        reads = "contact_shape" in getattr(controller, "reads", ())
         self._require_shapes(self._shapes or reads, controller.path if reads else None)
         notes = FlagObserver(lambda: self.flags, Observers(watching))
-        # a simulated world knows what its frames carry
+        # in simulation, the forces outside the sensors are known
         is_real = math.isfinite(self.rig.host_timeout)
         watched = [notes, self._push] if is_real else [notes]
         with signals.deferred() as stop, notes:
@@ -208,10 +214,10 @@ class Session:
 
     @contextlib.contextmanager
     def steps(self) -> Iterator[StepwiseControl]:
-        """Give the rig out step by step, in place of `run`, to whoever has a loop of his own.
+        """Provide stepwise control of the rig for a caller with its own loop, in place of `run`.
 
         Yields:
-            The steps: `observe`, then `send`, again and again.
+            The stepwise control: call `observe`, then `send`, repeatedly.
         """
         found = StepwiseControl(self.rig, self.perceptions, self._threads)
         try:
@@ -221,18 +227,23 @@ class Session:
 
     def _require_shapes(self, asks: bool, source: Path | None = None) -> None:
         if asks and self.rig.touch_is_synthetic:
-            who = "--shapes" if source is None else "a controller that reads shapes"
-            raise InputError(f"{who} needs the chain", source=source, field="--effects -chain")
+            who = (
+                "--contact-shapes" if source is None else "a controller that requires contact_shape"
+            )
+            raise InputError(
+                f"{who} needs the sensing pipeline", source=source, field="--effects -pipeline"
+            )
         for perception in self.perceptions:
-            perception.shapes = asks
+            perception.contact_shapes = asks
 
     def make_safe(self, reason: str) -> None:
-        """From the next cycle of `run` on, lower and open the hand, whatever the controller says.
+        """Lower and open the hand from the next cycle of `run` on, whatever the controller
+        commands.
 
-        For any thread.
+        It can be called from any thread.
 
         Args:
-            reason: Why, for the summary.
+            reason: Reason, for the summary.
         """
         self._supervisor.want_safe(reason)
 
@@ -247,25 +258,26 @@ def open_session(
     say: Say = lambda _: None,
     **fields: Any,
 ) -> Iterator[Session]:
-    """Build the rig of a scenario, and bring it to its safe state on every way out, which no signal
-    cuts short.
+    """Build the rig of a scenario, and bring it to its safe state on every exit path.
+
+    Signals do not interrupt the shutdown.
 
     Args:
-        scenario: A scenario; or a rig's name alone, as `--rig` takes it.
-        design: With a name: the sensor on the fingers.
-        workers: What looks at the images beside the loop (None: as many as are worth it here, 0:
-            nothing): threads on a real rig, processes beside a simulated world.
-        settings: Of the sensing chains.
-        say: Is given a line where something is worth saying.
-        **fields: With a name: other fields of the scenario (`object_name` is its object).
+        scenario: A scenario; or a rig's name alone, as for `--rig`.
+        design: Sensor on the fingers; only with a name.
+        workers: Number of perception workers in addition to the loop (None: automatic, 0: none):
+            threads on a real rig, processes in simulation.
+        settings: Settings of the sensing chains.
+        say: Callback for messages, one line each.
+        **fields: Other fields of the scenario; only with a name (`object_name` is its object).
 
     Yields:
-        The session, its references not yet taken.
+        The session, before its references are taken.
 
     Raises:
-        InputError: For bad names or files.
-        DeviceError: For a device that is not there.
-        Interrupted: When a signal asked the process to end.
+        InputError: A name or file is invalid.
+        DeviceError: A device is missing.
+        Interrupted: A signal requested the end of the process.
     """
     wanted = as_scenario(scenario, design, **fields)
     with signals.deferred():
@@ -276,7 +288,12 @@ def open_session(
             if pool is not None:
                 stack.callback(pool.close)
             yield Session(
-                built, settings=settings, threads=workers, pool=pool, shapes=wanted.shapes, say=say
+                built,
+                settings=settings,
+                threads=workers,
+                pool=pool,
+                contact_shapes=wanted.contact_shapes,
+                say=say,
             )
 
 

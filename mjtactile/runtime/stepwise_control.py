@@ -1,4 +1,4 @@
-"""`StepwiseControl`: a rig step by step, for whoever has a loop of his own."""
+"""`StepwiseControl`: stepwise control of a rig for a caller with its own loop."""
 
 from __future__ import annotations
 
@@ -13,15 +13,14 @@ from mjtactile.runtime.supervisor import Supervisor
 
 
 class StepwiseControl:
-    """The control cycle, one camera's period a step: `observe`, then `send`.
+    """Control cycle with one camera period per step: `observe`, then `send`.
 
-    As in `Session.run`, supervisor and limits stand between what is wanted and the rig, and the
-    world moves on while somebody thinks: a command takes effect one period after the images that
-    it rests on. A simulated world waits for the next `observe`; a real one's devices take a loop
-    for dead that does not come back in time.
+    As in `Session.run`, supervisor and limits apply to every command. The world moves on while the
+    caller computes, so a command takes effect one period after its images. A simulated world waits
+    for the next `observe`. The devices of a real rig stop if the loop does not return in time.
 
     Attributes:
-        images: Of the newest observation, one a finger.
+        images: Images of the newest observation, one per finger.
     """
 
     def __init__(self, rig: Rig, perceptions: Sequence[Perceiver], threads: int | None = None):
@@ -34,14 +33,14 @@ class StepwiseControl:
         self.images: tuple[Image, ...] = ()
 
     def observe(self) -> Observation:
-        """Wait for the next period, take the images, and feel them.
+        """Wait for the next period, take the images, and estimate the touch.
 
         Returns:
-            What a controller would be shown.
+            The observation, as a controller receives it.
 
         Raises:
             DeviceError: A device failed; the hand is on its way down.
-            SimulationError: The simulated world broke.
+            SimulationError: The simulation failed.
         """
         if not self._sent:
             self.send(self._cycle.last)
@@ -58,17 +57,17 @@ class StepwiseControl:
         return seen
 
     def send(self, wanted: Command) -> Command:
-        """Ask for something.
+        """Send a command.
 
         Args:
-            wanted: The command.
+            wanted: The requested command.
 
         Returns:
-            What was sent.
+            The command sent after supervisor and limits.
         """
         self._sent = True
         return self._cycle.send(wanted)
 
     def close(self) -> None:
-        """Let go of the threads that feel."""
+        """Stop the perception threads."""
         self._perceivers.__exit__()

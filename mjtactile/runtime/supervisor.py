@@ -1,12 +1,11 @@
-"""What keeps a controller and a faulty device from doing harm: one state machine between the
-controller and the rig.
+"""Supervisor: state machine between controller and rig, for protection against faults.
 
-States: `idle` (nothing sent), `armed` (references taken, ready), `running`, `holding` (something is
-unknown: the jaws do not close and the hand does not rise), `safe` (the hand goes down and opens by
-itself: `mjtactile.runtime.retreat`), `latched` (over; why is in `reason`, and in `doubt` what of
-the safe state was not verified; empty: nothing). Whatever the controller wants, a command is passed
-on only in `running`, and held back as said otherwise. The faults and their detectors:
-docs/how-to/hardware.md.
+States: `idle` (nothing sent), `armed` (references taken, ready), `running`, `holding` (an estimate
+is unknown: the jaws do not close and the hand does not rise), `safe` (the hand is lowered and
+opened automatically: `mjtactile.runtime.retreat`), `latched` (final). In `latched`, `reason` holds
+the cause, and `doubt` the unverified part of the safe state (empty: none). The controller's command
+is passed on only in `running`; the other states restrict or replace it. For the faults and their
+detectors see docs/how-to/hardware.md.
 """
 
 from __future__ import annotations
@@ -18,11 +17,11 @@ from dataclasses import dataclass, replace
 from mjtactile.core.types import Command, Touch, ValveState
 from mjtactile.runtime.retreat import Retreat
 
-BLIND_TIME_MAX = 0.5  # s without a known force before the gripper opens by itself
+BLIND_TIME_MAX = 0.5  # time without a known force before the retreat, s
 # of the sealed pressure; an object only ever raises it, temperature changes it by 1 % for 3 K
 _LEAK_FRACTION = 0.8
-# in a row, by shape; one is enough by pressure, since a valve's driver asks again for what
-# surprises
+# consecutive cycles for a leak by shape; one is enough by pressure, since the valve driver repeats
+# surprising readings
 _SINK_CYCLES = 3
 # of the volume of the untouched bulge: the same sign of a leak where there is no pressure sensor
 _BULGE_FRACTION = 0.6
@@ -31,7 +30,7 @@ STATES = ("idle", "armed", "running", "holding", "safe", "latched")
 
 @dataclass(frozen=True)
 class Transition:
-    """One change of state: when (s on the rig's clock), to what, and why."""
+    """Change of state: time on the rig's clock, s, new state, and reason."""
 
     time: float
     state: str
@@ -39,7 +38,7 @@ class Transition:
 
 
 class Supervisor:
-    """One run's state machine. `decide` is called once a cycle with what the controller wants."""
+    """State machine of one run. `decide` is called once per cycle with the controller's command."""
 
     def __init__(self, period: float):
         self._period = period
@@ -73,8 +72,11 @@ class Supervisor:
         height: float = math.nan,
         opening: float = math.nan,
     ) -> Command:
-        """The command to pass on. `last` is the one before; `height` and `opening` m are what the
-        gripper measures (NaN: unknown)."""
+        """Return the command to pass on.
+
+        `last` is the previous command. `height` and `opening`, m, are the gripper's measurements
+        (NaN: unknown).
+        """
         self._opening = opening
         self._height = height
         if self._safe_requested:
@@ -95,7 +97,7 @@ class Supervisor:
         return wanted
 
     def make_safe(self, reason: str, now: float) -> None:
-        """From here on the hand goes down and opens, whatever the controller says."""
+        """Start the retreat: the hand is lowered and opened, whatever the controller commands."""
         if self.state not in ("safe", "latched"):
             self._enter("safe", reason, now)
 
@@ -104,15 +106,20 @@ class Supervisor:
         self._safe_requested = reason
 
     def latch(self, reason: str, now: float, doubt: str = "") -> None:
-        """The end: nothing is sent any more. `doubt` is what of the safe state is not verified."""
+        """Enter the final state, after which nothing is sent.
+
+        `doubt` is the unverified part of the safe state.
+        """
         self.doubt = doubt
         self._enter("latched", self.reason if self.state == "safe" else reason, now)
 
     def _hold(
         self, now: float, wanted: Command, last: Command, touch: Sequence[Touch], why: str
     ) -> Command:
-        """Nothing is known: neither close nor lift; what only opens or lowers is let through. Too
-        long: open."""
+        """Restrict a command while forces are unknown: opening and lowering only.
+
+        After too long a time, the retreat starts.
+        """
         if self._blind_since is None:
             self._blind_since = now
             self._blind_why = why
@@ -140,7 +147,7 @@ class Supervisor:
         return command
 
     def _leak(self, touch: Sequence[Touch], valves: Sequence[ValveState]) -> str:
-        """Which sealed chamber loses gas, in words; "" for none."""
+        """Return a description of the sealed chamber that leaks, or ""."""
         if self._sealed is None or self._bulge is None:
             self._sealed = [
                 math.nan if v.is_open or v.gauge_pressure is None else v.gauge_pressure
@@ -171,8 +178,11 @@ class Supervisor:
         return f"leak: {sunk[0]}" if self._sink_cycles >= _SINK_CYCLES else ""
 
     def _note_sealed(self, i: int, touch: Touch, valve: ValveState | None) -> None:
-        """What chamber `i` was sealed with: forgotten while its valve is open (no leak), and
-        taken again when it is closed and nothing touches."""
+        """Store pressure and bulge volume of chamber `i` after sealing.
+
+        They are reset while its valve is open, which is not a leak. They are stored again when the
+        valve is closed and nothing is in contact.
+        """
         assert self._sealed is not None and self._bulge is not None
         if valve is not None and valve.is_open:
             self._sealed[i] = math.nan

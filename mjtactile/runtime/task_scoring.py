@@ -1,9 +1,9 @@
-"""What a task asks of a grasp, by ground truth: how much more than needed it gripped, whether the
-thing stands in the end, how it was set down, and whether it was let go when somebody took it.
+"""Ground-truth score of a task: grip force relative to the minimum, final pose, impact, and
+handover.
 
-The least grip is that of Coulomb's law on soft fingers: the load along the membranes and the
-torque about the axis through the fingers share friction's limit as an ellipse (Howe & Cutkosky,
-Int. J. Robotics Research 15, 1996), and all fingers press alike.
+The minimum grip force follows from Coulomb's law for soft fingers. The load along the membranes and
+the torque about the axis through the fingers share the friction limit as an ellipse (Howe &
+Cutkosky, Int. J. Robotics Research 15, 1996). All fingers have the same normal force.
 """
 
 from __future__ import annotations
@@ -23,19 +23,22 @@ from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 
 VERSION = "3"
-"""Goes up with every change of what counts or of how it is measured."""
-_EVERY = 0.02  # s between two looks at the need
-_IN_AIR = 0.01  # m of the hand, from where on the fingers alone carry the object
-_LET_GO = 0.02  # N on each finger, below which nothing is held
-_PULL = 0.3  # N of a pull, from where on letting go is asked for
-_STANDS = 5e-3  # m off the height at which it would stand
+"""Version, incremented with every change of the criteria or their measurement."""
+_EVERY = 0.02  # interval between evaluations of the minimum grip force, s
+_IN_AIR = 0.01  # minimum hand height at which the fingers alone carry the object, m
+_LET_GO = 0.02  # maximum normal force per finger of a released object, N
+_PULL = 0.3  # minimum pull that requires a release, N
+_STANDS = 5e-3  # tolerance of the height of a standing object, m
 _GENEROUS = 2.0  # a grip of so many times the need is more than asked
 
 
 @dataclass
 class TaskScorer:
-    """Watches a world in which a task is done. `pulls` has when, s after the hand was up, somebody
-    pulls with more than 0.3 N, NaN: nobody does."""
+    """Scorer of a task in a simulated world.
+
+    `pulls` is the time after the lift, s, at which a person pulls with more than 0.3 N (NaN:
+    never).
+    """
 
     world: GraspWorld
     task: Task
@@ -44,9 +47,9 @@ class TaskScorer:
     ready: list[float] = field(default_factory=list)
     """The same over the least that holds against the push that was announced, too."""
     bump: float = math.nan
-    """N s with which the object was pressed or fell onto its place, beyond its weight."""
+    """Impulse on the object during its placement, beyond its weight, N s."""
     let_go_at: float = math.nan
-    """s after the hand was up; one finger alone holds nothing."""
+    """Time of release after the lift, s; a single finger in contact does not hold an object."""
     torn: bool = False
     """It slid out of a grip that was not opened."""
     _next_check: float = -math.inf
@@ -62,7 +65,7 @@ class TaskScorer:
 
     @classmethod
     def of(cls, scenario: Scenario, rig: Rig) -> TaskScorer:
-        """Of what a scenario's seed has drawn for a simulated rig."""
+        """Create the scorer of a scenario with the events sampled for its seed."""
         task = load_task(scenario.task)
         return cls(rig.scene, task, task.draw(scenario.seed, len(rig.fingers)).pulls())
 
@@ -70,7 +73,7 @@ class TaskScorer:
         """Look at the truth after so many physics steps; `forces` N press on the fingers."""
         height = self._height()
         time = self.world.time
-        second = sorted(forces)[-2:][0]  # what presses on one finger alone is not held
+        second = sorted(forces)[-2:][0]  # contact on a single finger is not a grip
         if math.isnan(self._up_since):
             if self.is_up():
                 self._up_since = time
@@ -93,19 +96,19 @@ class TaskScorer:
                 self.ready.append(grip / (need + announced))
 
     def is_up(self) -> bool:
-        """Whether the hand is as high as what happens waits for."""
+        """Return True if the hand is at the height where the task's events start."""
         return self._height() > 0.9 * self.task.orders.lift_height
 
     def in_the_air(self) -> bool:
-        """Whether the fingers alone carry what they hold."""
+        """Return True if the fingers alone carry the object."""
         return self._height() > _IN_AIR
 
     def friction_sum(self) -> float:
-        """Of all fingers' coefficients: n mu."""
+        """Return the sum of the fingers' friction coefficients: n mu."""
         return sum(self._friction)
 
     def need(self) -> float:
-        """N that each finger must press with at least, now; 0 where nothing touches."""
+        """Return the present minimum normal force per finger, N; 0 without contact."""
         data = self.world.data
         mass = self.world.model.body_mass[self._bodies]
         total = mass.sum()
@@ -128,7 +131,7 @@ class TaskScorer:
         return load / sum(self._friction)
 
     def failure(self) -> str:
-        """What the task counts and was not done, "" for nothing."""
+        """Return the failed requirement of the task, or ""."""
         counts = self.task.counts
         if math.isfinite(counts.let_go):
             return self._handover_failure(counts.let_go)
@@ -143,7 +146,7 @@ class TaskScorer:
         return ""
 
     def measures(self) -> dict[str, float]:
-        """What was measured, by its name in results; only what is known."""
+        """Return the known measures by name."""
         found = {"impact_N_s_true": self.bump}
         if self.margins:
             margins = np.array(self.margins)
@@ -168,15 +171,18 @@ class TaskScorer:
         return f"it was let go of after {late:.1f} s of pulling" if late > within else ""
 
     def _patch(self, number: int) -> tuple[Array, float]:
-        """Middle (3,) m, frame W, of what presses on a membrane, and its mean distance from there,
-        m, by force: friction's limit in torque over that in force. 0: nothing presses."""
+        """Return center and radius of the contact patch on a membrane.
+
+        The center (3,), m, is in frame W. The radius, m, is the force-weighted mean distance from
+        it, the ratio of the friction limits in torque and force. It is 0 without contact.
+        """
         middle, radius = ground_truth.patch(self.world, number)
         if radius <= 0:
             return middle, 0.0
         data = self.world.data
         body = self.world.sensors[number].body_id
         R_WS = data.xmat[body].reshape(3, 3)
-        # vertices are no points: half of the mesh's spacing at least
+        # a vertex represents an area: at least half of the mesh spacing
         return data.xpos[body] + R_WS @ middle, max(radius, 5e-4)
 
     def _axis(self) -> Array | None:
@@ -191,7 +197,7 @@ class TaskScorer:
         return (first - second) / np.linalg.norm(first - second)
 
     def _height(self) -> float:
-        """m of the hand over where it began."""
+        """Return the height of the hand above its start, m."""
         return float(ground_truth.gripper_position(self.world)[2]) - self._gripper_start
 
     def _weight(self) -> float:

@@ -1,8 +1,8 @@
-"""`UnsensedForceMonitor`: what a rig's servos push beyond what its fingers feel, as a flag.
+"""`UnsensedForceMonitor`: flag for servo force that exceeds the force measured by the fingers.
 
-A membrane has no word of what leans on its frame, on a finger's side, or between the jaws. The
-servos' currents have, roughly: a data sheet's torque is good to 20 %, and gears take what moving
-them takes, which is learnt while nothing touches.
+A membrane cannot sense loads on its frame, on a finger's side, or between the jaws. The servo
+currents show such loads roughly. Data sheet torques are accurate to 20 %. Gear friction is learned
+while nothing touches.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ import numpy as np
 from mjtactile.core.types import Array
 from mjtactile.recording.observer import Observer
 
-KIND = "beyond"
-_LASTS = 0.3  # s: an image is older than a current, and jaws that are stopped push for a moment
-_FREE = 1.5  # times what moving took with nothing touching: gears take more under load
-_LEAST = 0.5  # N that are never judged
-_SHARE = 0.3  # of what the servos push: torque of a data sheet, currents' resolution
+KIND = "unsensed_force"
+_LASTS = 0.3  # window, s: images are older than currents, and stopped jaws push for a moment
+_FREE = 1.5  # factor on the no-load effort: gear friction grows with load
+_LEAST = 0.5  # excess that is always allowed, N
+_SHARE = 0.3  # allowed fraction of the servo force: data sheet torque, current resolution
 
 
 class UnsensedForceMonitor(Observer):
-    """Compares effort with felt forces, cycle by cycle.
+    """Comparison of the servo effort with the measured contact forces in each cycle.
 
     Args:
-        names: The fingers'.
-        period: Of a cycle, s.
+        names: Names of the fingers.
+        period: Cycle period, s.
     """
 
     def __init__(self, names: tuple[str, ...], period: float):
@@ -43,12 +43,12 @@ class UnsensedForceMonitor(Observer):
 
     @property
     def flags(self) -> Mapping[str, str]:
-        """The kind of doubt and its reason, where there has been one."""
+        """Kind and reason of the flag; empty if none was raised."""
         return {KIND: self._text} if self._text else {}
 
     def add(self, cycle: Any, view: Any = None, **truth: Any) -> None:
-        """Note one cycle; one in which anything is unknown tells nothing, and what was before it
-        counts no more."""
+        """Add one cycle. A cycle with unknown values is ignored and clears the window of earlier
+        cycles."""
         felt = float(np.mean([touch.force_normal for touch in cycle.touch]))
         effort = float(cycle.gripper.effort)
         if not math.isfinite(felt + effort):
@@ -60,12 +60,13 @@ class UnsensedForceMonitor(Observer):
         if len(self._efforts) < (self._efforts.maxlen or 0):
             return
         if not any(touch.touching for touch in cycle.touch):
-            # more than the least is no friction, but something that no finger feels
+            # effort above `_LEAST` is not friction but a load that no finger senses
             self._free = max(self._free, min(abs(float(np.mean(self._efforts))), _LEAST))
         self._judge(np.array(self._efforts), np.array(self._felt))
 
     def _judge(self, effort: Array, felt: Array) -> None:
-        """What is pushed at least, over all these cycles."""
+        """Compute the minimum excess force over the window and set the flag text if it is too
+        large."""
         beyond = effort - felt
         least = int(beyond.argmin())
         allowed = _LEAST + _FREE * self._free + _SHARE * abs(float(effort[least]))

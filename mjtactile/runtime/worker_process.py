@@ -1,5 +1,4 @@
-"""A process of this package's own beside a run: it is asked one thing at a time, by values over a
-socket, and nobody waits for it longer than he wants to."""
+"""Worker process of this package: answers one question at a time over a socket, with timeouts."""
 
 from __future__ import annotations
 
@@ -17,20 +16,21 @@ from typing import Any
 from mjtactile.core import process, scaled_clock
 from mjtactile.core.errors import DeviceError
 
-_TAKES = 10.0  # s in which a process takes a question
+_TAKES = 10.0  # time limit for a process to accept a question, s
 _NUMBER = struct.Struct("<Q")
-# bytes of memory that a process shares with its parent: two images of 1280 x 960 pixels and more.
-# Through a socket, which holds a fifth of a megabyte, both ends would take turns.
+# Memory shared between a process and its parent, bytes: two images of 1280 x 960 pixels and more. A
+# socket holds a fifth of a megabyte, so both ends would have to alternate.
 _ROOM = 1 << 22
-_EVEN = 64  # bytes at a multiple of which an array begins there
+_EVEN = 64  # alignment of arrays in the shared memory, bytes
 
 
 class WorkerProcess:
-    """A process that runs `module`, which answers on `Channel.of(sys.argv[1])`; `does` says what
-    for, in an error. It starts at once, and is given no other question before it has answered the
-    last one. Close it.
+    """Process that runs `module`, which answers on `Channel.of(sys.argv[1])`.
 
-    Raises OSError where there is no room for another process.
+    `does` describes its purpose in error messages. It starts immediately. It gets the next question
+    only after it has answered the previous one. The caller must close it.
+
+    Raises OSError if another process cannot be started.
     """
 
     def __init__(self, module: str, does: str) -> None:
@@ -54,7 +54,7 @@ class WorkerProcess:
         """Raises DeviceError when it has ended, or takes nothing."""
         try:
             while self._due and self._channel.receive(0.0) is not None:
-                self._due -= 1  # nobody waits for it any more
+                self._due -= 1  # a late answer is discarded
             self._is_late = self._due > 0
             if not self._is_late:
                 self._channel.send(*question)
@@ -64,7 +64,7 @@ class WorkerProcess:
             raise self._ended() from error
 
     def outcome(self, disk_wait_time: float) -> tuple[Any, ...] | None:
-        """The answer; None if there was none within `patience` s."""
+        """The answer; None if there was none within `disk_wait_time` s."""
         if self._is_late:
             return None
         try:
@@ -96,10 +96,13 @@ def _shared_file(size: int) -> int:
 
 
 class Channel:
-    """Values over a socket. Arrays are not pickled but follow as they are, or lie in memory that
-    was `lent` to the other end, where there is room; they arrive read-only. The other end takes
-    what it is sent within `takes` s (None: when it likes); who lends asks no more before it has an
-    answer."""
+    """Transfer of Python values over a socket.
+
+    Arrays are not pickled. They are sent as raw bytes or, if they fit, through shared memory `lent`
+    to the other end. They arrive read-only. The other end must accept a message within `takes` s
+    (None: no limit). The lending end must not send another message before it has received an
+    answer.
+    """
 
     def __init__(
         self,
@@ -150,8 +153,11 @@ class Channel:
         return True
 
     def receive(self, disk_wait_time: float | None) -> tuple[Any, ...] | None:
-        """What was sent; None if it is not all there within `patience` s (None: wait), and then it
-        is received on the next time. Raises OSError when there is no other end any more."""
+        """Return the received values.
+
+        Return None if the message is incomplete after `disk_wait_time` s (None: no limit). The next
+        call then continues to receive it. Raises OSError if the other end has closed.
+        """
         end = math.inf if disk_wait_time is None else scaled_clock.monotonic() + disk_wait_time
         while self._filled < len(self._room) or not self._sized:
             if self._filled == len(self._room):
@@ -185,8 +191,7 @@ class Channel:
 
 
 def _value(whole: memoryview, given: mmap.mmap | None) -> tuple[Any, ...]:
-    """What a message holds; its arrays stay where they are, but for those that lie in memory which
-    is the sender's: they are copied."""
+    """Return the content of a message. Arrays in the sender's memory are copied; others are not."""
     is_lent, count = struct.unpack_from("<2Q", whole)
     start = _NUMBER.size * (2 + count)
     sizes = struct.unpack_from(f"<{count}Q", whole, 2 * _NUMBER.size)

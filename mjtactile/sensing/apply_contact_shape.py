@@ -1,4 +1,4 @@
-"""What a touch becomes where it is known what body touches: area and force are the body's."""
+"""Combination of a touch with its contact shape: area and force then come from the shape."""
 
 from __future__ import annotations
 
@@ -19,15 +19,16 @@ _GAUGE_STEP = 1.02  # of the gas at rest, after which shapes want another film
 
 
 def finder_gauge(reference: Reference) -> float:
-    """Pa of the gas at rest that a finder is made for.
+    """Return the gauge pressure at rest for which a shape estimator is made, Pa.
 
-    What a touch squeezes sealed gas to is no part of it: that is in the film.
+    Compression of sealed gas by a touch is not included. The membrane model computes it.
 
     Args:
-        reference: The rest.
+        reference: Rest reference.
 
     Returns:
-        As first measured; in steps of 2 % of it where gas was let in or out, lost or grew warm.
+        The pressure as first measured. It changes in steps of 2 % if gas was let in or out, leaked
+        or became warmer.
     """
     first = reference.first.gas.gauge
     rest = reference.rest
@@ -41,17 +42,17 @@ def attach_shape(
     load: ContactLoad | None = None,
     sharpness: Array | None = None,
 ) -> Touch:
-    """A touch that knows what body it is of.
+    """Return the touch with its contact shape.
 
     Args:
-        touch: As the nodal estimate has it.
-        shape: What was found of it.
-        load: What that body bears; None: the force stays the nodal estimate's.
-        sharpness: (6,) As `with_load` has it; None: nothing.
+        touch: Touch from the nodal estimate.
+        shape: Contact shape estimate.
+        load: Load on that shape; None: the force of the nodal estimate is kept.
+        sharpness: Variance (6,), see `with_load`; None: zero.
 
     Returns:
-        The touch with `shape`; where one is known, area and outline are the body's and
-        `contact.area_source` says so, and the wrench takes up what the body bears.
+        The touch with `shape`. If the shape is known, area and outline come from the shape model,
+        `contact.area_source` names it, and the wrench is fused with `load`.
     """
     contact = touch.contact
     if contact is None or shape.kind == "unknown":
@@ -66,17 +67,17 @@ def attach_shape(
 def apply_shape_and_motion(
     touch: Touch, found: Found, after: PipelineState, sharpness: Array, settings: SlipSettings
 ) -> tuple[Touch, PipelineState]:
-    """A touch with the body that was `found`, by whose motion its slip is judged.
+    """Return the touch with the shape `found`, and its slip updated by the shape's motion.
 
     Args:
-        touch: As the nodal estimate has it.
-        found: The body, and what the press has told of it so far.
-        after: The state after the image.
-        sharpness: (6,) As `with_load` has it.
-        settings: Of slip.
+        touch: Touch from the nodal estimate.
+        found: Contact shape and the history of the contact episode.
+        after: State after the image.
+        sharpness: Variance (6,), see `with_load`.
+        settings: Slip settings.
 
     Returns:
-        The touch, and the state that remembers the press.
+        The touch, and the state with the history of the contact episode.
     """
     felt = attach_shape(touch, found.shape, found.load, sharpness)
     after = replace(after, press=found.press)
@@ -87,7 +88,7 @@ def apply_shape_and_motion(
 
 
 def membrane_displacement(before: PipelineState, after: PipelineState) -> MembraneMotion | None:
-    """How the rubber that touches has moved from one image to the next; None: unknown."""
+    """Return the motion of the rubber in contact between two images; None: unknown."""
     if before.slip is None or after.slip is None:
         return None
     return rubber_step(

@@ -1,9 +1,9 @@
-"""Stress of the sheet and its derivative, by the law of the sensor's file
-(docs/theory/membrane_inverse.md, Eq. F4). For sensing; the simulator has code of its own.
+"""Membrane stress and its derivative by the constitutive law of the sensor file
+(docs/theory/membrane_inverse.md, Eq. F4). For sensing only; the simulator has separate code.
 
-Both are functions of the right Cauchy-Green tensor C of the sheet against its free state. For a
-neo-Hookean sheet S = mu (I - q A) with A = tr(C) I - C and q = c / det C, and dq/dC = q' A, since A
-is the derivative of det C.
+Both are functions of the right Cauchy-Green tensor C of the membrane, relative to its free state.
+For a neo-Hookean membrane S = mu (I - q A) with A = tr(C) I - C and q = c / det C. dq/dC = q' A,
+since A is the derivative of det C.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _MIN_POISSON = 0.005  # below, exp(1 / nu) is no number, and the thickness hardl
 
 
 class ConstitutiveLaw:
-    """Stress and moduli, N/m, of one sensor's sheet: what its thickness carries."""
+    """Stress and moduli of one sensor's membrane, integrated over its thickness, N/m."""
 
     def __init__(self, sheet: Membrane):
         self._law = sheet.law
@@ -36,8 +36,11 @@ class ConstitutiveLaw:
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """Whether it is neo-Hookean, its modulus and Poisson's ratio, and of `table` the first
-        place and places per unit, as kernels/spline_fem.h has them."""
+        """Parameters as kernels/spline_fem.h expects them.
+
+        1 if neo-Hookean, the modulus, Poisson's ratio, and the first abscissa and samples per unit
+        of `table`.
+        """
         neo_hookean = self._law is not Law.STVK
         per_unit = (len(_LOG_DET) - 1) / (_LOG_DET[-1] - _LOG_DET[0])
         return (

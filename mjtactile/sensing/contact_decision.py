@@ -1,5 +1,5 @@
-"""What an estimate says of the touch: whether the membrane is touched, where, and whether it slips;
-or what is doubtful about it."""
+"""Contact, contact position and slip from an estimate, or a status that explains why it is
+unreliable."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from mjtactile.sensing.settings import Settings
 from mjtactile.sensing.touch import slip
 from mjtactile.sensing.touch.patches import find_patches, together
 
-_OVERLOADS_SURE = 2  # images in a row: a torn picture is no overload
+_OVERLOADS_SURE = 2  # images in a row: a single torn image is not an overload
 
 
 class ContactDecision:
-    """Judges estimates of one sensor; nothing changes.
+    """Evaluation of the estimates of one sensor. Stateless.
 
     Args:
-        inverse: Its tractions.
-        force: Its measured force scale; None: nothing was measured.
-        settings: The stages' chosen numbers.
+        inverse: Traction estimator of the sensor.
+        force: Measured force scale; None: not measured.
+        settings: Settings of the stages.
     """
 
     def __init__(self, inverse: InverseMembrane, force: ForceScale | None, settings: Settings):
@@ -49,8 +49,10 @@ class ContactDecision:
         return replace(state.without_history(), shape=shape, unexplained=missed, lost_at=force)
 
     def failure_status(self, state: PipelineState) -> Status:
-        """What an image that nothing explains says: one of several after a large force was too much
-        of it."""
+        """Return the status of an image that no membrane shape explains.
+
+        Several such images in a row after a large force mean an overload.
+        """
         force = state.lost_at
         most = self._settings.inverse.overload_min
         if force is None or state.unexplained < _OVERLOADS_SURE or np.linalg.norm(force) < most:
@@ -81,7 +83,7 @@ class ContactDecision:
         return traction if force is None else force.apply(traction)
 
     def _patches(self, estimate: Estimate) -> tuple[Contact, ...]:
-        """Where it is touched, with the forces as a measured force scale has them."""
+        """Return the contact patches, with forces corrected by the measured force scale."""
         patches = find_patches(self._inverse, estimate.shape, estimate.rest, self._settings.patches)
         force = self._force
         if force is None:
@@ -91,7 +93,8 @@ class ContactDecision:
     def judge(
         self, touch: Touch, traction: Traction, estimate: Estimate, moved: float
     ) -> tuple[Touch, PipelineState]:
-        """Whether it is touched, where, and whether it slips; or what is doubtful about it."""
+        """Decide on contact, contact position and slip, or set a status if the estimate is
+        unreliable."""
         s = self._settings
         state = estimate.state
         shape = estimate.shape

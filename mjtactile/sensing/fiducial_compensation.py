@@ -1,5 +1,8 @@
-"""What fiducials do for the chain: they are kept apart from markers, and markers are taken back to
-where a camera would see them that is as it was at the rest reference."""
+"""Use of fiducials in the sensing chain.
+
+They are separated from markers. Markers are corrected to their positions as seen by the camera at
+the rest reference.
+"""
 
 from __future__ import annotations
 
@@ -39,14 +42,14 @@ class FiducialCompensation:
         )
 
     def stand(self, seen: FiducialDetections) -> tuple[Array, float]:
-        """Say where fiducials stand in a picture.
+        """Estimate the image shift and scale from the fiducials.
 
         Args:
-            seen: Two and more of them.
+            seen: At least two detected fiducials.
 
         Returns:
-            By how much the picture's middle stands right and down of where the sensor file has it,
-            (2,) px, and how many times as large all is.
+            Shift of the image center to the right and down relative to the sensor file (2,), px,
+            and the scale factor.
         """
         places = self._circles.places_px[seen.ids]
         away = places - self._middle
@@ -59,16 +62,16 @@ class FiducialCompensation:
         return np.array([right, down]), 1 + float(more)
 
     def look(self, state: PipelineState, ellipses: Ellipses) -> tuple[Ellipses, PipelineState]:
-        """Tell fiducials from markers, and the camera by them.
+        """Separate fiducials from markers, and estimate the camera drift from them.
 
         Args:
-            state: What the image before left.
+            state: State from the previous image.
             ellipses: All circles of an image.
 
         Returns:
-            Those of markers, in a picture that is taken back to that of the rest reference, where
-            there is one; and the state with the fiducials, and the camera as it is now. Where too
-            few fiducials are seen, it is near where it was last.
+            The ellipses of the markers and the state with fiducials and camera drift. With a rest
+            reference, the ellipses are transformed back to its image. If too few fiducials are
+            detected, the camera drift is assumed near its last estimate.
         """
         reference = state.reference
         before = None if reference is None else reference.fiducials
@@ -81,14 +84,15 @@ class FiducialCompensation:
         return ellipses, replace(state, camera=camera, fiducials=seen)
 
     def undone(self, state: PipelineState, markers: Markers) -> tuple[Markers, PipelineState]:
-        """Take markers back to where the camera of the rest reference would see them.
+        """Correct the markers to the camera of the rest reference.
 
         Args:
-            state: With the camera as it is now.
-            markers: Of a picture that is taken back.
+            state: State with the current camera drift.
+            markers: Markers from the transformed image.
 
         Returns:
-            The markers, with the fiducials beside, and the state with what is in doubt of them.
+            The markers with the fiducials attached, and the state with the remaining camera
+            uncertainty.
         """
         p_SM = markers.p_SM
         reference = state.reference

@@ -26,13 +26,13 @@ from mjtactile.sensing.settings import Settings
 
 
 class MarkerDetector:
-    """Sees the markers of one sensor; nothing changes.
+    """Marker detector of one sensor. Stateless.
 
     Args:
-        design: The sensor's values, with its measured lens.
-        camera: Its camera.
-        estimator: Says how many markers are enough.
-        settings: The stages' chosen numbers.
+        design: Sensor design, with its measured lens.
+        camera: Camera of the sensor.
+        estimator: Membrane estimator; it defines the minimum number of markers.
+        settings: Settings of the stages.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class MarkerDetector:
     def _ellipses(
         self, tracks: tracking.Tracks | None, image: Image
     ) -> tuple[Ellipses, tracking.Tracks | None]:
-        """The markers' ellipses in the image, followed by `tracks`, and what finds them in the
+        """Return the markers' ellipses in the image, tracked by `tracks`, and the tracks for the
         next."""
         if isinstance(image, SyntheticEllipses) and image.ellipses is not None:
             return image.ellipses, None
@@ -100,7 +100,7 @@ class MarkerDetector:
         )
 
     def enough(self, markers: Markers) -> Status:
-        """Whether so many markers were seen that the shape is no guess; see
+        """Check that enough markers were detected to determine the shape; see
         `SensingPipeline.enough`."""
         seen = len(markers)
         if self._are_enough(seen):
@@ -112,16 +112,16 @@ class MarkerDetector:
         """Find the markers of one image for a reference.
 
         Args:
-            state: With the flat reference.
-            image: The image.
-            expected: Where they are about, (N, 3) m in S.
-            what: The reference, for messages.
+            state: State with the flat reference.
+            image: Image to search.
+            expected: Approximate marker positions (N, 3), m, frame S.
+            what: Name of the reference, for messages.
 
         Returns:
             The markers.
 
         Raises:
-            DeviceError: The picture is overexposed, or too few are seen.
+            DeviceError: The image is overexposed, or too few markers are detected.
         """
         ellipses, tracks = self._ellipses(None, image)  # searched, not followed
         self._require_levels(image, ellipses, what)
@@ -152,8 +152,11 @@ class MarkerDetector:
 
 
 def _largest_px(design: SensorDesign, camera: Camera) -> float:
-    """Radius, px, of no marker: twice that of one at the pane. Only a frame that is no rectangle
-    has an edge that looks like a circle, and encloses all markers."""
+    """Return a radius above that of any marker, px: twice that of a marker at the glass.
+
+    Only a frame that is not rectangular has an edge that looks like a circle and encloses all
+    markers.
+    """
     if design.frame.outline is None:
         return math.inf
     nearest = max(design.camera.distance - design.chamber.depth, 1e-3)

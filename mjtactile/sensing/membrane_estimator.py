@@ -1,4 +1,5 @@
-"""The membrane's shape from one image's markers, with what a pressure gauge says of the gas."""
+"""Estimation of the membrane shape from the markers of one image, together with the gas state from
+a pressure sensor."""
 
 from __future__ import annotations
 
@@ -24,9 +25,11 @@ _SET_ASIDE_FRACTION = 0.03  # of the markers, and at least one: more are not dir
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """The `shape` that the `markers` show, measured against the sensor at `rest`, and the `state`
-    in which the gas is known as well as gauge and shape say. Where without a history two shapes
-    explain them, `other` is the one that is less likely."""
+    """Membrane `shape` estimated from the `markers`, relative to the sensor at `rest`.
+
+    `state` contains the gas state, from pressure sensor and shape. If without a history two shapes
+    explain the markers, `other` is the less likely one.
+    """
 
     markers: Markers
     shape: Shape
@@ -36,12 +39,12 @@ class Estimate:
 
 
 class MembraneEstimator:
-    """Finds the membrane's shape in what the images show; nothing changes.
+    """Membrane shape estimator of one sensor. Stateless.
 
     Args:
-        design: The sensor's values.
-        inverse: Its membrane.
-        settings: The stages' chosen numbers.
+        design: Sensor design.
+        inverse: Traction estimator of the sensor's membrane.
+        settings: Settings of the stages.
     """
 
     def __init__(self, design: SensorDesign, inverse: InverseMembrane, settings: Settings):
@@ -58,18 +61,19 @@ class MembraneEstimator:
         time: float,
         reading: PressureReading | None,
     ) -> Estimate:
-        """The shape that explains these markers, or all but one: dirt on a marker makes it look
-        larger, and nearer. It is left out from then on.
+        """Estimate the shape that explains these markers, or all but one.
+
+        Dirt on a marker makes it look larger, and nearer. Such a marker is excluded from then on.
 
         Args:
-            state: What the image before left.
-            reference: The sensor at rest.
-            markers: What was seen.
-            time: Of the image's capture, s.
-            reading: Newest reading of the chamber's pressure gauge; None: there is none.
+            state: State from the previous image.
+            reference: Sensor at rest.
+            markers: Detected markers.
+            time: Capture time of the image, s.
+            reading: Newest reading of the chamber's pressure sensor; None: no reading.
 
         Returns:
-            The estimate; `fits_markers` says whether its shape fits.
+            The estimate; `fits_markers` checks if its shape fits.
         """
         known = without(markers, state.set_aside)
         found = self._with_gas(state, reference, known, time, reading)
@@ -81,7 +85,7 @@ class MembraneEstimator:
             found = self._static_retry(state, reference, found, time, reading)
         elif state.shape is not None:
             found = self._missed_touch_retry(state, state.shape, reference, found, time, reading)
-        # a camera that is seen is not knocked; gas that no gauge measures may be lost
+        # a camera observed by fiducials is not knocked; gas without a pressure sensor may be lost
         sure = state.knocked >= KNOCKS_SURE or (is_seen and found.state.gas is not None)
         if not sure:
             found = self._knock_retry(state, reference, found, time, reading)
@@ -98,12 +102,14 @@ class MembraneEstimator:
         return again if self.fits_markers(again.shape) else found
 
     def has_enough_markers(self, seen: int) -> bool:
-        """Whether from so many markers the shape is no guess."""
+        """Return True if this number of markers determines the shape."""
         return seen >= self._settings.min_detected * self._design.markers.count
 
     def fits_markers(self, shape: Shape) -> bool:
-        """Whether the markers fit this shape; where all of them have drifted together they do, and
-        the reference is lost."""
+        """Return True if the markers fit this shape.
+
+        If all of them have drifted together, they fit, and the reference is lost.
+        """
         s = self._settings
         drifted = shape.drift > s.zero.drift_max
         load = float(np.linalg.norm(self._inverse.force(shape)))
@@ -119,8 +125,11 @@ class MembraneEstimator:
         time: float,
         reading: PressureReading | None,
     ) -> Estimate:
-        """What is found without a history. A large load and a camera that has changed may explain
-        one image as well, and nothing before it says which: then the camera is as it was."""
+        """Return the estimate without a history, for a camera without drift if that also fits.
+
+        A large load and a camera drift may explain one image equally well. Without earlier images,
+        the camera is assumed unchanged.
+        """
         load = float(np.linalg.norm(self._inverse.force(found.shape)))
         if load < self._settings.inverse.cold_load:
             return found
@@ -128,12 +137,12 @@ class MembraneEstimator:
         again = self._with_gas(state, reference, found.markers, time, reading, camera=steady)
         if not self.fits_markers(again.shape):
             return found
-        # which says nothing of the camera
+        # this fit carries no information on the camera
         again = replace(again, state=replace(again.state, belief=None))
         return replace(again, other=found.shape)
 
     def _has_changed(self, shape: Shape) -> bool:
-        """Whether the camera is not what images before have told."""
+        """Return True if the camera differs from the drift estimated in earlier images."""
         share = shape.camera**2 / shape.gain.observed_drift[1:]
         return bool(share[:MODES].max() > self._settings.inverse.changed_min**2)
 
@@ -146,8 +155,11 @@ class MembraneEstimator:
         time: float,
         reading: PressureReading | None,
     ) -> Estimate:
-        """What is found, or what is found without a history where the markers fit that much better:
-        where nothing was felt before, a touch may not be believed, nor the markers that show it."""
+        """Return `found`, or the estimate without a history if it fits the markers much better.
+
+        After a phase without contact, the prior may reject a new touch and the markers that show
+        it.
+        """
         s = self._settings.inverse
         misfit = found.shape.misfit
         excess = float(found.shape.excess[0].mean())
@@ -171,8 +183,7 @@ class MembraneEstimator:
         time: float,
         reading: PressureReading | None,
     ) -> Estimate:
-        """What is found if the camera was knocked, where that explains the markers; else what was
-        `found`."""
+        """Return the estimate for a knocked camera if that explains the markers, else `found`."""
         shape = found.shape
         if shape.drift > self._settings.inverse.knock_min:
             sure = replace(state, knocked=KNOCKS_SURE, belief=None)
@@ -192,10 +203,10 @@ class MembraneEstimator:
         *,
         camera: CameraDriftFilter | None = None,
     ) -> Estimate:
-        """The shape, and the gas as well as it is known.
+        """Estimate the shape together with the gas state.
 
-        In a sealed chamber a reading is weighed with the volume that the image shows; where it says
-        much that was not known, the image is looked at again.
+        In a sealed chamber a reading is combined with the volume from the image. If it carries much
+        new information, the image is evaluated again.
         """
         rest = reference.rest
         before = camera or self._camera(state, time)
@@ -238,8 +249,8 @@ class MembraneEstimator:
         markers: Markers,
         time: float,
     ) -> tuple[Shape, InverseRest, float]:
-        """The shape with what is known of the gas, the sensor at rest with it, and the gas's
-        volume, m^3."""
+        """Return the shape for the given gas state, the sensor at rest with it, and the gas volume,
+        m^3."""
         chamber = self._design.chamber
         now, sd = self.gauge.gas_at(gas, time)
         rest = self._inverse.with_gas(rest, now, sd, gas.seen[-1][1])
@@ -259,7 +270,7 @@ class MembraneEstimator:
         return self._inverse.estimate(markers, rest, state.shape, camera=camera, lost=lost)
 
     def _camera(self, state: PipelineState, time: float) -> CameraDriftFilter | CameraDriftEstimate:
-        """What is known of the camera before the image is looked at."""
+        """Return the prior of the camera drift before the image is evaluated."""
         s = self._settings.inverse
         if state.camera is not None:
             return state.camera
@@ -275,9 +286,11 @@ class MembraneEstimator:
         rest: InverseRest,
         time: float,
     ) -> CameraDriftFilter | None:
-        """What is known of it afterwards, where it is not seen. How far the sheet bulges at another
-        pressure than that of the reference, or under a load, is the model's word, and tells little
-        of a camera."""
+        """Return the camera drift filter after the image; None if fiducials observe the camera.
+
+        At another pressure than that of the reference, or under a load, the bulge height depends on
+        the model. Then the image carries little information on the camera.
+        """
         if not isinstance(before, CameraDriftFilter):
             return None
         moved = rest.gauge_pressure - reference.first.gas.gauge

@@ -1,14 +1,15 @@
-"""One sensor's chain from an image to touch; the only place where the stages meet. Works from
-pixels alone.
+"""Sensing chain of one sensor, from an image to a touch; the only module where the stages meet. It
+uses pixels only.
 
-A `SensingPipeline` is what stays the same: the sensor and the operators made from its design. A
-`PipelineState` is what one image leaves for the next. `step(state, image, now)` gives the touch and
-the next state and changes nothing, so that a state can be kept, replayed, handed to another
-process, or tried twice.
+A `SensingPipeline` is the constant part: the sensor and the operators made from its design. A
+`PipelineState` is the part passed from one image to the next. `step(state, image, now)` returns the
+touch and the next state and changes nothing. So a state can be stored, replayed, passed to another
+process, or used twice.
 
 A sensor first measures its own reference, as the real device must: the flat membrane with the valve
-open, then the inflated one with nothing touching. `StatefulPipeline` keeps a chain and its newest
-state together for those that only go forward."""
+open, then the inflated one without contact. `StatefulPipeline` combines a chain with its newest
+state, for purely sequential use.
+"""
 
 from __future__ import annotations
 
@@ -53,15 +54,15 @@ from mjtactile.sensing.touch import slip
 
 
 class SensingPipeline:
-    """The sensing chain of one sensor: operators made from its design once; nothing changes.
+    """Sensing chain of one sensor. Stateless; its operators are made from the design once.
 
-    What was measured of it stands in for what the sensor file says, but for parts that are
-    outdated. The force comes from inverse finite elements.
+    Calibrated values replace those of the sensor file, unless they are outdated. The force comes
+    from inverse finite elements.
 
     Args:
-        design: The sensor file's values.
-        calibration: What was measured of this sensor; None: nothing.
-        settings: The stages' chosen numbers.
+        design: Sensor design from the sensor file.
+        calibration: Calibration of this sensor; None: no calibration.
+        settings: Settings of the stages.
     """
 
     def __init__(
@@ -86,7 +87,7 @@ class SensingPipeline:
         self._judge = ContactDecision(self.inverse, self._measured.force, settings)
 
     def begin(self) -> PipelineState:
-        """Make the state before anything was measured: what the sensor file says.
+        """Make the state before any measurement, from the sensor file.
 
         Returns:
             A state without references.
@@ -146,21 +147,21 @@ class SensingPipeline:
         *,
         sealed: bool = True,
     ) -> PipelineState:
-        """Measure the inflated membrane with nothing touching.
+        """Measure the inflated membrane without contact.
 
         Args:
-            state: With the flat reference.
-            images: Of the membrane at rest.
-            gauge_pressure: Pa in the chamber, above ambient.
-            sealed: Whether the chamber keeps its gas from here on; otherwise the valve keeps its
+            state: State with the flat reference.
+            images: Images of the membrane at rest.
+            gauge_pressure: Gauge pressure in the chamber, Pa.
+            sealed: True if the chamber keeps its gas from here on; otherwise the valve keeps its
                 pressure.
 
         Returns:
             The state with the rest reference, without history.
 
         Raises:
-            DeviceError: The membrane does not bulge as it must: a valve that did not move where no
-                pressure sensor says so, or another membrane.
+            DeviceError: The membrane does not bulge as predicted. The valve did not move, without a
+                pressure sensor to report it, or the membrane is another one.
         """
         markers = self.detect_rest_markers(state, images)
         time = max(image.time for image in images)
@@ -201,18 +202,18 @@ class SensingPipeline:
         """Use a rest state that was measured before; see `measure_rest_reference`.
 
         Args:
-            state: With the flat reference.
-            markers: At rest.
-            gauge_pressure: Pa in the chamber then.
-            sealed: Whether the chamber keeps its gas.
-            time: When it was measured, s on the images' clock; left out: so long ago that rubber
-                that relaxes has done so.
+            state: State with the flat reference.
+            markers: Markers at rest.
+            gauge_pressure: Gauge pressure in the chamber then, Pa.
+            sealed: True if the chamber keeps its gas.
+            time: Time of the measurement, s, on the images' clock; default: so long ago that stress
+                relaxation of the rubber is complete.
 
         Returns:
             The state with the rest reference, without history.
 
         Raises:
-            DeviceError: The markers are no bulge of the sensor file's.
+            DeviceError: The markers do not show the bulge of the sensor file.
         """
         self.sight.require(markers, "rest reference")
         inflated_s = math.inf if math.isinf(time) else time - state.flat_at
@@ -242,22 +243,22 @@ class SensingPipeline:
     def _remembered(
         self, rest: InverseRest, inflated_s: float, time: float
     ) -> RelaxationState | None:
-        """What the rubber remembers at the rest reference; None: it does not relax."""
+        """Return the relaxation state of the rubber at the rest reference; None: no relaxation."""
         if self.inverse.rubber is None:
             return None
         return self.inverse.rubber.begin(rest.c, rest.young, inflated_s, time)
 
-    # -- what touches
+    # -- contact shape
 
     def make_shape_estimator(self, state: PipelineState) -> ContactShapeEstimator:
-        """Make what finds shapes with this rest; a tenth of a second, once for a rest.
+        """Make the contact shape estimator for this rest reference; takes 0.1 s, once per
+        reference.
 
         Args:
-            state: With the rest reference.
+            state: State with the rest reference.
 
         Returns:
-            The finder: of the rest as it was first measured, and of about the gas that is there
-            now.
+            The estimator: for the rest as it was first measured, and approximately the current gas.
 
         Raises:
             DeviceError: The rest reference is missing.
@@ -270,15 +271,15 @@ class SensingPipeline:
     def estimate_contact_shape(
         self, state: PipelineState, touches: Sequence[Touch], finder: ContactShapeEstimator
     ) -> ContactShape:
-        """Say what body touches in the newest of some touches.
+        """Estimate the contact shape in the newest of several touches.
 
         Args:
-            state: With the rest reference.
-            touches: Of one press, oldest first.
-            finder: Of this rest.
+            state: State with the rest reference.
+            touches: Touches of one contact episode, oldest first.
+            finder: Shape estimator for this rest reference.
 
         Returns:
-            The shape; "unknown", with a status, where it cannot be said.
+            The shape; "unknown", with a status, if it cannot be estimated.
 
         Raises:
             DeviceError: The rest reference is missing.
@@ -292,16 +293,17 @@ class SensingPipeline:
         touch: Touch,
         finder: ContactShapeEstimator,
     ) -> tuple[Touch, PipelineState]:
-        """Find what body touches, from what the images before have told of it.
+        """Estimate the contact shape, using the history of earlier images.
 
         Args:
-            before: The state before the image.
-            after: The state after it.
-            touch: What it was felt to be.
-            finder: Of this rest.
+            before: State before the image.
+            after: State after the image.
+            touch: Touch estimated from the image.
+            finder: Shape estimator for this rest reference.
 
         Returns:
-            The touch with its shape, area and force by it, and the state that remembers the press.
+            The touch with its shape, and area and force from it, and the state with the history of
+            the contact episode.
 
         Raises:
             DeviceError: The rest reference is missing.
@@ -314,7 +316,7 @@ class SensingPipeline:
         return apply_shape_and_motion(touch, found, after, sharpness, self.settings.slip)
 
     def _rest_markers(self, state: PipelineState) -> Array:
-        """Where they stand at rest, (N, 3) m in S."""
+        """Return the marker positions at rest (N, 3), m, frame S."""
         rest = state.required(self.design.name, "a shape").rest
         return self.inverse.positions(rest.c) + rest.offset
 
@@ -323,16 +325,17 @@ class SensingPipeline:
     def step(
         self, state: PipelineState, image: Image, now: float, reading: PressureReading | None = None
     ) -> tuple[Touch, PipelineState]:
-        """Feel what one image shows. Changes nothing: the same state and image give the same touch.
+        """Estimate the touch from one image. Stateless: the same state and image give the same
+        touch.
 
         Args:
-            state: What the image before left, with both references.
-            image: The image.
-            now: s on the clock of the image's time.
-            reading: Newest reading of the chamber's pressure gauge; None: there is none.
+            state: State from the previous image, with both references.
+            image: Image to evaluate.
+            now: Current time on the images' clock, s.
+            reading: Newest reading of the chamber's pressure sensor; None: no reading.
 
         Returns:
-            The touch, in whose status is what is wrong with the image, and the state for the next.
+            The touch, whose status reports problems of the image, and the next state.
 
         Raises:
             DeviceError: The references are missing.
@@ -356,22 +359,22 @@ class SensingPipeline:
         """Find and identify the markers in one image.
 
         Args:
-            state: What the image before left.
-            image: The image.
+            state: State from the previous image.
+            image: Image to evaluate.
 
         Returns:
-            The markers in S, and the state in which they are expected where they are now.
+            The markers in S, and the state with their expected positions updated.
         """
         return self.sight.see(state, image)
 
     def enough(self, markers: Markers) -> Status:
-        """Judge whether so many markers were seen that the shape is no guess.
+        """Check that enough markers were detected to determine the shape.
 
         Args:
-            markers: What was seen.
+            markers: Detected markers.
 
         Returns:
-            "ok", or why not.
+            "ok", or the reason.
         """
         return self.sight.enough(markers)
 
@@ -383,17 +386,17 @@ class SensingPipeline:
         time: float,
         reading: PressureReading | None = None,
     ) -> tuple[Touch, PipelineState]:
-        """Find force, contact and slip from markers and surface.
+        """Estimate force, contact and slip from markers and surface.
 
         Args:
-            state: What the image before left, with both references.
-            markers: What was seen.
-            surface: The membrane's shape through them.
-            time: Of the image's capture, s.
-            reading: Newest reading of the chamber's pressure gauge; None: there is none.
+            state: State from the previous image, with both references.
+            markers: Detected markers.
+            surface: Membrane surface through the markers.
+            time: Capture time of the image, s.
+            reading: Newest reading of the chamber's pressure sensor; None: no reading.
 
         Returns:
-            The touch, as old as the image, and the state for the next.
+            The touch at the time of the image, and the next state.
 
         Raises:
             DeviceError: The rest reference is missing.

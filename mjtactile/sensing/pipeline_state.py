@@ -1,4 +1,4 @@
-"""What one image leaves for the next: the references of a sensor, and what was seen since."""
+"""State passed from one image to the next: the references of a sensor, and the history since."""
 
 from __future__ import annotations
 
@@ -20,14 +20,17 @@ from mjtactile.sensing.image import tracking
 from mjtactile.sensing.pose.flat_reference import FlatReference
 from mjtactile.sensing.touch import slip
 
-KNOCKS_SURE = 3  # images in a row: a torn picture is no knock
+KNOCKS_SURE = 3  # images in a row: a single torn image is not a knock
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What the chain knows of its own sensor at rest: its statics, its `surface`, the statics as
-    they were `first` measured, before they followed temperature and leaks, and where its
-    `fiducials` were seen (None: it has none)."""
+    """Reference of the sensor at rest.
+
+    `rest` is its statics and `surface` its surface. `first` is the statics as first measured,
+    before tracking of temperature and leaks. `fiducials` are their detected positions (None: no
+    fiducials).
+    """
 
     rest: InverseRest
     surface: Surface
@@ -37,18 +40,25 @@ class Reference:
 
 @dataclass(frozen=True, eq=False)
 class PipelineState:
-    """What one image leaves for the next: the sensor's own references (`flat`, and `reference` once
-    at rest), the marker positions `expected` (M, 3) m in S, the membrane's `shape`, the histories
-    of touch and slip, the markers' `tracks`, how far they stand `apart` (M, 3) m from the
-    zero, the `gas`, where a gauge measures it, the markers `set_aside` since nothing explains
-    where they seem to be, and in how many images up to this one the camera seemed `knocked`, or,
-    where fiducials show it, gas seemed lost: from `KNOCKS_SURE` on it was; since nothing explains
-    the markers, for how many images, `unexplained`, and the force (3,) N in the last one before
-    that they did explain, `lost_at`; the last image's `fiducials`, and the `camera` that they
-    showed, or without any what markers have told of it, `belief`; what its pictures have told of
-    how far they `blend`; what its images have told of the
-    body of this `press`, where somebody asks for shapes; and of rubber that relaxes when the flat
-    membrane was seen last, `flat_at` s, and what it remembers (`rubber`)."""
+    """State passed from one image to the next.
+
+    - `flat`, and `reference` once at rest: the sensor's own references.
+    - `expected` (M, 3): expected marker positions, m, frame S.
+    - `shape`: membrane shape; `detection`, `slip`: histories of touch and slip.
+    - `tracks`: marker tracks; `apart` (M, 3): deviation of the markers from the zero, m.
+    - `gas`: gas state, with a pressure sensor.
+    - `set_aside`: markers excluded because their apparent positions cannot be explained.
+    - `knocked`: number of successive images in which the camera seemed knocked, or, with fiducials,
+      gas seemed lost; from `KNOCKS_SURE` on this is accepted.
+    - `unexplained`: number of images since the markers could not be explained; `lost_at` (3,):
+      force in the last explained image, N.
+    - `fiducials`: those of the last image; `camera`: camera drift from them; `belief`: without
+      fiducials, camera drift from the markers.
+    - `blend`: blending of images in the camera.
+    - `press`: shape history of this contact episode, if shapes are requested.
+    - `flat_at`: time of the last flat membrane, s, and `rubber`: relaxation state, for rubber with
+      relaxation.
+    """
 
     flat: FlatReference
     expected: Array
@@ -72,14 +82,16 @@ class PipelineState:
     rubber: RelaxationState | None = None
 
     def required(self, sensor: str, what: str) -> Reference:
-        """The rest reference. Raises DeviceError, of `what` came before it, where there is none."""
+        """Return the rest reference. Raises DeviceError, which names `what`, if it is missing."""
         if self.reference is None:
             raise DeviceError(f"sensor {sensor}: {what} before the rest reference")
         return self.reference
 
     def without_history(self) -> PipelineState:
-        """The same references, as if no image had been seen since; what is known of the gas
-        and of the rubber stays."""
+        """Return the state with the same references, but without the images since.
+
+        The states of gas and rubber are kept.
+        """
         return replace(
             self,
             shape=None,

@@ -17,20 +17,25 @@ from mjtactile.sensing.settings import DEFAULTS, Settings
 
 
 class StatefulPipeline:
-    """A chain and its newest state, for those that only go forward in time.
+    """A chain and its newest state, for callers that only go forward in time.
 
     Args:
         chain: The chain.
-        state: Where to begin; None: before anything was measured.
-        shapes: Whether every touch has its `shape`; docs/reference/effects.md has what that costs.
+        state: Initial state; None: the state before any measurement.
+        contact_shapes: True if every touch gets its `shape`; docs/reference/effects.md lists the
+            cost.
     """
 
     def __init__(
-        self, chain: SensingPipeline, state: PipelineState | None = None, *, shapes: bool = False
+        self,
+        chain: SensingPipeline,
+        state: PipelineState | None = None,
+        *,
+        contact_shapes: bool = False,
     ):
         self.chain = chain
         self.state = chain.begin() if state is None else state
-        self.shapes = shapes
+        self.contact_shapes = contact_shapes
         self._finder: tuple[tuple[InverseRest, float], ContactShapeEstimator] | None = None
 
     @classmethod
@@ -41,15 +46,15 @@ class StatefulPipeline:
         *,
         settings: Settings = DEFAULTS,
     ) -> StatefulPipeline:
-        """Begin with a sensor that has no references yet.
+        """Create a pipeline for a sensor that has no references yet.
 
         Args:
             design: The sensor file's values.
-            calibration: What was measured of this sensor; None: nothing.
-            settings: The stages' chosen numbers.
+            calibration: Measured calibration of this sensor; None: no calibration.
+            settings: The stages' parameters.
 
         Returns:
-            Its chain, with the state before anything was measured.
+            Its chain, with the state before any measurement.
         """
         return cls(SensingPipeline(design, calibration, settings=settings))
 
@@ -86,19 +91,19 @@ class StatefulPipeline:
         return markers
 
     def perceive(self, image: Image, now: float, reading: PressureReading | None = None) -> Touch:
-        """Feel what one image shows, and keep the state; see `SensingPipeline.step`.
+        """Estimate the touch from one image, and keep the state; see `SensingPipeline.step`.
 
         Args:
             image: The image.
-            now: s on the clock of the image's time.
-            reading: Newest reading of the chamber's pressure gauge; None: there is none.
+            now: Current time on the clock of the image's time, s.
+            reading: Newest reading of the chamber's pressure sensor; None: there is none.
 
         Returns:
             The touch.
         """
         before = self.state
         touch, self.state = self.chain.step(before, image, now, reading)
-        if not self.shapes:
+        if not self.contact_shapes:
             return touch
         lacking = uninformative_status(touch, self.chain.settings.body)
         if lacking is not None and before.press is None:
@@ -109,14 +114,15 @@ class StatefulPipeline:
         return touch
 
     def shape(self, touches: Touch | Sequence[Touch]) -> ContactShape:
-        """Say what body touches.
+        """Estimate the contact shape.
 
         Args:
-            touches: One touch, or those of one press, oldest first: a ball's contact grows with the
-                force and a flat face's does not, so that several tell more than one.
+            touches: One touch, or those of one contact episode, oldest first. Several touches carry
+                more information: a sphere's contact area grows with the force, a flat face's does
+                not.
 
         Returns:
-            The shape in the newest; "unknown", with a status, where it cannot be said.
+            The shape in the newest touch; "unknown", with a status, if it cannot be determined.
 
         Raises:
             DeviceError: The rest reference is missing.

@@ -1,5 +1,6 @@
-"""`attach_membrane`: put the membrane, the gas and the housing of a sensor into any MuJoCo scene.
-`mjtactile.attach` adds what feels.
+"""`attach_membrane`: add the membrane, the gas and the housing of a sensor to any MuJoCo scene.
+
+`mjtactile.attach` adds the sensing chain.
 
     spec = mujoco.MjSpec.from_file("my_robot.xml")
     configure_options(spec)                                  # integrator, solver, cone, timestep
@@ -14,7 +15,8 @@
         mujoco.mj_step(model, data)  # or mjtactile.sim.fast_step.advance, in half the time
         centres, normals = sensors[0].marker_poses()         # m, in the sensor's frame
 
-The site's frame becomes the sensor's frame S: origin in the middle of the flat membrane, z outward.
+The site's frame becomes the sensor's frame S: origin in the center of the flat membrane, z
+outward.
 """
 
 from __future__ import annotations
@@ -120,12 +122,14 @@ def attach_membrane(
     """Attach `sensor` (a design, a shipped name or a TOML file) to the parent scene `spec` at
     `site`.
 
-    `prefix` keeps several sensors apart, `mesh` is the number of vertices along x and y, `mass` kg
-    that of frame, glass and camera; `contact` says what of the membrane touches: its "vertices",
-    its triangles ("elements"), "both", or "auto" by the scene's smallest feature; `effects` are
-    those of `Effect`, or their names. Raises InputError for an unknown site or effect, a prefix
-    already used, a membrane that the method cannot carry, or options of `spec` that cannot (MuJoCo
-    never takes them from an attached child).
+    `prefix` distinguishes several sensors; `mesh` is the number of vertices along x and y; `mass`
+    kg is that of frame, glass and camera. `contact` selects the contact geometry of the membrane:
+    its "vertices", its triangles ("elements"), "both", or "auto" by the scene's smallest feature.
+    `effects` are those of `Effect`, or their names.
+
+    Raises InputError for an unknown site or effect, a prefix already used, or a membrane that the
+    method cannot carry. It is also raised for options of `spec` that cannot (MuJoCo never takes
+    them from an attached child).
     """
     on = effects_named(effects)
     design = set_law(load_sensor(sensor), on)
@@ -139,7 +143,7 @@ def attach_membrane(
     grid = make_mesh(design.frame.length, design.frame.width, *mesh, outline=design.frame.outline)
     child = mujoco.MjSpec()
     body = child.worldbody.add_body(name=BODY)
-    # a robot that does not feel its own weight does not feel the sensor's either
+    # same gravity compensation as the parent: it then includes the sensor's weight
     body.gravcomp = target.parent.gravcomp
     _add_housing(body, design, mass)
     if Effect.SHEET in on:
@@ -185,14 +189,16 @@ def _check_prefix(spec: mujoco.MjSpec, prefix: str) -> None:
 
 
 def default_mesh(design: SensorDesign) -> tuple[int, int]:
-    """Vertices along x and y where nobody says how many: `DEFAULT_MESH`, and at least as many in an
-    outline, whose cells have even sides, with one vertex in the middle.
+    """Return the default number of vertices along x and y.
+
+    It is `DEFAULT_MESH` for a rectangle. An outline has at least as many vertices, nearly square
+    cells, and one vertex in the center.
 
     Args:
         design: The sensor.
 
     Returns:
-        Their numbers.
+        The numbers along x and y.
     """
     frame = design.frame
     if frame.outline is None:
@@ -203,14 +209,15 @@ def default_mesh(design: SensorDesign) -> tuple[int, int]:
 
 
 def configure_options(spec: mujoco.MjSpec, timestep: float = 4e-3) -> tuple[str, ...]:
-    """Set the options of a scene that membranes need or like best; gravity and all the rest stay.
+    """Set the scene options required or recommended for membranes; gravity and all others stay
+    unchanged.
 
     Args:
         spec: The scene.
-        timestep: s.
+        timestep: Time step, s.
 
     Returns:
-        One line for each option that it changed: what it was, what it is now, and why.
+        One line for each changed option: the old value, the new value and the reason.
     """
     option = spec.option
     changes = []
@@ -333,10 +340,10 @@ def _mocap_carrier(body: mujoco.MjsBody | None) -> str | None:
 
 
 def _add_housing(body: mujoco.MjsBody, design: SensorDesign, mass: float) -> None:
-    """Frame walls around the chamber and a block for glass and camera behind it; nothing in front
-    of z = 0.
+    """Add frame walls around the chamber and a block for glass and camera behind it.
 
-    Around an outline stand `_WALLS` walls, each of which touches it from outside.
+    There is no geometry in front of z = 0. An outline is surrounded by `_WALLS` walls, each of
+    which touches it from outside.
     """
     frame = design.frame
     depth = design.chamber.depth

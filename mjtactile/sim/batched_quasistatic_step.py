@@ -1,10 +1,11 @@
-"""`QuasistaticStepper`: many steps of a hand whose sensors are films without Python between them.
+"""`QuasistaticStepper`: many steps of a gripper with quasi-static membranes, without Python in
+between.
 
-Of a step of 2 ms MuJoCo and the films need some 40 us; calling them one after the other from Python
-takes several times that. Here one kernel (`kernels/qs_substeps.c`) does what `GripperWorld` and
-`Stepper` do step by step, calls MuJoCo by the addresses of its functions, and lets go of Python
-meanwhile, so that worlds in threads use all processors. It ends early where something must be
-looked at.
+In a step of 2 ms, MuJoCo and the membranes need about 40 us. Calling them one after the other from
+Python takes several times that. Here one kernel (`kernels/qs_substeps.c`) performs the steps of
+`GripperWorld` and `Stepper`. It calls MuJoCo by the addresses of its functions, and releases the
+Python GIL meanwhile, so that worlds in threads use all processors. It stops early where Python must
+check an event.
 """
 
 from __future__ import annotations
@@ -30,14 +31,15 @@ _UNSOLVED = 1
 
 @dataclass(frozen=True)
 class Drive:
-    """How jaws and lift are driven, all of it linear.
+    """Linear drive of jaws and lift.
 
     Attributes:
-        opening: m, of the jaws where all of qpos is 0.
-        read: (k,) places in qpos that the opening hangs on.
-        per: (k,) m of it for each unit.
-        controls: (n,) actuators.
-        affine: (n, 3) a control's value where both goals are 0, and by m of opening and of lift.
+        opening: Jaw opening at qpos = 0, m.
+        read: Indices (k,) of the qpos entries that determine the opening.
+        per: Change of the opening per unit of each entry (k,), m.
+        controls: Actuator ids (n,).
+        affine: Coefficients (n, 3) of the controls: value with both goals 0, change per m of
+            opening and per m of lift.
     """
 
     opening: float
@@ -48,12 +50,12 @@ class Drive:
 
 
 class QuasistaticStepper:
-    """Steps of one model and data, which `sensors` are bound to.
+    """Batched steps of one model and data; `sensors` are bound to them.
 
     Attributes:
-        goals: (4,) m: opening now and wanted, lift now and wanted; a view, to be written.
-        most: (3,) m that the opening's goal goes in a step, that it is ahead of the jaws, and that
-            the lift's goes in a step; a view.
+        goals: Current and requested opening, current and requested lift (4,) m; a writable view.
+        most: Limits (3,) m: change of the opening goal per step, lead of that goal over the jaws,
+            and change of the lift goal per step; a view.
     """
 
     def __init__(
@@ -113,20 +115,20 @@ class QuasistaticStepper:
         )
 
     def is_ready(self) -> bool:
-        """Whether all valves are closed, as they must be; what gas has leaked is looked at."""
+        """Return True if all valves are closed, as required; also update the gas for leakage."""
         return all(sensor.hold_gas() for sensor in self._sensors)
 
     def run(self, count: int, watch_speed: bool) -> tuple[int, int, Array]:
-        """Do up to `count` steps; fewer, where a film finds no rest, or something is too fast that
-        is watched.
+        """Run up to `count` steps; fewer if a membrane does not converge or a watched speed is too
+        high.
 
         Args:
-            count: At most MOST.
-            watch_speed: Whether to end where something is too fast.
+            count: Number of steps, at most MOST.
+            watch_speed: True to stop if a degree of freedom is too fast.
 
         Returns:
-            How many were done, in how many the solver ran out of iterations, and the wrench (n,
-                sensors, 6) on each sensor in each.
+            The number of steps done, the number of steps in which the solver ran out of iterations,
+            and the wrench (n, sensors, 6) on each sensor in each step.
         """
         self._hurries[:] = self._hurry if watch_speed else self._never
         wrenches = self._wrenches[:count]
@@ -136,7 +138,7 @@ class QuasistaticStepper:
 
 
 def is_there() -> bool:
-    """Whether MuJoCo's library and addresses are to be had here."""
+    """Return True if MuJoCo's library and the required addresses are available."""
     return bool(_functions()) and hasattr(mujoco.MjModel, "_address")
 
 

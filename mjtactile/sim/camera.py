@@ -1,4 +1,4 @@
-"""A simulated sensor's camera: what it would see now, with the effects that a real one has."""
+"""Camera of a simulated sensor, with the effects of a real camera."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from mjtactile.sim.rendering.synthetic_ellipses import EllipseSampler
 from mjtactile.sim.sensor.effect_switches import CAMERA, Effect, set_camera_effects
 from mjtactile.sim.sensor.sensor_types import AnySensor
 
-_EXPOSURE = 8e-3  # s, for motion blur
+_EXPOSURE = 8e-3  # exposure time for motion blur, s
 _SHUTTER = (0.0, 0.5, 1.0)  # shares of the exposure at which the moving markers are drawn
 
 
 class SimCamera:
-    """Renders one sensor's image when it is read, or before (`draw`), beside the work on the last
-    one."""
+    """Renderer of one sensor's image, on `read` or earlier by `draw`, in parallel with the
+    processing of the previous image."""
 
     def __init__(
         self,
@@ -28,13 +28,17 @@ class SimCamera:
         effects: frozenset[str] = CAMERA,
         specimen: AsBuiltSensor = NOMINAL,
     ):
-        """`effects`: what is drawn (without IMAGES nothing: `read` gives a `SyntheticEllipses`);
-        LATENCY hands out the image before, MOTION_BLUR keeps the shutter open. `specimen` says
-        where the camera really is, which markers it does not see, and what its pictures suffer.
-        Raises InputError where that is something, and no pictures are drawn, or where touch is to
-        be drawn in their place, which grasps alone can do."""
+        """Create the camera.
+
+        `effects` selects the rendered effects. Without IMAGES nothing is rendered: `read` gives a
+        `SyntheticEllipses`. LATENCY returns the previous image, MOTION_BLUR averages over the
+        exposure. `specimen` gives the true camera pose, the missing markers, and the image faults.
+
+        Raises InputError for image faults without IMAGES, and without CHAIN, since touch is drawn
+        directly in grasps only.
+        """
         if Effect.CHAIN not in effects:
-            raise InputError("touch is drawn in grasps only", field="--effects -chain")
+            raise InputError("touch is drawn in grasps only", field="--effects -pipeline")
         self._sensor = sensor
         self._suffered = FaultyImage(specimen.camera, seed)
         if self._suffered.are_any and Effect.IMAGES not in effects:
@@ -56,8 +60,7 @@ class SimCamera:
         self._drawn: Image | None = None
 
     def reseed(self, seed: int) -> None:
-        """Take the noise of the images to come from elsewhere; what was drawn already is drawn
-        again."""
+        """Set a new seed for the image noise; an image already rendered is rendered again."""
         # one of them is there
         (self._sighter or self._renderer).reseed(seed)  # pyright: ignore[reportOptionalMemberAccess]
         self._suffered = FaultyImage(self._suffered.troubles, seed)
@@ -91,7 +94,7 @@ class SimCamera:
         return before if self._late and before is not None else image
 
     def _blurred(self, renderer: Renderer) -> Image:
-        """The mean of what the sensor sees over the exposure that ends now."""
+        """Return the mean image over the exposure that ends now."""
         poses = [self._sensor.marker_poses_before(share * _EXPOSURE) for share in _SHUTTER]
         gray = np.asarray(
             np.mean([renderer.irradiance_image(*pose) for pose in poses], axis=0, dtype=np.float32)

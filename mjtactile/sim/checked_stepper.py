@@ -1,7 +1,8 @@
-"""`Stepper`: steps a compiled scene that has sensors, and checks every step.
+"""`Stepper`: advances a compiled scene with sensors, and checks every step.
 
-MuJoCo answers divergence by resetting the state and rewinding time. A checked scene stops instead:
-`SimulationError`, never a wrong number. What only makes numbers worse than usual is a flag.
+MuJoCo responds to divergence by resetting the state and rewinding time. A checked scene stops
+instead with a `SimulationError`, so that it never returns a wrong number. Reduced accuracy alone
+only sets a flag.
 """
 
 from __future__ import annotations
@@ -20,17 +21,18 @@ from mjtactile.sim.sensor.monitor import SceneMonitor
 from mjtactile.sim.sensor.sensor_types import AnySensor
 from mjtactile.sim.sensor.validity_checks import GROWS, Flags
 
-# s between the checks that cost more than a few microseconds; films see much by themselves
+# period of the more expensive checks, s; quasi-static membranes check much themselves
 _CHECK_PERIOD = 0.02
 _QS_CHECK_PERIOD = 0.1
 
 
 class Stepper:
-    """Advances model and data of a scene with `sensors`, which are bound to them.
+    """Checked stepper of a scene with `sensors`, which are bound to its model and data.
 
-    `flags` has the kind of each doubt and its reason when it was first seen (of those that say how
-    much, `limits.GROWS`, the most so far), `step_count` the steps
-    so far. Each of `watchers` is called at every look, 20 ms apart, and returns flags of its own.
+    `flags` maps the kind of each warning to its reason at first occurrence; for the kinds in
+    `limits.GROWS`, which report an amount, to the largest so far. `step_count` is the number of
+    steps so far. Each of `watchers` is called at every check, 20 ms apart, and returns flags of its
+    own.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, sensors: Sequence[AnySensor]):
@@ -72,12 +74,14 @@ class Stepper:
         return self._check_every - self.step_count % self._check_every
 
     def after_step(self, count: int = 1, unsolved: int | None = None) -> None:
-        """Check the state after `count` steps, in `unsolved` of which the solver ran out of
-        iterations (None: see the last one).
+        """Check the state after `count` steps.
+
+        `unsolved` is the number of steps in which the solver ran out of iterations (None: check the
+        last step).
 
         Raises:
-            SimulationError: the state is not finite, MuJoCo warned, a membrane is where the model
-                does not hold, or something went through one.
+            SimulationError: The state is not finite, MuJoCo warned, a membrane is outside the
+                model's range of validity, or an object passed through one.
         """
         self.step_count += count
         if not math.isfinite(self._qpos.dot(self._qpos) + self._qvel.dot(self._qvel)):

@@ -1,4 +1,4 @@
-"""Clock, valves and gripper of a simulated rig. Waiting on its clock is what moves the world."""
+"""Clock, valves and gripper of a simulated rig. Waiting on its clock advances the world."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.world import World
 from mjtactile.sim.sensor.sensor_types import AnySensor
 
-_HOSE_TIME = 0.05  # s, time constant of a regulated supply, as the emulated board's
+_HOSE_TIME = 0.05  # time constant of a regulated supply, that of the emulated board, s
 
 
 class _Later:
-    """Stands in for a Future: what is done when its result is asked for."""
+    """Replacement for a Future: runs its action when the result is requested."""
 
     def __init__(self, do: Callable[[], None]):
         self.result = do
 
 
 class SimClock:
-    """Simulated time. Between `start` and `wait_until` the world steps in a thread of its own.
+    """Simulated time. Between `start` and `wait_until` the world steps in a separate thread.
 
-    MuJoCo lets go of Python while it computes, so physics and perception use a core each. What is
-    commanded meanwhile takes effect when the time is reached: one camera period of latency, as on a
-    real rig, and the same every run.
+    MuJoCo releases the Python GIL while it computes, so that physics and perception use one core
+    each. Commands given meanwhile take effect when the time is reached. The latency is one camera
+    period, as on a real rig, and the same in every run.
     """
 
     def __init__(self, world: World):
@@ -42,8 +42,8 @@ class SimClock:
         self._running: Future[None] | _Later | None = None
         self._pending: list[Callable[[], None]] = []
         self.on_arrival: list[Callable[[], None]] = []
-        """What to do at the same time when a time given to `start` is reached: draw what the
-        cameras see then."""
+        """Actions run in parallel when the time given to `start` is reached: rendering of the
+        camera images."""
 
     def now(self) -> float:
         return self._world.time
@@ -53,8 +53,8 @@ class SimClock:
             self._running = self._begin(lambda: self._go(time))
 
     def wait_until(self, time: float) -> None:
-        """Step the world until `time`, then do what was deferred; a time in the past only does the
-        latter.
+        """Step the world until `time`, then run the deferred actions; for a past time, only run
+        them.
 
         Raises SimulationError when the world diverged.
         """
@@ -79,8 +79,11 @@ class SimClock:
             self._pool.shutdown(wait=True, cancel_futures=True)
 
     def step_in_turn(self) -> None:
-        """From now on, step and draw in the thread that waits, with the same result and a quarter
-        less core time: for whoever has a process for each processor."""
+        """Step and render in the waiting thread from now on.
+
+        The result is the same with a quarter less core time. Use it for callers that run one
+        process per processor.
+        """
         self.close()
         self._pool = None
 
@@ -102,9 +105,11 @@ class SimClock:
 
 
 class SimValve:
-    """The valve of one chamber, with the gauge of a valve board: whole pascals, their noise, and
-    `zero` Pa that it shows too much. In a world that moves while it is asked, `defer` puts off
-    what it does, and `move` is called after each step."""
+    """Valve of one chamber, with the pressure sensor of a valve board.
+
+    The sensor reports whole pascals with noise and an offset of `zero` Pa. In a world that advances
+    in another thread, `defer` postpones the valve's actions. `move` is called after each step.
+    """
 
     def __init__(
         self,
@@ -116,10 +121,10 @@ class SimValve:
         self._sensor = sensor
         self._zero = zero
         self._defer = defer
-        # Pa: what the chamber is to be kept at, and where its supply is on the way
+        # target pressure of the chamber and current supply pressure, Pa
         self._goal: float | None = None
         self._supply = 0.0
-        self._moved = 0.0  # s, when it was there
+        self._moved = 0.0  # time of the last supply update, s
         self.reseed(seed)
 
     def reseed(self, seed: int) -> None:
@@ -170,8 +175,7 @@ class SimValve:
 
 
 class SimGripper:
-    """Jaw servo and lift of the world, with what the gears' play, a slow bus and a noisy current
-    make of them."""
+    """Jaw servo and lift of the world, with backlash, command delay and force noise."""
 
     def __init__(
         self, world: GraspWorld, clock: SimClock, change: RigChange = FAULTLESS, seed: int = 0
@@ -181,7 +185,7 @@ class SimGripper:
         self._change = change
         self._asked: GripperState | None = None
         self.reseed(seed)
-        # m: where the gears' output and the motor are to be
+        # goals of the gear output and of the motor, m
         self._jaw = self._motor = world.opening
         self._force_limit = world.rig.gripper.force_max
         self._late: deque[tuple[float, Command]] = deque()
@@ -199,7 +203,7 @@ class SimGripper:
             if self._change.force_noise
             else 0.0
         )
-        opening = world.opening + self._motor - self._jaw  # servos say where their motors are
+        opening = world.opening + self._motor - self._jaw  # servos report the motor position
         self._asked = GripperState(
             opening, world.opening_speed, force, world.lift_height, world.time, 0.0
         )
@@ -236,7 +240,7 @@ class SimGripper:
         self._late.append((max(due, self._late[-1][0]) if self._late else due, command))
 
     def _due(self) -> float:
-        """s, when the next command arrives."""
+        """Return the arrival time of the next command, s."""
         return self._late[0][0] if self._late else math.inf
 
     def _apply_late(self) -> None:

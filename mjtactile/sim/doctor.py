@@ -1,7 +1,6 @@
-"""What `mjtactile doctor` looks at on a simulated rig: its names, its fingers, what its jaws and
-its lift really do.
+"""Checks of `mjtactile doctor` on a simulated rig: names, fingers, jaw motion and lift motion.
 
-The rig is built without an object, inflated, opened, closed and lifted once. Findings as in
+The rig is built without an object, inflated, opened, closed and lifted once. Findings are those of
 `mjtactile.rig.doctor_finding`.
 """
 
@@ -25,16 +24,16 @@ from mjtactile.sim.scenes.initial_contact_check import touched_by_sensors
 from mjtactile.sim.scenes.initial_state import arm_actuators, arm_joints, missing_names
 from mjtactile.sim.scenes.mjcf import read_mjcf
 
-_ABOVE_TABLE = 5e-3  # m of the sensors' frames, where the rig is tried
+_ABOVE_TABLE = 5e-3  # height of the sensors' frames over the table in the test, m
 # of a site's z to the middle of the fingertips
 _INWARD = math.cos(math.radians(60))
 _ASKEW = math.cos(math.radians(10))
 _LEANING = math.sin(math.radians(5))  # of a site's z from the horizontal
-_UNEVEN = 2e-3  # m between the heights of the fingertips
-_OPENING_WRONG = 1e-3  # m between what the laws say and where the fingertips are
-_MOVES = 1e-3  # m, the least that the fingertips must follow
-_HEIGHT_WRONG = 2e-3  # m
-_FORCE_MIN = 1.0  # N on each finger; the shipped controllers hold with 0.6
+_UNEVEN = 2e-3  # tolerance of the height difference between fingertips, m
+_OPENING_WRONG = 1e-3  # tolerance of the opening law against the fingertip positions, m
+_MOVES = 1e-3  # minimum fingertip motion, m
+_HEIGHT_WRONG = 2e-3  # tolerance of the lift height, m
+_FORCE_MIN = 1.0  # minimum force on each finger, N; the shipped controllers hold with 0.6
 _SLACK = 1.5  # of the time that a motion takes at the rig's speed
 
 
@@ -136,7 +135,7 @@ def _fingers(world: GripperWorld) -> Iterator[Finding]:
 
 
 def _arm(world: GripperWorld) -> Iterator[Finding]:
-    """Whether every joint between the world and the hand is held."""
+    """Check that an actuator holds every joint between the world and the gripper."""
     model = world.model
     rig = world.rig
     if rig.lift.kind != "arm":
@@ -163,8 +162,8 @@ def _arm(world: GripperWorld) -> Iterator[Finding]:
 
 
 def _motions(world: GripperWorld) -> Iterator[Finding]:
-    """Inflate; then open, close and lift, and compare what is asked for with where the fingertips
-    go."""
+    """Inflate; then open, close and lift, and compare the requested with the measured fingertip
+    motion."""
     rig = world.rig
     low, high = world.rig.gripper.opening
     if touching := touched_by_sensors(world):

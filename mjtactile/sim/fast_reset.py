@@ -18,9 +18,10 @@ from mjtactile.sim.scenes.snapshot import Snapshot
 
 
 class Restart:
-    """The state of `rig`, built with `seed`, now: before anything has touched the object.
+    """Snapshot of the current state of `rig`, built with `seed`, before anything touched the
+    object.
 
-    Raises InputError for a rig or object that cannot be put back: `movable` says which.
+    Raises InputError for a rig or object that cannot be reset; see `movable`.
     """
 
     def __init__(self, rig: Rig, seed: int):
@@ -38,8 +39,8 @@ class Restart:
         self._snapshot = Snapshot(world, rig.gripper, rig.clock, *rig.cameras, *rig.valves)
 
     def again(self, seed: int) -> None:
-        """The rig as it was, but for what a seed says: where the object stands, and the noise of
-        cameras and gauges."""
+        """Reset the rig with a new seed: object pose, and noise of cameras, pressure sensors and
+        gripper."""
         self._snapshot.restore()
         pose, seeds = start_of(seed)
         self._move(place(self._world.object, pose))
@@ -81,8 +82,10 @@ class Restart:
 
 
 def movable(world: GraspWorld) -> bool:
-    """Whether the object, and what came with it, are bodies that stand fixed or free in the world:
-    no flexes, no loose geoms."""
+    """Return True if all bodies of the object's file are fixed or free in the world.
+
+    Flexes and loose geoms are not movable.
+    """
     model = world.model
     if not isinstance(world, GraspWorld) or world.solid is not None or model.nmocap:
         return False

@@ -1,12 +1,12 @@
-"""A step of MuJoCo without the solve that nothing rests on.
+"""A MuJoCo step without the first solve, on which the result does not depend.
 
-Under `discrete`, `mj_step` solves twice: first for the acceleration that there would be without
-contacts and equalities (`qacc_smooth`), by conjugate gradients up to `opt.tolerance`; then for the
-real one, in which the first is only a start that is taken when it is the better one. With
-membranes, the first is half of a step's time. No public switch separates the two, and the stages of
-which the manual makes up a step lack what `discrete` does between them. `mj_forwardSkip` has it:
-here it runs once without iterations, then the real solve alone with the tolerance that was asked
-for (decision 16).
+Under `discrete`, `mj_step` solves twice. The first solve is for the acceleration without contacts
+and equalities (`qacc_smooth`), by conjugate gradients up to `opt.tolerance`. The second is for the
+real acceleration; it uses the first only as a start value if that is the better one. With
+membranes, the first takes half of a step's time. No public switch separates the two. The stages
+that make up a step in the manual lack the operations of `discrete` between them. `mj_forwardSkip`
+has them: here it runs once without iterations, followed by the real solve alone with the requested
+tolerance (decision 16).
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ _EULERDAMP = int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
 def advance(
     model: mujoco.MjModel, data: mujoco.MjData, *, first_tolerance: float = NO_ITERATION
 ) -> None:
-    """Advance `data` by one time step in place of `mj_step`: the same to the tolerance of
+    """Advance `data` by one time step in place of `mj_step`: equal within the tolerance of
     `model.opt`.
 
     The first solve goes to `first_tolerance`; with `opt.tolerance` the state is that of `mj_step`
-    bit for bit. Afterwards `data.qacc_smooth` is as good as that. Where the result does rest on it,
-    as of a body that nothing holds and nothing touches, and under options that this does not know,
-    it is `mj_step`. A control callback is asked twice a step.
+    bit for bit. Afterwards `data.qacc_smooth` has the accuracy of the first solve. Where the result
+    depends on it, as for a body without constraints or contacts, `mj_step` is called. The same
+    holds for unsupported options. A control callback is called twice per step.
     """
     option = model.opt
     if not _is_known_kind(option):
@@ -53,15 +53,18 @@ def advance(
     finally:
         option.tolerance = tolerance
     mujoco.mj_fwdConstraint(model, data)
-    data.flg_rnepost = False  # what accelerometers rest on is of another acceleration
+    data.flg_rnepost = False  # the cached accelerometer quantities belong to another acceleration
     mujoco.mj_sensorAcc(model, data)
     mujoco.mj_checkAcc(model, data)
     _integrate(model, data)
 
 
 def _integrate(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """v += h a, q += h v, and what else a state has. `mj_Euler` does just that where it leaves
-    damping alone, which under `discrete` is in the acceleration already."""
+    """Integrate v += h a, q += h v, and the other state variables.
+
+    `mj_Euler` does exactly this when its damping is disabled; under `discrete` the damping is
+    already in the acceleration.
+    """
     option = model.opt
     flags = option.disableflags
     option.disableflags = flags | _EULERDAMP
@@ -81,6 +84,6 @@ def _is_known_kind(option: Any) -> bool:
 
 
 def _is_constrained(model: mujoco.MjModel, data: mujoco.MjData) -> bool:
-    """Whether all degrees of freedom are in the second solve: it leaves out islands without a
-    constraint."""
+    """Return True if the second solve covers all degrees of freedom: it leaves out islands without
+    a constraint."""
     return data.nefc > 0 and (data.nidof == model.nv or bool(model.opt.disableflags & _ISLANDS))

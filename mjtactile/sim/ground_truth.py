@@ -1,5 +1,5 @@
-"""Ground truth of a simulated scene, for scoring, benchmarks and tests only. Nothing else in the
-simulator imports it.
+"""Ground truth of a simulated scene, for scoring, benchmarks and tests only. The rest of the
+simulator does not import it.
 
 Forces and positions are in the sensor's frame S unless a name says otherwise; N, m, Pa.
 """
@@ -30,8 +30,11 @@ if TYPE_CHECKING:
 
 
 def contact_forces(world: World, sensor: int) -> tuple[Array, Array, Array]:
-    """Forces `f_S` (n, 3) N that the world exerts on membrane `sensor`, their points `p_S` (n, 3)
-    m, and penetration depths (n,) m, one row per contact, in the order of MuJoCo's contact list."""
+    """Return contact forces on membrane `sensor`, their points, and penetration depths.
+
+    Forces `f_S` (n, 3) N are those that the world exerts on the membrane, at points `p_S` (n, 3) m;
+    depths (n,) m. There is one row per contact, in the order of MuJoCo's contact list.
+    """
     data = world.data
     device = world.sensors[sensor]
     if isinstance(device, QuasistaticSensor):
@@ -44,8 +47,12 @@ def contact_forces(world: World, sensor: int) -> tuple[Array, Array, Array]:
 
 
 def patch(world: World, sensor: int) -> tuple[Array, float]:
-    """Middle (3,) m in S of what presses on membrane `sensor`, and its mean distance from there, m,
-    both by force; 0 where nothing presses."""
+    """Return the force-weighted center (3,) m in S of the contact on membrane `sensor`, and its
+    radius.
+
+    The radius is the force-weighted mean distance from the center, m. Both are 0 without
+    contact.
+    """
     device = world.sensors[sensor]
     if isinstance(device, QuasistaticSensor):
         return device.middle, device.radius
@@ -84,8 +91,8 @@ def contact_loads(world: World, devices: Sequence[AnySensor]) -> Array:
 
 
 def stretch_forces(world: World) -> Array:
-    """Normal forces (n, sensors) N, positive for a press, on each membrane in each of the n steps
-    that the world has just done in one go."""
+    """Return the normal forces (n, sensors) N, positive in compression, of the last batch of n
+    steps."""
     if world.stretch is None:
         return -contact_loads(world, world.sensors)[None, :, 2]
     return -world.stretch[:, :, 2]
@@ -104,9 +111,12 @@ def friction_used(world: World, mu: float) -> float:
 
 
 def friction_along(world: World, sensor: int, mu: float, direction: Array) -> float:
-    """Friction on membrane `sensor` that pulls along `direction` (3,), frame W, as far as each
-    contact's plane lets it, over `mu` times the normal forces: 1 where all of it is dragged that
-    way, -1 where it is dragged the other way."""
+    """Return the friction on membrane `sensor` along `direction` (3,), frame W, over `mu` times the
+    normal forces.
+
+    The direction is projected onto each contact's plane. The result is 1 if all of the membrane is
+    dragged in that direction, -1 in the opposite direction.
+    """
     data = world.data
     device = world.sensors[sensor]
     force = np.zeros(6)
@@ -124,10 +134,13 @@ def friction_along(world: World, sensor: int, mu: float, direction: Array) -> fl
 
 
 def sliding(world: World, sensor: int) -> tuple[float, float]:
-    """How membrane `sensor` slides over what touches it: the share of friction's limit that resists
-    the rigid motion, a translation and a turn about the sensor's axis, which describes the sliding
-    best (1: everything slides), and the speed of that motion, m/s, rms over the contact by its
-    force."""
+    """Return the sliding fraction and sliding speed of membrane `sensor` on the contacting object.
+
+    The sliding is described by the best-fitting rigid motion, a translation and a rotation about
+    the sensor's axis. The first result is the fraction of the friction limit that resists this
+    motion (1: everything slides). The second is its speed, m/s, rms over the contact weighted by
+    force.
+    """
     data = world.data
     device = world.sensors[sensor]
     mine = np.isin(data.contact.geom, device.vertex_geom_ids)
@@ -169,12 +182,12 @@ def contact_wrench(world: World, sensor: int) -> Array:
 
 
 def contact_area(world: World, sensor: int, spacing: float = 4e-4) -> float:
-    """Area, m^2, of the membrane that lies on what touches it; 0 without a touch.
+    """Return the area of the membrane in contact, m^2; 0 without contact.
 
-    Of a film with the membrane's tension near the contact, under its pressure, over the object as
-    it is seen along the sensor's axis, that carries the same normal force (`film.py`): vertices are
-    too far apart to tell. A row of edges or points has the area of the cells of `spacing` m, or
-    less, that it crosses.
+    Vertices are too far apart to determine the area. It is that of a quasi-static membrane on the
+    object as projected along the sensor's axis (`film.py`). That membrane has the tension near the
+    contact, the same pressure and the same normal force. A row of edges or points has the area of
+    the cells of `spacing` m, or less, that it crosses.
     """
     device = world.sensors[sensor]
     if isinstance(device, QuasistaticSensor):
@@ -208,7 +221,7 @@ def contact_area(world: World, sensor: int, spacing: float = 4e-4) -> float:
 
 
 def _inside(frame: Frame, x: Array, y: Array) -> NDArray[np.bool_]:
-    """Which of the places `x`, `y` (nx, ny) m are within the opening."""
+    """Return a mask of the points `x`, `y` (nx, ny) m within the opening."""
     if frame.outline is not None:
         places = np.stack([x, y], axis=-1).reshape(-1, 2)
         return (frame.inside(places) > 0).reshape(x.shape)
@@ -217,9 +230,11 @@ def _inside(frame: Frame, x: Array, y: Array) -> NDArray[np.bool_]:
 
 
 def _heights_of(world: World, device: TactileSensor, x: Array, y: Array) -> Array:
-    """Heights (nx, ny) m in S of what touches the membrane over points `x`, `y` (nx, ny) m, seen
-    from the sensor; inf where there is nothing. All geoms that can touch of a body that does, and
-    each flex."""
+    """Return heights (nx, ny) m in S of the contacting objects over points `x`, `y` (nx, ny) m.
+
+    Heights are those of the first hit of a ray along the sensor's axis; inf without a hit. Each
+    flex, and all collision geoms of each body in contact, are included.
+    """
     model = world.model
     data = world.data
     mine = np.isin(data.contact.geom, device.vertex_geom_ids) | (
@@ -282,13 +297,13 @@ def marker_poses(world: World, sensor: int) -> tuple[Array, Array]:
 
 
 def object_bodies(world: World) -> NDArray[np.int64]:
-    """The grasped object's bodies, its soft parts among them: what `object_position` is asked with
-    in every step."""
+    """Return the grasped object's bodies, including soft parts; an argument of
+    `object_position`."""
     return moving_bodies(world.model, PREFIX)
 
 
 def support_force(world: World, bodies: NDArray[np.int64]) -> float:
-    """Upward force, N, of what does not move (table, stand) on `bodies`, those of the object."""
+    """Return the upward force of static bodies (table, stand) on the object's `bodies`, N."""
     data = world.data
     model = world.model
     if not data.ncon:
@@ -315,11 +330,11 @@ def object_position(world: World, bodies: NDArray[np.int64] | None = None) -> Ar
 
 
 def object_pose(world: World, solid: SoftSolid | None = None) -> tuple[Array, Array]:
-    """Position `p_WO` (3,) m and rotation, a unit quaternion (4,) with its real part first, of the
-    body `object`, frame W.
+    """Return position `p_WO` (3,) m and rotation of the body `object`, frame W.
 
-    The body of a soft object, a `solid`, stays behind: it is put where it is to the solid's
-    best-fitting rigid pose what it was to the initial one.
+    The rotation is a unit quaternion (4,) with its real part first. The body of a soft object, a
+    `solid`, stays behind. It is moved along with the solid's best-fitting rigid pose, relative to
+    the initial one.
     """
     body = world.model.body(PREFIX + "object").id
     p_WO = world.data.xpos[body].copy()

@@ -1,5 +1,5 @@
-"""Where MuJoCo's own warnings go. By default it writes MUJOCO_LOG.TXT into the working folder,
-whatever that is."""
+"""Destination of MuJoCo's own warnings. By default MuJoCo writes MUJOCO_LOG.TXT into the current
+working folder."""
 
 from __future__ import annotations
 

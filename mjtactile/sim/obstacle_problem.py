@@ -1,15 +1,14 @@
-"""Where a stretched sheet lies on what presses it, finer than its mesh can say: a film under
-pressure on an obstacle.
+"""Shape of a stretched membrane on an obstacle under pressure, finer than the simulation mesh.
 
-The film is the membrane with the one tension T that it has near the contact and the gas pressure p,
-a height w over the frame:
+The model membrane has the uniform tension T found near the contact, the gas pressure p, and a
+height w over the frame:
 
     div(grad w / sqrt(1 + |grad w|^2)) = (q - p) / T,
     w <= obstacle,   q >= 0,   q = 0 where it does not touch.
 
-It leaves smooth bodies without a kink and edges with one. How far down the obstacle is, is found
-from the force: the film carries what the membrane carries. Solved by five-point differences and
-active sets (Hintermueller, Ito, Kunisch 2003).
+It leaves smooth objects without a kink and edges with one. The depth of the obstacle follows from
+the force: the model carries the same force as the simulated membrane. The solution uses five-point
+differences and active sets (Hintermueller, Ito, Kunisch 2003).
 """
 
 from __future__ import annotations
@@ -30,8 +29,11 @@ _TINY = 1e-9  # of a cell's pressure, and m
 
 @dataclass(frozen=True, eq=False)
 class ObstacleContact:
-    """Heights `w` (nx, ny) m of the film, the share (nx, ny) of each cell of `spacing` m that
-    touches, the force (nx, ny) N that it carries, and whether the set of cells came to rest."""
+    """Solution of the obstacle problem.
+
+    Heights `w` (nx, ny) m of the membrane, contact fraction `share` (nx, ny) of each cell of
+    `spacing` m, the `force` (nx, ny) N on it, and True if the active set converged.
+    """
 
     w: Array
     share: Array
@@ -94,8 +96,11 @@ def lie_on(
 def _carry(
     stiffness: csc_array, psi: Array, touching: NDArray[np.bool_], load: Array, force: float
 ) -> tuple[Array, float]:
-    """Heights of the film that lies on `psi` + shift where it is `touching`, and the shift with
-    which that carries `force` (N over N/m); all are linear in the shift."""
+    """Return the heights of the membrane on `psi` + shift where it is `touching`, and the shift.
+
+    The shift is chosen so that the contact carries `force` (N over N/m); all are linear in the
+    shift.
+    """
     free = ~touching
     solve = splu(stiffness[free][:, free]).solve
     onto = stiffness[free][:, touching]
@@ -111,8 +116,11 @@ def _carry(
 
 
 def _share(stiffness: csc_array, psi: Array, q: Array, load: Array) -> Array:
-    """Share of each cell that touches: its force over what it would carry if all of it lay on the
-    obstacle. A cell at an edge, next to which there is no obstacle, counts whole."""
+    """Return the contact fraction of each cell.
+
+    It is the ratio of the cell's force to its force with full contact on the obstacle. A cell at an
+    edge, next to which there is no obstacle, counts as whole.
+    """
     here = np.isfinite(psi)
     whole = load - stiffness @ np.where(here, psi, 0.0)
     at_edge = (abs(stiffness) @ (~here).astype(float)) > 0

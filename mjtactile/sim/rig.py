@@ -29,18 +29,20 @@ from mjtactile.sim.sensor.effect_switches import Effect, set_design
 from mjtactile.sim.sensor.sensor_types import AnySensor
 from mjtactile.sim.synthetic_touch import SyntheticTouchSource
 
-_SCATTER = 2e-3  # m, to each side
-_LARGEST_STEP = 6.7e-3  # s; against 1 ms, forces change by 1 mN (docs/validation/accuracy.md)
-# s; at 4 ms what is light and stands in a cup is held back by the damping that keeps it stable
+_SCATTER = 2e-3  # object offset to each side, m
+# largest time step, s; against 1 ms, forces change by 1 mN (docs/validation/accuracy.md)
+_LARGEST_STEP = 6.7e-3
+# largest quasi-static time step, s; at 4 ms the stabilizing damping slows down light objects
+# standing in a cup
 _QS_STEP_MAX = 2.1e-3
 
 
 @dataclass(frozen=True)
 class _Plan:
-    """What a scenario's rig is made of.
+    """Components of a scenario's rig.
 
-    Fingers are in the order of the rig file: `designs` is what their files say, `specimens` what
-    they really are.
+    Fingers are in the order of the rig file: `designs` come from their files, `specimens` are the
+    as-built sensors.
     """
 
     scenario: Scenario
@@ -70,16 +72,16 @@ class _Plan:
 def build_sim_rig(
     scenario: Scenario, *, file: SimRigFile | None = None, drawn: Drawn | None = None
 ) -> Rig:
-    """A simulated grasp. The seed places the object by a few millimetres and fixes the cameras'
-    noise.
+    """Build a simulated grasp. The seed places the object within a few millimeters and fixes the
+    cameras' noise.
 
-    The world is made of what was drawn; sensing knows the fingers' designs, and the limits are the
+    The world uses the randomized values; sensing uses the fingers' designs, and the limits are the
     file's.
 
     Args:
         scenario: Object, sensor, accuracy (fidelity.py), effects (catalog.py) and seed.
-        file: The rig, where that is not the scenario's.
-        drawn: The world, where that is not the one that the scenario's seed draws.
+        file: The rig, if it differs from the scenario's.
+        drawn: The randomized world, if it differs from that of the scenario's seed.
 
     Returns:
         The rig; its `scene` is the simulated world.
@@ -89,7 +91,7 @@ def build_sim_rig(
     """
     file = load_sim_rig(scenario.rig) if file is None else file
     if drawn is None:
-        drawn = draw(scenario.vary, scenario.seed, scenario.design(), file)
+        drawn = draw(scenario.randomization, scenario.seed, scenario.design(), file)
     plan = _plan(scenario, file, drawn)
     return _rig(plan, _world(plan))
 
@@ -111,7 +113,7 @@ def _plan(scenario: Scenario, file: SimRigFile, drawn: Drawn) -> _Plan:
     wanted = DEFAULT_FORCE_ERROR if fidelity is None else fidelity.asked
     chosen = choose(design, grasped, force_error=wanted, overrides=overrides)
     specimens = tuple(drawn.specimen(finger.name) for finger in file.fingers)
-    # sensing knows nothing of it: its design has none
+    # unknown to sensing: its design has no creep
     creeps = {Effect.RELAXATION} if any(one.creep for one in specimens) else set()
     return _Plan(
         scenario,
@@ -129,7 +131,7 @@ def _plan(scenario: Scenario, file: SimRigFile, drawn: Drawn) -> _Plan:
 
 
 def _world(plan: _Plan) -> GraspWorld:
-    """The world as it really is, with what happens in it."""
+    """Return the ground-truth world with its disturbances."""
     grip = plan.file.gripper
     true = [
         set_design(_true_design(design, specimen, plan.drawn), plan.on)
@@ -162,7 +164,7 @@ def _world(plan: _Plan) -> GraspWorld:
 
 
 def _rig(plan: _Plan, world: GraspWorld) -> Rig:
-    """The world's devices, and what sensing believes of its fingers."""
+    """Return the world's devices, and the finger designs assumed by sensing."""
     file = plan.file
     seed = plan.scenario.seed
     clock = SimClock(world)
@@ -207,7 +209,8 @@ def _cameras(
     specimens: Sequence[AsBuiltSensor],
     drawn: Drawn,
 ) -> tuple[SimCamera, ...] | tuple[SyntheticTouchSource, ...]:
-    """What sees each sensor: a camera, or where the chain is left out what draws its touches."""
+    """Return the image source of each sensor: a camera, or without a chain a synthetic touch
+    source."""
     if Effect.CHAIN in on:
         return tuple(
             SimCamera(sensor, seed, on, own)
@@ -222,7 +225,7 @@ def _cameras(
 
 
 def _limits(file: SimRigFile) -> CommandLimits:
-    """What the rig file allows."""
+    """Return the command limits of the rig file."""
     return CommandLimits(
         file.gripper.opening,
         file.gripper.speed,
@@ -237,7 +240,7 @@ def _limits(file: SimRigFile) -> CommandLimits:
 def _with_task(
     change: ObjectChange, task: SampledTask, grasped: ObjectModel, design: SensorDesign
 ) -> ObjectChange:
-    """The object's changes with the mass and the friction that the task says, if it does."""
+    """Return the object's changes with the mass and the friction of the task, if specified."""
     if task.mass is not None:
         plain = (1 + change.size) ** 3 * grasped.mass
         change = replace(change, mass=task.mass / plain - 1)
@@ -247,8 +250,10 @@ def _with_task(
 
 
 def _breaking(grasped: ObjectModel, task: Task, drawn: SampledTask, fingers: int) -> ObjectModel:
-    """The object with the break force that the task says, if it does: it goes with what the task
-    needs of a finger."""
+    """Return the object with the break force of the task, if specified.
+
+    The break force is proportional to the force that the task requires per finger.
+    """
     if drawn.breaking is None or drawn.friction is None:
         return grasped
     need = drawn.need(grasped.mass, drawn.friction, fingers)
@@ -262,16 +267,22 @@ def build(request: RigRequest) -> Rig:
 
 
 def start_of(seed: int) -> tuple[tuple[float, float, float], Callable[[int], list[int]]]:
-    """What a seed says where nothing else was drawn: the object's pose (m, m, share of its turn),
-    and so many cameras' seeds."""
+    """Return the default random values of a seed.
+
+    These are the object's pose (m, m, fraction of its yaw range), and a function that returns the
+    given number of camera seeds.
+    """
     rng = np.random.default_rng(seed)
     pose = *rng.uniform(-_SCATTER, _SCATTER, 2), rng.uniform(-1, 1)
     return pose, lambda count: [int(one) for one in rng.integers(2**31, size=count)]
 
 
 def place(grasped: ObjectModel, pose: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Where the object stands and how it is turned: as drawn, else by the seed's `pose` (m, m,
-    share of its turn)."""
+    """Return the position and yaw of the object.
+
+    They come from the object's randomized changes, or else from the seed's `pose` (m, m, fraction
+    of the yaw range).
+    """
     x, y = pose[:2] if grasped.changes.place is None else grasped.changes.place
     yaw = grasped.turn * pose[2] if grasped.changes.yaw is None else grasped.changes.yaw
     return x, y, min(max(yaw, -grasped.turn), grasped.turn)

@@ -1,14 +1,13 @@
-"""What the sensing chain of a sensor errs by, as `mjtactile bench drawn` has measured it: what
-`--effects -sheet,-chain` draws touch with.
+"""Error model of a sensor's sensing chain, measured by `mjtactile bench error-model`.
 
-A felt wrench is w + G w + b(n) + e, with w the true one (6,), n the force that presses, G the mean
-error as a share of each part, b the mean of what is left at that load. Of e, whose standard
-deviations go with n and whose correlations do not, a part is new in each image: the markers' noise,
-which is small and hardly goes with n. The rest lasts, and fades with the time constant `slow_time`:
-what an edge does to a chain, it does to the next image, too. Things differ more than images do:
-what lasts and comes with a load is larger or smaller throughout a grasp, by a factor whose
-logarithm is normal; and all shear of a grasp is felt too large or too small by one share, since a
-finger's stiffness is not its file's.
+`--effects -mesh,-pipeline` samples the touch from it. An estimated wrench is w + G w + b(n) + e.
+Here w is the ground truth (6,), n the normal force, G the relative mean error of each component,
+and b the mean remainder at that load. The standard deviations of e depend on n, its correlations do
+not. A part of e is independent in each image: the markers' noise, which is small and hardly depends
+on n. The other part persists and decays with the time constant `slow_time`: the error that an edge
+causes also affects the next image. Objects differ more than images do. The persistent,
+load-dependent part is scaled throughout a grasp by a log-normal factor. All shear of a grasp is
+scaled by one common factor, because a finger's stiffness differs from that in its file.
 """
 
 from __future__ import annotations
@@ -33,31 +32,31 @@ FOLDER = "models/fidelity/chain"
 
 @dataclass(frozen=True, eq=False)
 class SensingErrorModel:
-    """Errors of one design's chain. SI units, frame S; k loads, six parts of a wrench.
+    """Errors of one design's chain. SI units, frame S; k loads, six components of a wrench.
 
     Attributes:
-        loads: (k,) N that press, increasing; between them all below is linear.
-        gain: (6, 6) mean error of the wrench by the true one.
-        mean: (k, 6) N and N m, mean of what is left.
-        sd: (k, 6) standard deviations of what is left then.
-        fresh: (k, 6) of what of that is new in each image.
-        correlation: (6, 6) of that.
-        said: (k, 6) standard deviations that the chain says of its wrench.
-        reported_correlation: (6, 6).
-        shear_gain: Standard deviation of the share by which a grasp's shear is felt too large.
-        between: (k,) standard deviation of the logarithm of a grasp's factor.
-        slow_time: s, time constant of what lasts.
-        outliers: (k,) share of images in which what is new is `outlier_size` times as large.
-        outlier_size: (6,) see there.
-        unknown: (k,) share of images in which the chain says that it does not know.
-        touch_force: N, above which there is a touch.
-        release: Share of that, below which it ends.
-        area: (k,) mean logarithm of the felt area over the true one.
-        area_sd: (k,) its standard deviation.
-        centroid_sd: (k,) m.
-        depth: Share of the true depth that is felt.
-        slip_displacement: m that is slid before it is called so.
-        incipient: Share of friction's limit from which on a slip is near.
+        loads: Normal forces (k,) N, increasing; all values below are interpolated linearly.
+        gain: Mean relative error (6, 6) of the wrench with respect to the ground truth.
+        mean: Mean (k, 6) N and N m of the remaining error.
+        sd: Standard deviations (k, 6) of the remaining error.
+        fresh: Standard deviations (k, 6) of the part of it that is independent in each image.
+        correlation: Correlation (6, 6) of the remaining error.
+        said: Standard deviations (k, 6) of the wrench that the chain reports.
+        reported_correlation: Correlation (6, 6) that the chain reports.
+        shear_gain: Standard deviation of the relative error of a grasp's shear.
+        between: Standard deviation (k,) of the logarithm of a grasp's factor.
+        slow_time: Time constant of the persistent part, s.
+        outliers: Fraction (k,) of images whose independent error is `outlier_size` times as large.
+        outlier_size: Factors (6,), see `outliers`.
+        unknown: Fraction (k,) of images in which the chain reports an unknown result.
+        touch_force: Force above which a touch starts, N.
+        release: Fraction of that force below which the touch ends.
+        area: Mean logarithm (k,) of the ratio of estimated to true area.
+        area_sd: Standard deviation (k,) of that logarithm.
+        centroid_sd: Standard deviation (k,) of the centroid, m.
+        depth: Ratio of estimated to true depth.
+        slip_displacement: Sliding distance before slip is reported, m.
+        incipient: Fraction of the friction limit above which slip is incipient.
     """
 
     loads: Array
@@ -98,7 +97,7 @@ class SensingErrorModel:
         return ErrorsAtLoad.of(np.array(columns))
 
     def table(self) -> dict[str, Any]:
-        """As JSON has it; the inverse of `parse_error_model`."""
+        """Return the model as a table for JSON; the inverse of `parse_error_model`."""
         return {
             name: getattr(self, name).tolist() if name in _ARRAYS else getattr(self, name)
             for name in self.__dataclass_fields__
@@ -121,7 +120,7 @@ class ErrorsAtLoad(NamedTuple):
 
     @classmethod
     def of(cls, row: Array) -> ErrorsAtLoad:
-        """Of the 30 numbers in this order."""
+        """Create the errors from the 30 numbers in this order."""
         return cls(row[:6], row[6:12], row[12:18], row[18:24], *row[24:].tolist())
 
 
@@ -131,7 +130,8 @@ _ARRAYS = frozenset(
 
 
 def parse_error_model(table: Mapping[str, Any]) -> SensingErrorModel:
-    """Read what `SensingErrorModel.table` wrote. Raises KeyError, TypeError or ValueError."""
+    """Read a table written by `SensingErrorModel.table`. Raises KeyError, TypeError or
+    ValueError."""
     values: dict[str, Any] = {
         name: np.array(table[name], float) if name in _ARRAYS else float(table[name])
         for name in SensingErrorModel.__dataclass_fields__
@@ -140,22 +140,22 @@ def parse_error_model(table: Mapping[str, Any]) -> SensingErrorModel:
 
 
 def path_of(design: SensorDesign) -> Path:
-    """Where the errors of a design's chain are kept."""
+    """Return the path of the errors of a design's chain."""
     return resources.folder(FOLDER) / f"{design.name}.json"
 
 
 def load_errors(design: SensorDesign, varied: bool = False) -> SensingErrorModel:
-    """The errors of a design's chain.
+    """Load the errors of a design's chain.
 
     Args:
-        design: As its file says, without anything left out.
-        varied: Whether the sensor is not as its file says (`--vary`): then they are larger.
+        design: The design of its file, with all effects.
+        varied: True if the sensor differs from its file (`--randomization`): then they are larger.
 
     Returns:
         The errors.
 
     Raises:
-        InputError: They were never measured, or of another design of that name.
+        InputError: They were never measured, or for another design of that name.
     """
     found = _load(path_of(design), fingerprint(design), design.name)
     return found["varied" if varied else "errors"]
@@ -163,7 +163,7 @@ def load_errors(design: SensorDesign, varied: bool = False) -> SensingErrorModel
 
 @cache
 def _load(path: Path, wanted: str, name: str) -> dict[str, SensingErrorModel]:
-    how = f"mjtactile bench drawn --sensor {name}"
+    how = f"mjtactile bench error-model --sensor {name}"
     try:
         table = json.loads(path.read_text(encoding="utf-8"))
         measured_of = table["fingerprint"]

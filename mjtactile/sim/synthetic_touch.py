@@ -1,8 +1,9 @@
-"""Touch without a chain (`--effects -sheet,-chain`): what a film bears, with the errors that the
-sensing chain has at that load. A model of the sensor with its software, which may read the truth as
-a camera's may; what comes out is a measurement.
+"""Touch without the sensing chain (`--effects -sheet,-chain`): loads of a quasi-static membrane
+plus the errors of the sensing chain at that load.
 
-It stands where a camera does, and gives `SyntheticTouch` in place of an image.
+It models the sensor together with its software, and may therefore read the ground truth, as a
+camera model may. Its output is a measurement. It takes the place of a camera and returns
+`SyntheticTouch` instead of an image.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from mjtactile.sim.sensing_error_model import ErrorsAtLoad, SensingErrorModel
 from mjtactile.sim.sensor.quasistatic_sensor import QuasistaticSensor
 from mjtactile.sim.sensor.sensor_types import AnySensor
 
-_RECENT = 0.12  # s over which a slip is told, as by the chain
+_RECENT = 0.12  # time window of slip detection, s, as in the sensing chain
 _NONE = fixed(np.zeros(0))
 _NO_FORCES = fixed(np.zeros((0, 0, 3)))
 _NO_MASK = fixed(np.zeros((0, 0), bool))
@@ -30,11 +31,11 @@ _STILL = fixed(np.zeros(2))
 _NO_CONTACT = Contact(False, 0.0, _NOWHERE, 0.0, _NO_MASK)
 _NO_SLIP = Slip("none", _STILL, 0.0, 1.0)
 _COLUMNS = 30
-# of what the kernel is given
+# indices in the kernel's settings
 _GRASP = 1
 _ELAPSED = 3
 METHOD = "drawn"
-"""`Traction.method` of a touch that no chain has felt."""
+"""Value of `Traction.method` for a touch without a sensing chain."""
 
 
 class SensingErrorSampler:
@@ -69,7 +70,7 @@ class SensingErrorSampler:
         )
 
     def begin(self, rng: np.random.Generator) -> None:
-        """Draw anew what lasts."""
+        """Sample the persistent errors again."""
         self._slow[:] = self._spread @ rng.standard_normal(6)
         grasp, gain = rng.standard_normal(2)
         self._settings[_GRASP:_ELAPSED] = grasp, self._errors.shear_gain * gain
@@ -77,16 +78,16 @@ class SensingErrorSampler:
     def felt(
         self, true: Array, elapsed: float, rng: np.random.Generator
     ) -> tuple[Array, Array, ErrorsAtLoad]:
-        """The wrench that the chain would say.
+        """Return the wrench that the sensing chain would estimate.
 
         Args:
-            true: (6,) N and N m, frame S.
-            elapsed: s since the image before.
-            rng: What is drawn from.
+            true: Ground-truth wrench (6,) N and N m, frame S.
+            elapsed: Time since the previous image, s.
+            rng: Random generator of the errors.
 
         Returns:
-            The wrench (6,) and the covariance (6, 6) that the chain would say, which hold until the
-                next call, and the errors at this load.
+            The wrench (6,) and covariance (6, 6) of the simulated estimate, valid until the next
+            call, and the errors at this load.
         """
         self._true[:] = true
         rng.standard_normal(out=self._normals)
@@ -96,15 +97,15 @@ class SensingErrorSampler:
 
 
 class SyntheticTouchSource:
-    """Stands for one sensor's camera and chain.
+    """Replacement for one sensor's camera and sensing chain.
 
     Args:
-        sensor: What bears the touch.
-        errors: Of its chain.
-        friction: The coefficient that the chain takes the membrane to have.
-        seed: Of the errors.
+        sensor: The sensor that carries the load.
+        errors: Error model of its sensing chain.
+        friction: Friction coefficient of the membrane that the sensing chain assumes.
+        seed: Seed of the errors.
 
-    Raises InputError for a sensor whose sheet is a mesh.
+    Raises InputError for a sensor with a mesh membrane.
     """
 
     def __init__(self, sensor: AnySensor, errors: SensingErrorModel, friction: float, seed: int):
@@ -112,7 +113,7 @@ class SyntheticTouchSource:
             raise InputError(
                 "touch is drawn of a film, not of a mesh",
                 field="--effects",
-                choices=["-sheet,-chain"],
+                choices=["-mesh,-pipeline"],
             )
         self._sensor = sensor
         self._errors = errors
@@ -135,7 +136,7 @@ class SyntheticTouchSource:
         self._drawn = SyntheticTouch.of(self._touch())
 
     def read(self) -> SyntheticTouch:
-        """What is felt now."""
+        """Return the simulated measurement at the present time."""
         if self._drawn is None or self._drawn.time != self._sensor.time:
             self.draw()
         drawn = self._drawn
@@ -195,8 +196,11 @@ class SyntheticTouchSource:
         )
 
     def _slip(self, time: float, wrench: Array) -> Slip:
-        """What the chain would say of a slip: none before some way is slid within the last images.
-        How much of friction is used, by the coefficient of the sensor's file."""
+        """Return the slip state that the sensing chain would report.
+
+        Slip is reported only after some sliding distance within the last images. The used fraction
+        of friction is based on the coefficient in the sensor's file.
+        """
         if not self._touching:
             self._slides.clear()
             return _NO_SLIP

@@ -1,4 +1,4 @@
-"""Where an object's surface truly is, for scoring only."""
+"""Ground truth of an object's surface, for scoring only."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mjtactile.core.types import Array
 from mjtactile.sim.scenes.objects import ObjectModel, read_spec
 
 _RAYS = 6000
-_FAR = 0.15  # m, from where rays start
+_FAR = 0.15  # distance at which rays start, m
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,8 +26,11 @@ class TrueSurface:
 
     @classmethod
     def of(cls, grasped: ObjectModel, seed: int = 0) -> TrueSurface:
-        """Of an object at rest: what random lines meet first of all that can be touched. (Such
-        lines meet each part of a surface as often as it is large.)"""
+        """Sample the surface of an object at rest: first hits of random lines on its touchable
+        geoms.
+
+        Such lines hit each part of a surface in proportion to its area.
+        """
         spec = read_spec(grasped)
         thing = spec.body("object")
         for other in list(spec.worldbody.bodies):
@@ -39,7 +42,7 @@ class TrueSurface:
                 spec.delete(joint)
         model = spec.compile()
         model.geom_group[:] = np.where(model.geom_contype & 1, 0, 5)
-        model.geom_rgba[:, 3] = 1.0  # rays go through what cannot be seen
+        model.geom_rgba[:, 3] = 1.0  # rays ignore transparent geoms
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         radius = float(np.abs(model.geom_aabb[:, 3:]).sum()) if model.ngeom else 0.05
@@ -47,8 +50,11 @@ class TrueSurface:
         return cls(_met(model, data, radius, seed), model, data)
 
     def off(self, p: Array, n: Array) -> Array:
-        """How far believed points (N, 3) m with outward normals are outside of it, along these
-        normals, (N,) m; where such a line does not meet it, the distance to it."""
+        """Return the signed distance (N,) m by which estimated points lie outside the surface.
+
+        Points (N, 3) m have outward normals; the distance is measured along them. If such a line
+        misses the surface, the result is the distance to the nearest surface point.
+        """
         off = np.array(
             [
                 _FAR - _ray(self.model, self.data, at + _FAR * out, -out)
@@ -60,15 +66,15 @@ class TrueSurface:
         return np.where(wild, nearest, off)
 
     def extents(self, axes: Array) -> Array:
-        """How long it is along each of `axes` (3, k), columns, (k,) m.
+        """Return the extents (k,) m along each of `axes` (3, k), columns.
 
-        The farthest of some hundred points is up to 0.2 mm short of an egg's end: from there on, it
-        is climbed by lines along the axis, nearer and nearer ones.
+        The farthest of some hundred points is up to 0.2 mm short of an egg's end. From that point a
+        local search with rays parallel to the axis, at decreasing distances, finds the end.
         """
         return np.array([self._end(axis) + self._end(-axis) for axis in axes.T])
 
     def _end(self, way: Array) -> float:
-        """m, the farthest along a unit vector."""
+        """Return the maximum extent along a unit vector, m."""
         best = self.points[int((self.points @ way).argmax())]
         across = np.linalg.svd(way[None])[2][1:]
         turns = np.arange(8) * (np.pi / 4)
@@ -86,13 +92,13 @@ class TrueSurface:
         return float(best @ way)
 
 
-_CLIMB = 2e-3  # m: the first step, about as far as points are apart
-_CLIMBED = 2e-5  # m: the last: an end that is as bent as a ball of 5 mm is then within 0.04 um
+_CLIMB = 2e-3  # first step of the search, m: about the spacing of the points
+_CLIMBED = 2e-5  # last step, m: error within 0.04 um at an end with the curvature of a ball of 5 mm
 _GROUPS = np.array([1, 1, 1, 1, 1, 0], np.uint8)
 
 
 def _ray(model: mujoco.MjModel, data: mujoco.MjData, start: Array, way: Array) -> float:
-    """m from `start` along the unit vector `way`; negative where nothing is."""
+    """Return the distance from `start` along the unit vector `way`, m; negative without a hit."""
     return mujoco.mj_ray(model, data, start, way, _GROUPS, 1, -1, None)
 
 

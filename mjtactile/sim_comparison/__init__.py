@@ -1,1 +1,1 @@
-"""A recording beside the simulator that is driven by the same commands."""
+"""Comparison of a recording with a simulation that is driven by the same commands."""

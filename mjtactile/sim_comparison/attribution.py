@@ -1,16 +1,17 @@
-"""Which one cause explains most of a difference: each is tried in the simulator, and what it
-changes is fitted to the difference by least squares.
+"""Attribution of a difference to the single cause that explains the largest fraction of it.
 
-The difference is counted in tolerances (`signals.TOLERANCE`), forces, markers and pressures alike:
-S = sum over these kinds of the mean of (difference / tolerance)^2. For cause j with columns J_j
-(what one unit of it on finger f changes there), and what is allowed for beside it with columns N
-and spreads s,
+Each cause is simulated, and its effect is fitted to the difference by least squares.
+
+The difference is expressed in tolerances (`signals.TOLERANCE`), with equal weight for forces,
+markers and pressures: S = sum over these kinds of the mean of (difference / tolerance)^2. Cause j
+has columns J_j (the change per unit on finger f). Nuisance parameters have columns N and standard
+deviations s:
 
     S_j = min over a, n of |d - J_j a - N n|^2_W + |n / s|^2 / m,
 
-m the number of kinds. The cause with the least S_j is named where it explains at least half of S
-and leaves a good deal less than what is allowed for alone does; the simulator is then run with it,
-and what is left is what that says, not the line.
+with the number of kinds m. The cause with the smallest S_j is reported if it explains at least half
+of S and leaves clearly less than the nuisance parameters alone. The simulator then runs with this
+cause. The reported remainder comes from that run, not from the linear fit.
 """
 
 from __future__ import annotations
@@ -26,16 +27,16 @@ from mjtactile.sim_comparison.discrepancy_parameters import DiscrepancyParameter
 from mjtactile.sim_comparison.signals import KINDS, TOLERANCE, Signals, apart
 
 POINTS = 90
-"""Of time, at which rigs are compared."""
+"""Number of times at which rigs are compared."""
 _MIN_EXPLAINED = 0.5
 _LESS_LEFT = 0.6
-"""Of what is left without a cause, at most so much may be left with one that is named."""
+"""Maximum remainder with a reported cause, as a fraction of the remainder without a cause."""
 
 _CONTENDERS = 3
 """Causes that are tried in the simulator, if they explain about as much as the best by the line."""
 _NEAR = 0.08
 _ALIKE = 0.03
-"""Shares by which causes are said to explain about, and exactly, as much."""
+"""Differences in explained fraction below which causes count as close, and as indistinguishable."""
 
 Simulate = Callable[[Mapping[str, Sequence[float]]], Signals]
 """Raises DeviceError or SimulationError where a rig is so odd that nothing works on it."""
@@ -43,8 +44,11 @@ Simulate = Callable[[Mapping[str, Sequence[float]]], Signals]
 
 @dataclass(frozen=True)
 class TestedParameter:
-    """A cause: its `amounts` on each finger, SI, their sd, and the share of the difference that it
-    explains, with what is allowed for."""
+    """A cause with its `amounts` on each finger, SI, their standard deviations and its explained
+    fraction.
+
+    The explained fraction includes the nuisance parameters.
+    """
 
     cause: DiscrepancyParameter
     amounts: tuple[float, ...]
@@ -54,20 +58,22 @@ class TestedParameter:
 
 @dataclass(frozen=True, eq=False)
 class SimComparison:
-    """A recording beside its simulation.
+    """Comparison of a recording with its simulation.
 
     Attributes:
-        recorded: What the rig said, at the compared times.
-        simulated: What the simulator said.
-        explained: The same with what was named, None: nothing was.
-        apart: rms difference of each kind and finger, SI.
-        left: The same beside `explained`.
-        tried: All causes, the one that explains most first.
-        named: The one that is named; None: nothing differs, or no one cause explains it.
-        differs: Whether any kind is farther apart than its tolerance.
-        alike: Others that explain as much: the recording does not tell them apart.
-        allowed: Amounts of what is allowed for, by cause, SI.
-        explains: Share of the difference that is gone in the simulation with it.
+        recorded: Signals of the rig, at the compared times.
+        simulated: Signals of the simulator.
+        explained: Signals of the simulator with the reported cause; None without one.
+        apart: Rms difference of each kind and finger, SI.
+        left: Rms difference between `recorded` and `explained`.
+        tried: All causes, in order of decreasing explained fraction.
+        named: The reported cause; None if nothing differs or no single cause explains the
+            difference.
+        differs: True if any kind differs by more than its tolerance.
+        alike: Other causes with the same explained fraction, which the recording cannot
+            distinguish.
+        allowed: Amounts of the nuisance parameters, by cause, SI.
+        explains: Fraction of the difference that the simulation with the cause removes.
     """
 
     recorded: Signals
@@ -94,7 +100,7 @@ class _Rows:
 
     @classmethod
     def of(cls, signals: Sequence[Signals]) -> _Rows:
-        """What is known in all of `signals`."""
+        """Create rows of the values that are finite in all `signals`."""
         known = {}
         weight = {}
         for kind in KINDS:
@@ -116,7 +122,7 @@ class _Rows:
 
 
 def compare_times(recorded: Signals, simulated: Signals) -> Array:
-    """Times at which both said something."""
+    """Return the times for which both have signals."""
     last = min(recorded.time[-1], simulated.time[-1])
     return np.linspace(0.0, last, min(POINTS, len(recorded.time)))
 
@@ -130,17 +136,17 @@ def explain(
     | None = None,
     say: Callable[[str], None] = lambda _: None,
 ) -> SimComparison:
-    """Simulate the recording, and where it differs with each cause.
+    """Simulate the recording and, if it differs, simulate it with each cause.
 
     Args:
-        recorded: What the rig said.
-        simulate: Runs the simulator with amounts of causes.
-        causes: What may be.
-        many: Runs it several times, None where it broke; None: one after the other.
-        say: Is given a line where something goes on.
+        recorded: Signals of the rig.
+        simulate: Function that runs the simulator with amounts of causes.
+        causes: Possible causes.
+        many: Function for several runs, None for each failed one; without it runs are sequential.
+        say: Callback for progress messages.
 
     Returns:
-        Both, how far they are apart, and what explains it.
+        Both signals, their differences, and the cause that explains them.
     """
     plain = simulate({})
     time = compare_times(recorded, plain)
@@ -184,7 +190,7 @@ def explain(
 
 @dataclass(frozen=True, eq=False)
 class _Checked:
-    """A cause whose amount the simulator was given: what it said, and the share explained."""
+    """A cause after simulation with its amount: resulting signals and explained fraction."""
 
     tried: TestedParameter
     signals: Signals
@@ -192,8 +198,10 @@ class _Checked:
 
 
 def _is_named(best: _Checked, linear: TestedParameter, left: float) -> bool:
-    """Whether a cause explains enough to be named: simulated, and by its slope; `left` is the share
-    that stays unexplained by what is usual."""
+    """Return True if a cause explains enough to be reported, both simulated and in the linear fit.
+
+    `left` is the fraction that the nuisance parameters alone leave unexplained.
+    """
     explains = min(best.explains, linear.explains) >= _MIN_EXPLAINED
     return explains and (linear.cause.spread > 0 or 1 - linear.explains <= _LESS_LEFT * left)
 
@@ -206,8 +214,11 @@ def _checked(
     simulate: Simulate,
     time: Array,
 ) -> _Checked:
-    """Run the simulator with it; where that goes too far or not far enough, since nothing is quite
-    a line, once more with as much as fits the difference best."""
+    """Run the simulator with the cause, and rescale its amount once.
+
+    The response is not exactly linear. The second run uses the amount that fits the difference
+    best.
+    """
     best = _Checked(one, here, 0.0)
     one = _on_each_finger(one, allowed, there, here, simulate, time)
     for _ in range(2):
@@ -235,8 +246,10 @@ def _on_each_finger(
     simulate: Simulate,
     time: Array,
 ) -> TestedParameter:
-    """The same with what each finger's own share does to all fingers: what one of them lets go of,
-    the other has to hold."""
+    """Fit the amounts per finger from the effect of each finger's amount on all fingers.
+
+    The fingers are coupled: a force that one of them loses is carried by the other.
+    """
     fingers = there.fingers
     if one.cause.on != "sensor" or fingers < 2:
         return one
@@ -258,7 +271,7 @@ def _on_each_finger(
 
 
 def attempted(simulate: Simulate, amounts: Mapping[str, Sequence[float]]) -> Signals | None:
-    """What the simulator says with it; None where nothing works on such a rig."""
+    """Return the simulator's signals with these amounts; None if the simulation fails."""
     try:
         return simulate(amounts)
     except (DeviceError, SimulationError):
@@ -279,7 +292,7 @@ def _shift(plain: Signals, time: Array) -> tuple[Signals, Signals]:
     return plain.at(time + step), plain.at(time - step)
 
 
-_CLOCK = 0.05  # s, sd of how far the clocks are apart
+_CLOCK = 0.05  # standard deviation of the clock offset, s
 
 
 def _tried(
@@ -289,7 +302,7 @@ def _tried(
     probes: Sequence[Signals],
     shifted: tuple[Signals, Signals],
 ) -> tuple[list[TestedParameter], dict[str, dict[str, float]]]:
-    """Each cause, best first; and what was allowed for beside each ("": beside none)."""
+    """Return all causes, best first, and the nuisance parameters for each ("": without a cause)."""
     rows = _Rows.of([there, here, *probes, *shifted])
     base = rows.vector(here)
     difference = rows.vector(there) - base
@@ -329,7 +342,8 @@ def _tried(
 def _solve(
     difference: Array, columns: Array, beside: Mapping[str, tuple[Array, float]]
 ) -> tuple[Array, dict[str, float], Array]:
-    """Amounts of `columns`, what is allowed for with what is left, and the amounts' sd."""
+    """Return the amounts of `columns`, the nuisance parameters with the remainder, and the amounts'
+    standard deviations."""
     names = list(beside)
     allowed = [beside[name][0] for name in names]
     J = np.column_stack([columns, *allowed]) if allowed else columns

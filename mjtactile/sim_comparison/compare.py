@@ -1,4 +1,4 @@
-"""From a recording's folder to its shadow: what is simulated again, and in how many processes."""
+"""Comparison of a recording's folder with its simulation, in several processes."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ def shadow_of(
     workers: int = 1,
     say: Callable[[str], None] = lambda _: None,
 ) -> tuple[SimComparison, RecordedEpisode]:
-    """Simulate again what was recorded, and say where the two part.
+    """Simulate a recording and report where both differ.
 
     Args:
-        folder: The recording, or a run's folder around it.
-        rig: The simulated rig that stands for the recording's hand.
-        thing: The object that was grasped, where the recording does not say it.
-        until: s from the first cycle, after which nothing is looked at.
-        causes: Names of those to try; none: all.
-        workers: Processes that simulate.
-        say: Is given a line where something goes on.
+        folder: The recording, or the folder of a run that contains it.
+        rig: The simulated rig that represents the recording's gripper.
+        thing: The grasped object, if the recording does not name it.
+        until: Time from the first cycle, s, after which data are ignored.
+        causes: Names of the causes to test; none: all.
+        workers: Number of simulating processes.
+        say: Callback for progress messages.
 
     Returns:
-        The shadow, and the recording.
+        The comparison, and the recording.
 
     Raises:
         InputError: The recording names no object or stage, or has no cycles.

@@ -1,8 +1,10 @@
-"""What may set a rig apart from its simulation, each one number that the simulator can be given.
+"""Possible causes of a difference between a rig and its simulation, each one number for the
+simulator.
 
-`CAUSES` is the whole list. A cause that belongs to one sensor is looked for on each finger; one of
-the hand or of the thing has one number. What a person cannot set exactly (where the thing stood,
-how far the jaws are from where they say) has a `spread`, and is allowed for beside every other.
+`CAUSES` is the whole list. A cause of a sensor has one value per finger; a cause of the gripper or
+of the object has one value. Quantities that cannot be set exactly (position of the object, offset
+of the jaws from their reading) have a `spread`. They serve as nuisance parameters for every other
+cause.
 """
 
 from __future__ import annotations
@@ -17,16 +19,16 @@ class DiscrepancyParameter:
     """One number in which a rig may differ.
 
     Attributes:
-        name: Its key in results.
-        more: What it is called where the number is above zero; {amount} is with its unit.
-        less: The same below zero.
-        probe: SI, by how much the simulator is changed to see what it does.
-        scale: SI units in one `unit`.
-        unit: As it is said.
-        remedy: What to do about it.
-        spread: SI, sd of what is allowed for beside other causes; 0: nothing is.
-        low: SI, the least that it can be.
-        on: "sensor", "hand", "thing" or "stage": where it is.
+        name: Key of the cause in results.
+        more: Description for a positive number; {amount} includes its unit.
+        less: Description for a negative number.
+        probe: Change in the simulator that measures its effect, SI.
+        scale: Number of SI units in one `unit`.
+        unit: Displayed unit.
+        remedy: Recommended action.
+        spread: Standard deviation as a nuisance parameter of other causes, SI; 0: none.
+        low: Minimum value, SI.
+        on: Location: "sensor", "hand", "thing" or "stage".
     """
 
     name: str
@@ -169,7 +171,7 @@ def causes_of(staged: bool, names: tuple[str, ...] = ()) -> tuple[DiscrepancyPar
 
 
 def words(cause: DiscrepancyParameter, amount: float) -> str:
-    """What the number says."""
+    """Return a description of the amount of a cause."""
     text = cause.more if amount >= 0 or not cause.less else cause.less
     shown = abs(amount) / cause.scale
     return text.format(amount=f"{shown:.2g} {cause.unit}")

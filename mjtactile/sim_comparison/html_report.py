@@ -1,4 +1,5 @@
-"""The page of a shadow: where recording and simulation part over time, and what explains it."""
+"""HTML report of a comparison: differences between recording and simulation over time, and the
+cause."""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ _BOTTOM = 26
 
 
 def verdict(shadow: SimComparison) -> str:
-    """One line: whether the rig does as the simulator, and what explains it where it does not."""
+    """Return one line: agreement of rig and simulator, or the cause of their difference."""
     if not shadow.differs:
         return "does as the simulator does, as far as the tolerances go"
     where = " and ".join(parting(shadow))
@@ -133,8 +134,11 @@ def _legend(shadow: SimComparison) -> str:
 
 
 def _curve(kind: str, signals: Signals, there: Signals, finger: int) -> Array:
-    """What is drawn of a kind (t,): normal force N; how far markers are from the recorded ones,
-    rms um; pressure Pa."""
+    """Return the plotted curve of a kind (t,).
+
+    It is the normal force, N, the rms distance of the markers from the recorded ones, um, or the
+    pressure, Pa.
+    """
     if kind == "force":
         return -signals.force[:, finger, 2]
     if kind == "pressure":

@@ -1,5 +1,5 @@
-"""The simulator does again what a recording's rig was told to do: the same commands at the same
-times, or the same moves of a stage; and its sensing chain looks on."""
+"""Simulation of a recording with the same commands at the same times, or the same moves of a stage,
+observed by the rig's sensing chain."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ from mjtactile.sim.rig import build_sim_rig, start_of
 from mjtactile.sim_comparison.signals import CollectedSignals, Signals, gauges
 
 Amounts = Mapping[str, Sequence[float]]
-"""Cause to its amount, SI, on each finger; of the hand or of the thing one number."""
+"""Map from cause to its amount, SI, on each finger; one number for the gripper or the object."""
 _NOT_SAMPLED = "-images"  # markers with an image's errors in place of images: the same, sooner
 
 
 @dataclass(frozen=True)
 class GripperReplay:
-    """A hand that is told what the hand of `folder` was told.
+    """Simulated gripper that receives the recorded commands of `folder`.
 
     Attributes:
         folder: The recording.
-        scenario: What is simulated: its rig, object, sensor and seed.
-        until: s from the first cycle, after which nothing is looked at.
+        scenario: The simulated scenario: rig, object, sensor and seed.
+        until: Time from the first cycle, s, after which data are ignored.
     """
 
     folder: Path
@@ -48,13 +48,13 @@ class GripperReplay:
     until: float = math.inf
 
     def run(self, amounts: Amounts) -> Signals:
-        """Simulate it with so much of each cause.
+        """Simulate the recording with these amounts of each cause.
 
         Returns:
-            What the simulated rig says.
+            The signals of the simulated rig.
 
         Raises:
-            InputError: The simulated rig has not as many fingers.
+            InputError: The simulated rig has a different number of fingers.
         """
         episode = RecordedEpisode(self.folder)
         count = len(episode.fingers)
@@ -99,10 +99,10 @@ class StageReplay:
     until: float = math.inf
 
     def run(self, amounts: Amounts) -> Signals:
-        """Simulate it with so much of each cause.
+        """Simulate the recording with these amounts of each cause.
 
         Returns:
-            What the simulated sensor says.
+            The signals of the simulated sensor.
         """
         episode = RecordedEpisode(self.folder)
         stage = stage_from_note(episode.recording.notes["stage"], self.folder)
@@ -172,7 +172,7 @@ def _specimen(amounts: Amounts, finger: int) -> AsBuiltSensor:
 
 
 def _follow(session: Session, recording: Recording, offset: float, until: float) -> Signals:
-    """Send the recorded commands at their times, jaws `offset` m farther apart than they say."""
+    """Send the recorded commands at their times, with openings increased by `offset` m."""
     times = recording.columns["time"] - recording.columns["time"][0]
     last = min(float(times[-1]), until)
     gathered = CollectedSignals([finger.design.markers.count for finger in session.rig.fingers])
@@ -187,7 +187,7 @@ def _follow(session: Session, recording: Recording, offset: float, until: float)
 
 
 def _command(recording: Recording, times: Array, now: float, offset: float) -> Command:
-    """What was sent in the cycle nearest to `now` s."""
+    """Return the recorded command of the cycle nearest to `now` s."""
     k = int(np.abs(times - now).argmin())
     columns = recording.columns
     phase = str(columns["phase"][k])

@@ -1,5 +1,5 @@
-"""What a rig said over time, whoever the rig was: forces, markers and pressures, as the same
-sensing chain sees them."""
+"""Signals of a real or simulated rig over time: forces, markers and pressures from the same sensing
+chain."""
 
 from __future__ import annotations
 
@@ -15,16 +15,22 @@ from mjtactile.export.episode import RecordedEpisode
 
 KINDS = ("force", "markers", "pressure")
 TOLERANCE = {"force": 0.03, "markers": 3e-5, "pressure": 25.0}
-"""N, m, Pa: as far as simulator and a rig that is as its file says may be apart, rms. The force is
-what is promised of one felt; markers are each within 20 um by the chain, and a run is not repeated
-to better; an emulated rig's gauges, read through a board a little later, were 17 Pa apart."""
+"""Rms tolerances, N, m, Pa, for a simulator and a rig that matches its file.
+
+The force tolerance is the specified accuracy of an estimated force. The chain measures each marker
+within 20 um, and repeated runs do not agree better. Pressure sensors of an emulated rig, read
+through a board a little later, differed by 17 Pa.
+"""
 UNIT = {"force": (1e3, "mN"), "markers": (1e6, "um"), "pressure": (1.0, "Pa")}
 
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """Of `time` (t,) s from the first cycle on and each finger f: `force` (t, f, 3) N on the
-    membrane in S, `markers` (t, f, n, 3) m in S, gauge `pressure` (t, f) Pa. NaN: unknown."""
+    """Signals at `time` (t,) s from the first cycle on, for each finger f.
+
+    `force` (t, f, 3) N acts on the membrane in S. `markers` (t, f, n, 3) m are in S. `pressure` (t,
+    f) Pa is the gauge pressure. NaN: unknown.
+    """
 
     time: Array
     force: Array
@@ -36,7 +42,7 @@ class Signals:
         return self.force.shape[1]
 
     def at(self, time: Array) -> Signals:
-        """What was so nearest to each of (k,) s."""
+        """Return the signals nearest in time to each of (k,) s."""
         after = np.clip(np.searchsorted(self.time, time), 1, len(self.time) - 1)
         nearer = time - self.time[after - 1] < self.time[after] - time
         index = after - nearer
@@ -74,7 +80,7 @@ class CollectedSignals:
 
 
 def gauges(valves: Sequence[ValveState], episode: Any = None) -> list[float | None]:
-    """What each valve's pressure sensor shows, Pa, its measured zero taken off."""
+    """Return the reading of each valve's pressure sensor, Pa, corrected for its measured zero."""
     shown = [valve.gauge_pressure for valve in valves]
     if episode is None:
         return shown
@@ -86,7 +92,10 @@ def gauges(valves: Sequence[ValveState], episode: Any = None) -> list[float | No
 
 
 def recorded(episode: RecordedEpisode) -> Signals:
-    """What a recording says: felt again from its images where it has all, else as it was felt."""
+    """Return the signals of a recording, estimated again from its images if all are available.
+
+    Otherwise the forces are those that were estimated during the recording.
+    """
     counts = [episode.design_of(name).markers.count for name in episode.fingers]
     gathered = CollectedSignals(counts)
     rows = []

@@ -10,8 +10,8 @@ from typing import Any
 
 
 def guarded(handler: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-    """A handler that tells its plugin what it raises, by `complain`, instead of ending the
-    viewer."""
+    """Return a handler that reports exceptions to its plugin's `complain` and keeps the viewer
+    alive."""
 
     @functools.wraps(handler)
     def call(self: Any, event: Any) -> Any:

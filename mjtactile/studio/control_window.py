@@ -1,5 +1,6 @@
-"""`ControlWindow`: the window from which a session is asked for things: pause, again, valves, by
-hand, a puncture, the red button."""
+"""`ControlWindow`: controls of a session: pause, restart, valves, manual control, puncture, and the
+emergency button.
+"""
 
 from __future__ import annotations
 
@@ -25,15 +26,16 @@ from mjtactile.studio.snapshot import StudioSnapshot
 
 _OPEN = int(imgui.TreeNodeFlags.DefaultOpen)
 _WHITE = imgui.Vec4(1.0, 1.0, 1.0, 1.0)
-_HOLE = 1e-8  # m^3/(s Pa): a prick; half of the pressure is gone within a second or so
+# conductance of a puncture, m^3/(s Pa); half of the pressure is lost within about a second
+_HOLE = 1e-8
 _ACCURACIES = ("", "0.005N", "0.02N", "0.05N", "realtime")
-_SQUEEZE = (0.0, 3.0)  # N
+_SQUEEZE = (0.0, 3.0)  # range of the grip force slider, N
 _SUPPLY = (0.0, 3.0)  # kPa
-_PULL_SHOWN = 0.005  # N
+_PULL_SHOWN = 0.005  # minimum displayed pull force, N
 
 
 class ControlWindow(plugin.ViewerPlugin):
-    """What can be done to the session that `show` shows."""
+    """Window with the controls of the session of `show`."""
 
     def __init__(self, show: SessionBridge):
         self.show = show
@@ -157,7 +159,8 @@ class ControlWindow(plugin.ViewerPlugin):
             show.wish = now
 
     def _build_next(self) -> None:
-        """Another object, seed, accuracy, and other effects: a world is built anew for them."""
+        """Build the controls for another object, seed, accuracy and effects, which need a new
+        world."""
         if not imgui.CollapsingHeader("another run"):
             return
         now = self._next
@@ -176,8 +179,8 @@ class ControlWindow(plugin.ViewerPlugin):
             imgui.TreePop()
 
     def _build_effects(self) -> None:
-        """Which are on for that object and accuracy, and what each costs; a click forces it to be
-        otherwise."""
+        """List the active effects for the object and accuracy, with their costs; a click overrides
+        one."""
         now = self._next
         for name, on, text, why in _effects(now.sensor, now.object, now.accuracy, now.effects):
             changed, _ = imgui.Checkbox(f"{name}###{name}", on)
@@ -216,8 +219,8 @@ def toggled(overrides: str, name: str, on: bool) -> str:
 def _effects(
     sensor: str, object_name: str, accuracy: str, overrides: str
 ) -> tuple[tuple[str, bool, str, str], ...]:
-    """Name, whether it is on, its price and what leaving it out costs, and why, of each that can be
-    switched."""
+    """Return, for each switchable effect, its name, state, costs with and without it, and the
+    reason."""
     _, _, rows = effects_of(load_sensor(sensor), object_name, accuracy, overrides)
     return tuple(
         (str(row["effect"]), bool(row["on"]), _price(row), str(row["why"]))
@@ -235,7 +238,7 @@ def _price(row: dict[str, Any]) -> str:
 
 
 def _choice(label: str, now: str, choices: Any, nothing: str = "") -> str:
-    """One of `choices`, or what it is now."""
+    """Return the selection from `choices`; the present value is always available."""
     all_ = [*choices] if now in choices else [now, *choices]
     _, chosen = imgui.Combo(label, all_.index(now), [text or nothing for text in all_])
     return all_[chosen]

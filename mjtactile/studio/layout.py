@@ -1,4 +1,4 @@
-"""Where our windows are at first, between Studio's bars."""
+"""Initial layout of the package's windows between Studio's bars."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Any
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 
 RED = imgui.Vec4(0.9, 0.25, 0.2, 1.0)
-LEFT = 274  # px, the width of what is asked and chosen
-LOOK = 190  # px, the height of what is chosen
+LEFT = 274  # width of the control windows, px
+LOOK = 190  # height of the options window, px
 # px
 _ABOVE = 26
 _BELOW = 34
@@ -17,8 +17,10 @@ _LEAST = 120  # px
 
 
 class WindowLayout:
-    """`begin` with each frame; `place` before each window. Whoever moves a window has it there
-    until the page's size changes."""
+    """Window placement: call `begin` for each frame and `place` before each window.
+
+    A window that the user moves keeps its position until the page's size changes.
+    """
 
     def __init__(self) -> None:
         self._size = (0.0, 0.0)
@@ -31,8 +33,11 @@ class WindowLayout:
         self._when = int(imgui.Cond.Always if changed else imgui.Cond.Once)
 
     def place(self, x: int, y: int, width: int, height: int) -> None:
-        """Where the next window is, px; negative: from the right, from below; a size that is not
-        positive: so much is left."""
+        """Set position and size of the next window, px.
+
+        Negative positions count from the right or from below. A size of zero or less is the
+        remaining size plus that number.
+        """
         across = self._size[0]
         down = self._size[1] - _ABOVE - _BELOW
         left = x if x >= 0 else across + x

@@ -1,8 +1,8 @@
-"""MuJoCo Studio in the browser, for this computer alone: MuJoCo's server, bound to loopback, that
-answers its own pages and nobody else.
+"""MuJoCo Studio in the browser for the local computer only: MuJoCo's server, bound to loopback,
+that answers only its own pages.
 
-MuJoCo's binds every interface, lets any page of the web that the user has open read the model and
-talk to it, and has no option for either.
+MuJoCo's server binds every interface and has no option for it. It also lets any web page that the
+user has open read the model and send messages, without an option against it.
 """
 
 from __future__ import annotations
@@ -27,19 +27,23 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 LOOPBACK = "127.0.0.1"
-# any port: a tunnel has its own; another name is somebody's who points it at this computer
+# any port, because a tunnel has its own; another name may be a foreign name that points to this
+# computer
 _HOST = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
 _SHOWS = "/state"
 _OURS = ("same-origin", "none")
-"""What a browser says of a request (Sec-Fetch-Site) that a page of ours, or its user, asked for."""
+"""Accepted values of Sec-Fetch-Site: requests by the server's own page or directly by its user."""
 _serve_unguarded = web_server.serve
 checked_at = threading.Event()
-"""Set when a page has asked for what there is to see."""
+"""Event that is set when a page has requested the state."""
 
 
 def refusal(headers: Headers) -> str:
-    """Why a request with these headers is not answered, "" if it is: it must be for a name of this
-    computer (else a site could have its name point here), and from a page of the same origin."""
+    """Return the reason to reject a request with these headers; "" to accept it.
+
+    The request must use a name of this computer, because a site could let its own name point here.
+    It must also come from a page of the same origin.
+    """
     host = headers.get("Host", "")
     if not _HOST.fullmatch(host.lower()):
         return f"not for {host!r}: this is for the computer that it runs on"
@@ -53,8 +57,10 @@ def refusal(headers: Headers) -> str:
 
 
 def serve(*args: Any, process_request: Any, process_response: Any, **options: Any) -> Any:
-    """`websockets.asyncio.server.serve` with MuJoCo's handlers behind `refusal`; what they answer
-    is for the page alone."""
+    """Call `websockets.asyncio.server.serve` with MuJoCo's handlers protected by `refusal`.
+
+    Their responses are readable by the server's own page only.
+    """
 
     def ask(connection: ServerConnection, request: Request) -> Response | None:
         why = refusal(request.headers)
@@ -88,10 +94,10 @@ class LoopbackViewer(web_viewer.WebViewer):
 def launch(
     config: viewer_protocol.ViewerConfig | None = None, *, plugins: Sequence[Any] = ()
 ) -> viewer_handle.ViewerHandle:
-    """`mujoco.studio.launch_web.launch`, on loopback: serves Studio in a thread and returns at
-    once.
+    """Serve Studio in a thread on loopback, like `mujoco.studio.launch_web.launch`; return
+    immediately.
 
-    Use what it returns as a context manager; call its `sync(model, data)` after each of your steps.
+    Use the result as a context manager; call its `sync(model, data)` after each of your steps.
     """
     config = viewer_protocol.ViewerConfig(gfx="web") if config is None else config
     viewers, sims = plugin.split_plugins(plugins)

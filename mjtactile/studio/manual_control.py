@@ -1,7 +1,7 @@
-"""A person's hand on the gripper: `ManualControl` asks the controller, or does what was wished for
-in its place.
+"""Manual control of the gripper: `ManualControl` runs the controller, or a manual goal in its
+place.
 
-Both go through the supervisor and the rig's limits, as any command does.
+Both pass the supervisor and the rig's limits, as any command does.
 """
 
 from __future__ import annotations
@@ -13,20 +13,23 @@ from pathlib import Path
 from mjtactile.core.types import Command, Observation
 from mjtactile.runtime.controller import LoadedController
 
-# m/s
+# speeds, m/s
 _OPENING_SPEED = 0.03
 _LIFT_SPEED = 0.04
-# m/s for each N of error, and m/s: as the shipped controller regulates
+# gain, m/s per N of force error, and speed limit, m/s: as in the included controller
 _SQUEEZE_GAIN = 0.03
 _SQUEEZE_SPEED = 0.01
-_REACH = 4e-3  # m that the goal may be ahead of the jaws while they squeeze
-_SERVO_FORCE = 4.0  # N, the most that the servo may push
+_REACH = 4e-3  # maximum distance of the commanded opening from the jaws during squeezing, m
+_SERVO_FORCE = 4.0  # force limit of the servo, N
 
 
 @dataclass(frozen=True)
 class ManualGoal:
-    """Where jaws and lift shall go, m; `force` N: how hard to squeeze, as felt, instead of an
-    opening (NaN: the opening)."""
+    """Target opening and lift height, m.
+
+    A finite `force`, N, is the target of the measured grip force and replaces the opening (NaN: the
+    opening applies).
+    """
 
     opening: float
     lift_height: float
@@ -67,7 +70,7 @@ def _towards(start: float, goal: float, most: float) -> float:
 
 
 class ManualControl:
-    """A controller that can be taken over from: while there is a `wish`, it is not asked."""
+    """A controller with manual override: while there is a `wish`, the controller does not run."""
 
     def __init__(self, controller: LoadedController):
         self._controller = controller

@@ -1,5 +1,6 @@
-"""`Panel`: what is felt, in Studio's window. For any source of moments: a session, or sensors in
-somebody's own scene."""
+"""`Panel`: tactile estimates in Studio's window, for any source of snapshots: a session, or sensors
+in a user's scene.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +37,7 @@ _CURVES = 250  # px, the height of the curves
 
 
 class SnapshotSource(Protocol):
-    """Where moments come from."""
+    """Source of snapshots."""
 
     history: History
 
@@ -44,17 +45,19 @@ class SnapshotSource(Protocol):
 
 
 def ellipses_of(felt: FingerSnapshot) -> Ellipses:
-    """Those in its image: as sensing followed them, if all of them were there, else found anew,
-    with what is wrong with each."""
+    """Return the ellipses of a finger's image with the status of each.
+
+    Tracked ellipses are used if sensing tracked all of them; else they are detected again.
+    """
     ellipses = followed(felt.image, felt.tracks)
     return find_ellipses(felt.image) if ellipses is None else ellipses
 
 
 class Panel(plugin.ViewerPlugin):
-    """A window a finger, one with plots, one with what is drawn into the scene.
+    """One window per finger, one with plots, and one with the overlay options.
 
-    `fingers` are sensors in a scene of yours (`mjtactile.attach(...).bind(...)`), in a list that
-    may be filled later, or another source of moments.
+    `fingers` are sensors in a user's scene (`mjtactile.attach(...).bind(...)`), in a list that may
+    be filled later, or another source of snapshots.
     """
 
     def __init__(self, fingers: Sequence[Any] | SnapshotSource):
@@ -76,7 +79,7 @@ class Panel(plugin.ViewerPlugin):
         self._scale = ""
 
     def complain(self, text: str) -> None:
-        """Show what a handler raised."""
+        """Show the error message of a handler."""
         self.error = text
 
     @messages.handler
@@ -87,7 +90,7 @@ class Panel(plugin.ViewerPlugin):
             return
         fingers = self._placed(moment.fingers)
         now = wall.monotonic()
-        # what was chosen is seen at once
+        # a changed selection is shown immediately
         is_due = now - self._drawn > 1 / _RATE or self.look != self._marked[-1]
         if ((moment, self.look) != self._marked and is_due) or not self._mine:
             self._marked = (moment, self.look)
@@ -114,7 +117,7 @@ class Panel(plugin.ViewerPlugin):
 
     @staticmethod
     def _has_membranes(moment: StudioSnapshot) -> bool:
-        """Whether the scene has them itself: then only what is pushed in is coloured."""
+        """Return True if the scene itself has membranes: then only indented parts are colored."""
         return moment.scene is not None or any(felt.body is not None for felt in moment.fingers)
 
     def _placed(self, fingers: Sequence[FingerSnapshot]) -> tuple[FingerSnapshot, ...]:
@@ -181,7 +184,7 @@ class Panel(plugin.ViewerPlugin):
         imgui.End()
 
     def _build_overlay(self, flags: Mapping[str, str]) -> None:
-        """What is drawn into the scene, and what the simulation doubts of its own numbers."""
+        """Build the window of the overlay options and the simulation's flags."""
         self._layout.place(8, -LOOK, LEFT, LOOK)
         if imgui.Begin("Touch in the scene")[0]:
             look = self.look
@@ -201,7 +204,7 @@ class Panel(plugin.ViewerPlugin):
             )
             imgui.TextUnformatted(self._scale)
             for kind, reason in flags.items():
-                imgui.TextWrapped(f"doubt ({kind}): {reason}")
+                imgui.TextWrapped(f"warning ({kind}): {reason}")
             if self.error:
                 imgui.TextColored(RED, self.error)
         imgui.End()
@@ -226,7 +229,7 @@ class Panel(plugin.ViewerPlugin):
             imgui.Image(self._textures[k, what], imgui.Vec2(_WIDTH, _WIDTH * self._shapes[k, what]))
 
     def _describe_ellipse(self, k: int, felt: FingerSnapshot) -> None:
-        """A tooltip: what is said of the ellipse under the mouse."""
+        """Show a tooltip with status and size of the ellipse under the mouse."""
         ellipses = self._ellipses.get(k)
         if ellipses is None or not len(ellipses) or not imgui.IsItemHovered():
             return
@@ -242,7 +245,7 @@ class Panel(plugin.ViewerPlugin):
 
 
 def flagged_text(ellipses: Ellipses | None) -> str:
-    """How many ellipses are not trusted, and why; "" for none."""
+    """Return the number of rejected ellipses with the reasons; "" for none."""
     if ellipses is None or not len(ellipses):
         return ""
     reasons, counts = np.unique(ellipses.status[ellipses.status != "ok"], return_counts=True)

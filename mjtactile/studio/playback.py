@@ -1,4 +1,5 @@
-"""A recording in Studio: felt again as fast as it goes, and looked at where one likes."""
+"""Playback of a recording in Studio: touch is estimated again at full speed and shown at any
+time."""
 
 from __future__ import annotations
 
@@ -24,8 +25,10 @@ from mjtactile.studio.snapshot import Curves, History, StudioSnapshot
 
 
 class RecordingPlayer(SessionBridge):
-    """Shows what was felt at the time `at`, s from the first cycle, which goes with the clock while
-    `playing`."""
+    """Player that shows the estimates at the time `at`, s from the first cycle.
+
+    `at` follows the clock while `playing`.
+    """
 
     def __init__(
         self, scenario: Scenario, recording: Recording, say: Callable[[str], None] = lambda _: None
@@ -42,7 +45,7 @@ class RecordingPlayer(SessionBridge):
         self._playing = True
         self._shown: StudioSnapshot | None = None
 
-    # what the session's thread calls
+    # called by the session's thread
 
     def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
         """Keep a cycle without its images: the recording has them."""
@@ -62,16 +65,16 @@ class RecordingPlayer(SessionBridge):
         self.latest = moment
         self._leave()
 
-    # what the viewer's thread calls
+    # called by the viewer's thread
 
     @property
     def length(self) -> float:
-        """s that have been felt so far."""
+        """Duration processed so far, s."""
         return self._times[-1] - self._times[0] if self._times else 0.0
 
     @property
     def at(self) -> float:
-        """s from the first cycle."""
+        """Time from the first cycle, s."""
         gone = wall.monotonic() - self._since if self._playing else 0.0
         return min(self._from + gone, self.length)
 
@@ -90,7 +93,7 @@ class RecordingPlayer(SessionBridge):
         self._playing = playing
 
     def moment(self) -> StudioSnapshot | None:
-        """What was felt then, with its images from the disk."""
+        """Return the snapshot at the time `at`, with its images from the disk."""
         with self._lock:
             if not self._times:
                 return None

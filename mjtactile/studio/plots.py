@@ -23,7 +23,7 @@ _FIT = int(implot.AxisFlags.AutoFit)
 
 
 def build(curves: Curves | None, names: Sequence[str]) -> None:
-    """A tab for each; nothing of what nobody knows."""
+    """Build one tab per quantity; quantities without finite values are left out."""
     if curves is None or not imgui.BeginTabBar("##curves"):
         return
     if imgui.BeginTabItem("force"):
@@ -71,8 +71,7 @@ def _line(name: str, time: Array, values: Array) -> None:
 
 
 def _bands(curves: Curves) -> None:
-    """The phases, and in red what the supervisor does instead; between the plot's paper and its
-    lines."""
+    """Draw phases as bands behind the curves; interventions of the supervisor are red."""
     implot.SetupFinish()
     corner = implot.GetPlotPos()
     size = implot.GetPlotSize()

@@ -1,5 +1,5 @@
-"""What is drawn into Studio's scene: felt surfaces, forces, outlines, centres of pressure, the
-bodies that are believed to touch, what a camera sees."""
+"""Overlays in Studio's scene: estimated surfaces, forces, contact outlines, centers of pressure,
+estimated shapes, camera frustums."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _G = mujoco.mjtGeom
 _METRES_PER_NEWTON = 0.03  # of a net force
 _FIELD_METRES_PER_NEWTON = 0.15  # of the share of a force that one arrow stands for
 _ARROWS = (7, 5)  # of the field along x and y
-_MIN_ARROW = 1.5e-3  # m; shorter ones are not drawn
+_MIN_ARROW = 1.5e-3  # minimum length of a rendered arrow, m
 _OUTLINE = 24  # pieces of an outline, at most
-_ABOVE = 4e-4  # m that the felt surface is drawn above itself, out of the simulated one
+_ABOVE = 4e-4  # offset of the estimated surface, m, above the simulated one
 _DARK = (0.1, 0.1, 0.1, 1.0)
 _BODY = (0.1, 0.45, 0.1, 1.0)
 _RED = (0.9, 0.2, 0.15, 1.0)
@@ -29,7 +29,7 @@ _RED = (0.9, 0.2, 0.15, 1.0)
 
 @dataclass(frozen=True)
 class OverlayOptions:
-    """What of it is wanted: `surface` "none" or one of `surface.KINDS`."""
+    """Selection of overlays: `surface` is "none" or one of `surface.KINDS`."""
 
     surface: str = "indentation"
     forces: bool = True
@@ -103,8 +103,10 @@ class GeomPool:
 def draw(
     brush: GeomPool, fingers: Sequence[FingerSnapshot], look: OverlayOptions, *, least: float = 0.0
 ) -> None:
-    """Draw all fingers whose pose is known; of their surfaces what is `least` of the colours' scale
-    (0: all)."""
+    """Render the overlays of all fingers with a known pose.
+
+    Surfaces are restricted to parts above the fraction `least` of the color scale (0: all).
+    """
     brush.begin()
     fields = [
         None if look.surface == "none" else surface_colormap.field_of(felt, look.surface)
@@ -135,8 +137,8 @@ def draw(
 def _touches(
     brush: GeomPool, felt: FingerSnapshot, pose: Pose, look: OverlayOptions, rgba: Sequence[float]
 ) -> None:
-    """What touches the finger: outlines and the centre of pressure; what it feels to push with, as
-    a whole and by place."""
+    """Render a finger's contacts: outlines, shape, center of pressure, net force and force
+    field."""
     centre = surface_colormap.centre_of_pressure(felt.touch)
     if look.contacts:
         for patch in felt.touch.patches:
@@ -169,7 +171,7 @@ def _outline(brush: GeomPool, felt: FingerSnapshot, pose: Pose, outline: Array) 
 
 
 def _line(brush: GeomPool, points: Array) -> None:
-    """Of the body that is believed: the true one is in the scene."""
+    """Render a line of the estimated shape; the ground truth is in the scene."""
     every = -(-len(points) // _OUTLINE)
     points = np.concatenate([points[:-1:every], points[-1:]])
     for a, b in zip(points[:-1], points[1:], strict=True):
@@ -197,8 +199,7 @@ def _field(brush: GeomPool, felt: FingerSnapshot, pose: Pose, rgba: Sequence[flo
 
 
 def _camera(brush: GeomPool, felt: FingerSnapshot, pose: Pose) -> None:
-    """The frustum: from the camera's centre to the corners of what it sees of the flat membrane's
-    plane."""
+    """Render the camera's frustum, from its center to the plane of the flat membrane."""
     camera = felt.design.camera
     corners = (
         np.array([[0, 0], [camera.width, 0], [camera.width, camera.height], [0, camera.height]])
@@ -215,8 +216,10 @@ def _camera(brush: GeomPool, felt: FingerSnapshot, pose: Pose) -> None:
 def keep(
     geoms: list[mujoco.MjvGeom], mine: list[mujoco.MjvGeom], drawn: list[mujoco.MjvGeom], most: int
 ) -> None:
-    """Put `drawn` in place of `mine` into the viewer's list, which others draw into, too; at most
-    `most` geoms in all."""
+    """Replace `mine` by `drawn` in the viewer's list, up to `most` geoms in total.
+
+    The list also holds geoms of other plugins.
+    """
     own = {id(geom) for geom in mine}
     geoms[:] = [geom for geom in geoms if id(geom) not in own]
     geoms += drawn[: max(0, most - len(geoms))]

@@ -25,25 +25,27 @@ from mjtactile.studio.playback import PlaybackWindow, RecordingPlayer
 from mjtactile.studio.session_bridge import RestartRequested, SessionBridge
 from mjtactile.studio.state_sync import StateSync
 
-_PERIOD = 0.005  # s between two looks at the session,
-# s: sensing lets go of the interpreter for each kernel, and waited up to 5 ms for the windows each
-# time
+_PERIOD = 0.005  # period of the session's checks, s
+# thread switch interval, s: sensing releases the interpreter for each kernel, and waited up to 5 ms
+# for the windows each time
 _SWITCH_INTERVAL = 1e-4
-_EVERY = 0.05  # s between two states that are sent though nothing is new
+_EVERY = 0.05  # maximum period between transmitted states without a change, s
 
 
 def launch_window(
     config: viewer_protocol.ViewerConfig, plugins: list[Any]
 ) -> viewer_handle.ViewerHandle:
-    """`launch_native.launch`. Raises MjtactileError, saying what to do, where there is no display
-    or no graphics for it."""
+    """Call `launch_native.launch`.
+
+    Raises MjtactileError, with a remedy, if there is no display or no graphics support.
+    """
     instead = "leave --native away, and open the address that is printed"
     if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise MjtactileError(
             f"--native: there is no display here (DISPLAY, WAYLAND_DISPLAY): {instead}"
         )
     try:
-        # what it needs is found out now, not in a thread
+        # import here, so that missing libraries raise an error in this thread
         importlib.import_module("mujoco.studio.native_viewer")
         from mujoco.studio import launch_native
     except (ImportError, OSError) as error:
@@ -62,11 +64,12 @@ def watch(
     runs: int = 0,
     wait: bool = False,
 ) -> None:
-    """Run grasp after grasp, each watched, until the viewer is closed or Ctrl-C; `runs`: at most so
-    many; with `wait` the first begins when a page looks.
+    """Run and display grasps until the viewer is closed or Ctrl-C is pressed.
 
-    Raises what `run_grasp` raises of the first run; later ones are said in the panel, which goes
-    on.
+    `runs` is the maximum number of runs. With `wait` the first run starts when a page is open.
+
+    Raises the exceptions of `run_grasp` in the first run. Later ones are shown in the panel, which
+    continues.
     """
     config = viewer_protocol.ViewerConfig(
         title=f"mjtactile: {show.scenario.object}",
@@ -100,7 +103,7 @@ def watch(
 
 
 def _wait_for_page(show: SessionBridge) -> None:
-    """Until a page looks: who opens it misses nothing. Raises Interrupted."""
+    """Wait until a page is open, so that its user sees the whole run. Raises Interrupted."""
     if not checked_at.is_set():
         show.message("the grasp begins when the page is open (--no-wait: at once)")
     while not (checked_at.wait(0.1) or show.closed.is_set()):
@@ -108,10 +111,10 @@ def _wait_for_page(show: SessionBridge) -> None:
 
 
 def _run(show: SessionBridge) -> None:
-    """One grasp; what fails is shown, and raised where nothing has been shown yet."""
+    """Run one grasp and show its errors; raise them if there was no image yet."""
     before = show.runs
     try:
-        # who takes over by hand takes the time that it takes
+        # no time limit, because manual control may take any time
         scenario = replace(show.scenario, time_limit=math.inf)
         controller = show.take_over(load_controller(scenario.controller))
         result = run_grasp(scenario, [show], controller=controller)

@@ -1,8 +1,8 @@
-"""`SessionBridge`: what a session shows and what is asked of it. The session's thread writes, the
-viewer's reads, neither waits.
+"""`SessionBridge`: snapshots of a session and requests to it. The session's thread writes, the
+viewer's thread reads, and neither waits.
 
-It observes a run. What is asked of the world (a valve, a pull) is done by the session's own thread
-when a cycle's images were taken and the world stands still, as a command of a controller would be.
+It observes a run. The session's own thread handles requests to the world (a valve, a pull). It does
+so after a cycle's images, while the world stands still, like a controller's command.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from mjtactile.studio.manual_control import ManualControl, ManualGoal
 from mjtactile.studio.snapshot import FingerSnapshot, History, Pose, SessionState, StudioSnapshot
 
 RED_BUTTON = "somebody pressed the red button"
-_PAUSED = 0.02  # s between two looks at whether it still is
+_PAUSED = 0.02  # period of checks during a pause, s
 
 Task = Callable[[Session], None]
 
 
 class RestartRequested(SimulationError):
-    """Somebody asked for another run: the world that was is given up as it is."""
+    """Request for another run: the present world is abandoned."""
 
     def __init__(self) -> None:
         super().__init__("another run was asked for", step=0, time=0.0)
@@ -43,7 +43,7 @@ class RestartRequested(SimulationError):
 
 @dataclass(frozen=True)
 class ChamberReadings:
-    """What is in the chambers of a simulated rig: gauge pressures, Pa, and temperatures, K, one a
+    """Gauge pressures, Pa, and temperatures, K, of the chambers of a simulated rig, one per
     finger."""
 
     pressure: tuple[float, ...] = ()
@@ -70,19 +70,19 @@ class SessionBridge(Observer):
         self.restart = threading.Event()
         self.closed = threading.Event()
         self.pull: Array | None = None
-        """What the mouse pulls at (bodies, 6), N and N m, from now on."""
+        """Wrenches (bodies, 6) of the mouse on MuJoCo bodies from now on, N and N m."""
         self._wish: ManualGoal | None = None
         self._hand: ManualControl | None = None
         self._single = False
         self._halted = False
         self._flagged: set[str] = set()
-        """Kinds of doubt that were said."""
+        """Kinds of flags that were already reported."""
         self._gas = ChamberReadings()
         self._say = say
         self._tasks: queue.SimpleQueue[Task] = queue.SimpleQueue()
         self._pace: tuple[float, float] | None = None
 
-    # what the session's thread calls
+    # called by the session's thread
 
     def begin(self, session: Session) -> None:
         """A session begins."""
@@ -115,15 +115,17 @@ class SessionBridge(Observer):
         self._say(text)
 
     def note(self, **facts: Any) -> None:
-        """Say once what makes the simulation's numbers worse than usual."""
+        """Report each kind of simulation flag once."""
         flags: Mapping[str, str] = facts.get("flags", {})
         for kind in flags.keys() - self._flagged:
-            self.message(f"doubt ({kind}): {flags[kind]}")
+            self.message(f"warning ({kind}): {flags[kind]}")
         self._flagged |= flags.keys()
 
     def on_images(self) -> None:
-        """The world stands: do what was asked for, wait while paused. Raises Restart when that was
-        asked for."""
+        """Handle requests while the world stands still, and wait during a pause.
+
+        Raises RestartRequested after a request for another run.
+        """
         self._work()
         while self.paused and not self._single:
             self._leave()
@@ -150,15 +152,15 @@ class SessionBridge(Observer):
         self._leave()
         self._wait(cycle.time)
 
-    # what the viewer's thread calls
+    # called by the viewer's thread
 
     def moment(self) -> StudioSnapshot | None:
-        """What is to be shown now."""
+        """Return the snapshot to show."""
         return self.latest
 
     @property
     def pulls(self) -> float:
-        """N that the mouse pulls with."""
+        """Maximum pull force of the mouse, N."""
         return 0.0 if self.pull is None else float(np.linalg.norm(self.pull[:, :3], axis=1).max())
 
     def ask(self, task: Task) -> None:
@@ -177,8 +179,7 @@ class SessionBridge(Observer):
 
     @property
     def wish(self) -> ManualGoal | None:
-        """What is wished for by hand in place of the controller's commands; None: the controller is
-        asked."""
+        """Manual goal that replaces the controller's commands; None: the controller runs."""
         return self._wish
 
     @wish.setter
@@ -225,7 +226,7 @@ class SessionBridge(Observer):
         )
 
     def _wait(self, time: float) -> None:
-        """Until the clock has come as far as the rig's, where that is simulated and ahead."""
+        """Wait until the wall clock reaches the time of a simulated rig that is ahead of it."""
         if (
             self.session is None
             or self.session.rig.scene is None
@@ -239,7 +240,7 @@ class SessionBridge(Observer):
 
 
 def interrupted() -> bool:
-    """Whether a signal asked the process to end."""
+    """Return True if a signal requested the end of the process."""
     try:
         signals.check()
     except Interrupted:
@@ -255,7 +256,7 @@ def moment_of(
     gas: ChamberReadings,
     number: int,
 ) -> StudioSnapshot:
-    """What a cycle shows, with what is true of it, where that is known."""
+    """Return a cycle's snapshot, with the ground truth if it is available."""
     fingers = []
     count = len(cycle.touch)
     true = truth.get("force_normal_true", [math.nan] * count)
@@ -304,8 +305,11 @@ def _rest(session: Session, finger: int) -> Surface | None:
 
 
 def _poses(cycle: Cycle, view: Any) -> list[Pose]:
-    """Where the fingers are; without a scene, as many about the middle as far apart as the gripper
-    says, closing on it."""
+    """Return the poses of the fingers.
+
+    Without a scene, the fingers are placed around the center, at the gripper's opening, facing
+    inward.
+    """
     if view is not None:
         return [Pose(p, R) for p, R in zip(view.p_WS, view.R_WS, strict=True)]
     opening, height = np.nan_to_num([cycle.gripper.opening, cycle.gripper.lift_height]).tolist()

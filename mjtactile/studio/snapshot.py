@@ -1,5 +1,5 @@
-"""What Studio shows at one moment, whoever felt it: a session, a recording, or sensors in somebody
-else's scene. Frozen values, and the words for them."""
+"""Snapshot of a session, a recording, or sensors in a user's scene, as Studio shows it. Immutable
+values and their text."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ import numpy as np
 from mjtactile.core.types import Array, Image, Surface, Touch, ValveState
 from mjtactile.report.shape_wireframe import describe_shape
 
-HISTORY = 20.0  # s that the plots show
+HISTORY = 20.0  # time window of the plots, s
 _CURVE = 300  # points of a curve, at most
 
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Where a sensor's frame S is in the scene: `p_WS` (3,) m, `R_WS` (3, 3)."""
+    """Pose of a sensor's frame S in the scene: `p_WS` (3,) m, `R_WS` (3, 3)."""
 
     p_WS: Array
     R_WS: Array
@@ -32,10 +32,13 @@ class Pose:
 
 @dataclass(frozen=True, eq=False)
 class FingerSnapshot:
-    """One finger: its camera's `image` and the `touch` in it. `rest` is its membrane with nothing
-    touching, `design` its sensor, `true` N what really presses, `gauge_pressure` Pa and
-    `temperature` K of the chamber: NaN where nobody knows. It is at `pose`, or where the scene's
-    `body` is. `tracks`: what its sensing follows from image to image, with this one's ellipses."""
+    """One finger: its camera's `image` and the `touch` estimated from it.
+
+    `rest` is its membrane without contact and `design` its sensor. `true` is the ground-truth
+    normal force, N. `gauge_pressure`, Pa, and `temperature`, K, are those of the chamber. Unknown
+    values are NaN. The finger is at `pose`, or at the scene's `body`. `tracks` is the state of
+    image tracking, with the ellipses of this image.
+    """
 
     name: str
     image: Image
@@ -53,9 +56,13 @@ class FingerSnapshot:
 
 @dataclass(frozen=True, eq=False)
 class StudioSnapshot:
-    """One cycle. `scene` is MuJoCo's model and state (mjSTATE_INTEGRATION) then, where there is
-    one; `session` says what only a session has: phase, supervisor's state and reason, opening and
-    lift, m, ms of perception; `flags` what makes a simulation's numbers worse than usual."""
+    """One cycle.
+
+    `scene` is MuJoCo's model and state (mjSTATE_INTEGRATION) at that time, if there is one.
+    `session` holds the values of a session: phase, the supervisor's state and reason, opening and
+    lift, m, and the time of perception, ms. `flags` are the reasons for reduced accuracy of a
+    simulation.
+    """
 
     number: int
     time: float
@@ -67,7 +74,7 @@ class StudioSnapshot:
 
 @dataclass(frozen=True)
 class SessionState:
-    """What a session does beside feeling."""
+    """State of a session in addition to its touch estimates."""
 
     phase: str
     state: str
@@ -78,7 +85,7 @@ class SessionState:
 
 
 def finger_lines(felt: FingerSnapshot, perception_ms: float = math.nan) -> list[str]:
-    """What the panel says of a finger."""
+    """Return the panel's text lines of a finger."""
     touch = felt.touch
     shear = math.nan if touch.traction is None else float(np.hypot(*touch.traction.wrench[:2]))
     lines = [
@@ -121,7 +128,7 @@ def _slip(touch: Touch) -> str:
 
 
 def _gas(felt: FingerSnapshot) -> str:
-    """Valve, pressure and temperature, as far as they are known."""
+    """Return valve state, pressure and temperature as text, if known."""
     parts = [] if felt.valve is None else ["open" if felt.valve.is_open else "closed"]
     measured = felt.valve.gauge_pressure if felt.valve is not None else None
     if measured is not None:
@@ -135,8 +142,11 @@ def _gas(felt: FingerSnapshot) -> str:
 
 @dataclass(frozen=True)
 class Row:
-    """One moment in the plots: `time` s, forces (n,) N felt, their sd, and true, gauge pressures
-    (n,) Pa, `opening` m."""
+    """One sample of the plots.
+
+    It holds `time` s, estimated forces (n,) N, their standard deviations and ground truth, gauge
+    pressures (n,) Pa, and `opening` m.
+    """
 
     time: float
     felt: tuple[float, ...]
@@ -170,9 +180,10 @@ def _pressure(felt: FingerSnapshot) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """The rows of some time as columns: `time` (k,) s, the others (n, k), `opening` (k,) m; `spans`
-    are name, begin and end, s, of the phases, and of the times in which the supervisor was not at
-    ease."""
+    """Rows of a time window as columns: `time` (k,) s, `opening` (k,) m, the others (n, k).
+
+    `spans` are name, start and end, s, of the phases and of the supervisor's interventions.
+    """
 
     time: Array
     felt: Array
@@ -182,7 +193,7 @@ class Curves:
     opening: Array
     spans: tuple[tuple[str, float, float], ...]
     now: float = math.nan
-    """s, where a recording is looked at."""
+    """Displayed time of a recording, s."""
 
 
 def curves_of(rows: Sequence[Row]) -> Curves | None:
@@ -238,7 +249,7 @@ class History:
         self.rows.clear()
 
     def curves(self) -> Curves | None:
-        """The columns, made anew where there is a new row."""
+        """Return the columns, computed again when there is a new row."""
         rows = list(self.rows)  # at once: Python's lock is held
         last = rows[-1] if rows else None
         if last is not self._made[0]:

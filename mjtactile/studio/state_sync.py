@@ -1,5 +1,5 @@
-"""`StateSync`, on Studio's simulation thread: Studio's scene is the session's, and what the mouse
-pulls at is pulled there."""
+"""`StateSync`, on Studio's simulation thread: it copies the session's state to Studio's scene, and
+the mouse's pull forces to the session."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ _STILL = (
     | _OFF.mjDSBL_ACTUATION
     | _OFF.mjDSBL_SENSOR
 )
-# m that are shown, and the share of them that the fingers are above the middle
+# displayed extent, m, and height of the fingers above its center as a fraction of it
 _AROUND = 0.2
 _BELOW = 0.25
-# where from: off the way in which the first finger closes, so that its membrane is seen, and the
-# arrows on it; deg
+# viewing angles, deg: aside of the first finger's closing direction, so that its membrane and the
+# arrows on it are visible
 _ASIDE = 50.0
 _ABOVE = -25.0
-_PULL_STIFFNESS = 30.0  # N/m of the mouse's way: what weighs 60 g is lifted by 2 cm
-_HELD = 0.5  # s; a page that says nothing for so long pulls no longer
+_PULL_STIFFNESS = 30.0  # stiffness of the mouse's pull, N/m: 60 g are lifted by 2 cm
+_HELD = 0.5  # timeout, s, of a pull without messages from the page
 _STAGE = """
 <mujoco model="no scene"><statistic center="0 0 0.01" extent="0.09"/>
   <visual><headlight diffuse="0.7 0.7 0.7" ambient="0.3 0.3 0.3"/></visual>
@@ -44,9 +44,12 @@ _STAGE = """
 
 
 def displayed_model(model: mujoco.MjModel, fingers: Sequence[FingerSnapshot]) -> mujoco.MjModel:
-    """A copy for pictures: where things are is in the state, so that the viewer and the page, which
-    compute each of their frames anew, need find no forces (an eighth of the time); they would not
-    be ours, whose contacts change from step to step."""
+    """Return a copy of the model for rendering, without forces.
+
+    All poses are in the state. Viewer and page compute each of their frames again; without forces
+    this takes an eighth of the time. Their forces would also differ from the session's, whose
+    contacts change from step to step.
+    """
     shown = copy.copy(model)
     shown.opt.disableflags |= int(_STILL)
     middle = np.mean([felt.pose.p_WS for felt in fingers if felt.pose is not None], axis=0)
@@ -57,7 +60,8 @@ def displayed_model(model: mujoco.MjModel, fingers: Sequence[FingerSnapshot]) ->
     if closes is not None:
         shown.vis.global_.azimuth = math.degrees(math.atan2(closes[1], closes[0])) + _ASIDE
         shown.vis.global_.elevation = _ABOVE
-    # MuJoCo pulls with so many N/m for each kg: nothing is seen of that where things weigh grams
+    # MuJoCo's pull stiffness is per kg of mass, which gives no visible effect for objects of some
+    # grams
     free = model.jnt_bodyid[model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)]
     if len(free):
         shown.vis.map.stiffness = _PULL_STIFFNESS / float(model.body_subtreemass[free].min())
@@ -65,8 +69,8 @@ def displayed_model(model: mujoco.MjModel, fingers: Sequence[FingerSnapshot]) ->
 
 
 class StateSync(plugin.SimPlugin):
-    """Takes the session's state over. Where there is no scene, Studio's is empty but for the
-    membranes that are felt."""
+    """Transfer of the session's state. Without a scene, Studio's scene holds only the estimated
+    membranes."""
 
     def __init__(self, show: SessionBridge):
         self.show = show

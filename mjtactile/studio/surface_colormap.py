@@ -1,5 +1,4 @@
-"""The felt membrane: how far each place of it is pushed in, or how hard, as colours: in a picture,
-and on triangles."""
+"""Colors of the estimated membrane's indentation or traction, for an image and for triangles."""
 
 from __future__ import annotations
 
@@ -15,7 +14,7 @@ from mjtactile.core.types import Array, Touch
 from mjtactile.studio.snapshot import FingerSnapshot
 
 KINDS = ("indentation", "traction")
-_LEAST = {"indentation": 1e-3, "traction": 1e3}  # m, Pa: the scale's end while less is felt
+_LEAST = {"indentation": 1e-3, "traction": 1e3}  # minimum upper limit of the scale, m and Pa
 _UNITS = {"indentation": (1e3, "mm"), "traction": (1e-3, "kPa")}
 _MAP = cv2.COLORMAP_VIRIDIS
 _WHITE = (255, 255, 255)
@@ -27,8 +26,10 @@ _PER_NEWTON = 90.0  # px of the picture's shear arrow
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """A value at each node (ny, nx) of a membrane: `kind` is one of KINDS, in m or Pa; `x` (nx,),
-    `y` (ny,) m in S."""
+    """A value at each node (ny, nx) of a membrane.
+
+    `kind` is one of KINDS, in m or Pa; `x` (nx,) and `y` (ny,) are in m in S.
+    """
 
     kind: str
     x: Array
@@ -51,12 +52,12 @@ def field_of(felt: FingerSnapshot, kind: str) -> Field | None:
 
 
 def _widths(x: Array) -> Array:
-    """What each node stands for, m."""
+    """Return the width of each node's cell, m."""
     return np.convolve(np.diff(x), [0.5, 0.5]) if len(x) > 1 else np.ones(1)
 
 
 def scale_of(fields: Sequence[Field | None]) -> float:
-    """Where the colours end: the same for all fingers, so that they can be compared."""
+    """Return the upper limit of the color scale, common to all fingers for comparison."""
     known = [
         float(np.nanmax(f.values)) for f in fields if f is not None and np.isfinite(f.values).any()
     ]
@@ -69,7 +70,7 @@ def scale_text(kind: str, scale: float) -> str:
 
 
 def centre_of_pressure(touch: Touch) -> Array | None:
-    """Where (2,) m in S the normal force has its middle; None without one."""
+    """Return the center of the normal force (2,) m in S; None without one."""
     if touch.traction is None or not touch.touching:
         return None
     weight = np.maximum(-touch.traction.force[:, :, 2], 0.0)
@@ -106,8 +107,10 @@ def colours(values: Array, scale: float) -> NDArray[np.uint8]:
 def picture(
     felt: FingerSnapshot, field: Field, scale: float, size: tuple[int, int]
 ) -> NDArray[np.uint8]:
-    """The membrane as its camera sees it (x right, y down), red, green, blue (h, w, 3): colours,
-    outlines of what touches, the centre of pressure, and how it is dragged."""
+    """Return an image of the membrane in camera view (x right, y down), red, green, blue (h, w, 3).
+
+    It shows colors, contact outlines, the center of pressure, and the shear force.
+    """
     width, height = size
     x = np.linspace(field.x[0], field.x[-1], width)
     y = np.linspace(field.y[0], field.y[-1], height)
@@ -138,8 +141,12 @@ def picture(
 def sheet(
     felt: FingerSnapshot, field: Field, scale: float, *, least: float = 0.0
 ) -> tuple[Array, Array] | None:
-    """Triangles of the felt surface: corners (m, 3, 3) m in S, and colours (m, 3) from 0 to 1; None
-    without a surface. Only those where the field is `least` of its scale, if that is not 0."""
+    """Return triangles of the estimated surface: corners (m, 3, 3) m in S, colors (m, 3) from 0 to
+    1.
+
+    Return None without a surface. If `least` is not 0, only triangles above that fraction of the
+    scale are included.
+    """
     surface = felt.touch.surface
     if surface is None:
         return None
@@ -167,7 +174,7 @@ def triangles(nodes: Array) -> Array:
 
 
 def height_at(touch: Touch, p_S: Array) -> Array:
-    """Points (k, 3) m in S on the felt surface over `p_S` (k, 2)."""
+    """Return points (k, 3) m in S on the estimated surface over `p_S` (k, 2)."""
     if touch.surface is None:
         return np.column_stack([p_S, np.zeros(len(p_S))])
     s = touch.surface

@@ -1,5 +1,5 @@
-"""Sensors in somebody's own scene, for their own Studio: `UserFingers` reads them, `Sensors` puts
-them there and steps them."""
+"""Sensors in a user's own scene and Studio: `UserFingers` reads them, `Sensors` attaches and steps
+them."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from mjtactile.sim.attach import configure_options
 from mjtactile.studio.callback_guard import guarded
 from mjtactile.studio.snapshot import FingerSnapshot, History, StudioSnapshot
 
-_BEHIND = 0.1  # s; more than this is not made up for
-_IDLE = 1e-3  # s of sleep, so that the viewer's thread gets its turn
+_BEHIND = 0.1  # maximum lag, s, that is caught up
+_IDLE = 1e-3  # sleep time, s, which lets the viewer's thread run
 
 
 class UserFingers:
@@ -65,7 +65,7 @@ class UserFingers:
 
 
 def _flags_of(fingers: Sequence[SimFinger]) -> dict[str, str]:
-    """What makes the numbers of each finger's simulation worse than usual."""
+    """Return the flags for reduced accuracy of each finger's simulation."""
     return {
         f"{finger.name}: {kind}": reason
         for finger in fingers
@@ -74,13 +74,15 @@ def _flags_of(fingers: Sequence[SimFinger]) -> dict[str, str]:
 
 
 class Sensors(plugin.SimPlugin):
-    """Sensors at sites of whatever model Studio loads, stepped by the clock. Derive from it, and
-    say which:
+    """Sensors at sites of any model that Studio loads, stepped by the clock.
+
+    Derive a class from it and list the sites:
 
         class Tips(mjtactile.studio.Sensors):
             sites = {"left_tip": "dense", "right_tip": "dense"}
 
-    It steps in place of Studio's own `StepControl`, whose pause and single steps it heeds.
+    It replaces the stepping of Studio's own `StepControl`, and follows its pause and single
+    steps.
     """
 
     sites: ClassVar[Mapping[str, str]] = {}
@@ -133,7 +135,7 @@ class Sensors(plugin.SimPlugin):
     @messages.handler(priority=messages.Priority.USER)
     @guarded
     def on_step(self, event: messages.StepEvent) -> bool:
-        """As many steps as the clock asks for."""
+        """Run as many steps as the clock requires."""
         wall.sleep(_IDLE)
         model = event.model
         data = event.data
@@ -165,5 +167,5 @@ class Sensors(plugin.SimPlugin):
         """Into Studio's console, each once."""
         flags = _flags_of(self.fingers)
         for kind in flags.keys() - self._flagged:
-            logging.getLogger("mjtactile").warning("doubt (%s): %s", kind, flags[kind])
+            logging.getLogger("mjtactile").warning("%s: %s", kind, flags[kind])
         self._flagged |= flags.keys()

@@ -55,7 +55,7 @@ class Studio:
             "tests.browser.host",
             "--no-browser",
             "--no-wait",
-            "--fast",
+            "--no-realtime",
             "--port",
             str(self.port),
         ]

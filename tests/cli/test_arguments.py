@@ -42,7 +42,11 @@ def test_an_option_takes_a_value_with_a_leading_minus(value):
 @pytest.mark.parametrize(
     ("words", "name", "value"),
     [
-        (["press", "--indenter", "sphere:8", "--at", "-3.2,1.7"], "at", (-3.2, 1.7)),
+        (
+            ["press", "--indenter", "sphere:8", "--position-mm", "-3.2,1.7"],
+            "position_mm",
+            (-3.2, 1.7),
+        ),
         (
             ["press", "--indenter", "sphere:8", "--depth-mm", "-0.5:1:0.5"],
             "depths",

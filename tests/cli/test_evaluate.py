@@ -18,7 +18,7 @@ from mjtactile.export.episode import find_episodes
 from mjtactile.recording.reader import load_recording
 from tests.emulated_host import controller_text
 
-DRAWN = "--effects=-images,-sheet,-chain"  # the quickest level: what is asked here is no physics
+DRAWN = "--effects=-images,-mesh,-pipeline"  # the quickest level: what is asked here is no physics
 COMMON = [
     "--controller",
     "quick.py",
@@ -26,7 +26,7 @@ COMMON = [
     "vial,egg",
     "--episodes",
     "2",
-    "--vary",
+    "--randomization",
     "none",
     "--worst",
     "1",
@@ -101,8 +101,8 @@ def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile, monkeypatch, cap
         (["--shard", "3/2"], "is not K/N"),
         (["--episodes", "0"], "at least 1"),
         (["--resume"], "which folder?"),
-        (["--vary", "no.toml"], "no.toml: randomization: no such file"),
-        (["--vary", "defalt"], "unknown variation"),
+        (["--randomization", "no.toml"], "no.toml: randomization: no such file"),
+        (["--randomization", "defalt"], "unknown variation"),
         (["--task", "poor"], "poor: unknown task (valid: bump, "),
         (["--effects", "+bendig"], "is not +NAME"),
         (["--rig", "two_xm430"], "two_xm430"),
@@ -137,17 +137,17 @@ def test_the_command_of_an_episode_draws_the_same_world(tmp_path, mjtactile):
         "vial",
         "--seed",
         "3",
-        "--vary",
+        "--randomization",
         "my.toml",
     ]
     mjtactile("evaluate", *words, "--episodes", "1", "--worst", "0", "--record", "--out", "one")
     line = json.loads((tmp_path / "one" / "episodes.jsonl").read_text())
     assert (
-        line["varied"].keys() == {"object.mass_percent", "left.blur_px", "right.blur_px"}
-        and "--vary=my.toml" in line["again"]
+        line["randomized"].keys() == {"object.mass_percent", "left.blur_px", "right.blur_px"}
+        and "--randomization=my.toml" in line["rerun_command"]
     )
     again = json.loads(
-        mjtactile(*shlex.split(line["again"])[1:], "--out", "again", "--json").stdout
+        mjtactile(*shlex.split(line["rerun_command"])[1:], "--out", "again", "--json").stdout
     )
     assert all(
         again[name] == line[name]
@@ -162,7 +162,7 @@ def test_the_command_of_an_episode_draws_the_same_world(tmp_path, mjtactile):
     )
     felt = [recording.column("force_normal") for recording in (first, second)]
     assert np.array_equal(*felt, equal_nan=True)  # a touch that is drawn may be none
-    assert first.header["command"] == line["again"]
+    assert first.header["command"] == line["rerun_command"]
     assert line["time_s"] == pytest.approx(np.ptp(first.column("time")))
     log = (tmp_path / "again" / "recording" / "log.jsonl").read_text().splitlines()
-    assert any(json.loads(entry).get("varied") == line["varied"] for entry in log)
+    assert any(json.loads(entry).get("randomized") == line["randomized"] for entry in log)

@@ -79,7 +79,7 @@ def test_open_valve_keeps_the_pressure(capsys):
         (("press", "--indenter", "sphere"), ("--indenter", "sphere:R_mm", "FILE.stl")),
         (("press", "--indenter", "cone:3"), ("cone:3", "box:A_mm")),
         (("press", "--indenter", "missing.stl"), ("missing.stl", "no such file")),
-        (("press", "--indenter", "sphere:8", "--at", "30,0"), ("--at", "20 mm")),
+        (("press", "--indenter", "sphere:8", "--position-mm", "30,0"), ("--position-mm", "20 mm")),
         (("press", "--indenter", "sphere:8", "--depth-mm", "25"), ("--depth-mm", "20 mm")),
         (
             ("press", "--indenter", "sphere:8", "--depth-mm", "4:0:1"),

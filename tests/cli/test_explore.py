@@ -23,21 +23,23 @@ def test_what_is_refused(capsys, tmp_path):
     assert "half of the 2.5 N" in refused(capsys, "--object", "egg", "--force-N", "1.6")
     assert "no holder holds" in refused(capsys, "--object", "tofu", "--force-N", "0.1")
     assert "--resume" in refused(capsys, "--resume", "--out", str(tmp_path / "none"))
-    assert "valid: --on gripper" in refused(capsys, "--on", "stage", "--rig", "emulated")
-    assert "turns it by itself" in refused(capsys, "--turn-deg", "90")
+    assert "valid: --setup gripper" in refused(capsys, "--setup", "stage", "--rig", "emulated")
+    assert "turns it by itself" in refused(capsys, "--rotation-deg", "90")
     three = refused(capsys, "--rig", "sim_three_finger")
     assert "3 fingers: only two that face each other" in three
-    assert "--from" in refused(capsys, "--from", str(tmp_path), "--resume", "--out", str(tmp_path))
+    assert "--input" in refused(
+        capsys, "--input", str(tmp_path), "--resume", "--out", str(tmp_path)
+    )
 
 
 def test_a_recorded_press_is_a_place_of_the_indenter(capsys, tmp_path):
     moves = tmp_path / "twice.csv"
     moves.write_text("time_s,depth_mm,speed_mm_s\n0,1,40\n0.2,2,40\n")
     run = str(tmp_path / "press")
-    record = ["record", "--rig", "stage", "--steps", str(moves), "--indenter", "sphere:8"]
-    assert main([*record, "--at", "3,-2", "--seconds", "0.5", "--out", run]) == 0
+    record = ["record", "--rig", "stage", "--protocol", str(moves), "--indenter", "sphere:8"]
+    assert main([*record, "--position-mm", "3,-2", "--seconds", "0.5", "--out", run]) == 0
     capsys.readouterr()
-    assert main(["explore", "--from", run, "--out", str(tmp_path / "ball"), "--json"]) == 0
+    assert main(["explore", "--input", run, "--out", str(tmp_path / "ball"), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["patches"] == 1
     patch = PatchStore(tmp_path / "ball" / "touched.jsonl").read()[0]
@@ -52,7 +54,7 @@ def test_a_recorded_press_is_a_place_of_the_indenter(capsys, tmp_path):
 @pytest.mark.xdist_group("an emulated rig")
 def test_an_emulated_hand_grips_at_two_heights_and_its_recording_says_the_same(capsys, tmp_path):
     out = tmp_path / "egg"
-    arguments = ["explore", "--rig", "emulated", "--object", "egg", "--slow", "4"]
+    arguments = ["explore", "--rig", "emulated", "--object", "egg", "--time-scale", "4"]
     assert main([*arguments, "--touches", "2", "--out", str(out), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["patches"] == 4 and "surface_error_mm_true" not in found
@@ -81,7 +83,7 @@ def test_an_egg_is_touched_and_gone_on_with(capsys, tmp_path):
     # three touches of an egg of 32 x 32 x 40 mm: what is asked of twelve
     assert three["surface_error_mm_true"] < 0.7
     assert max(touch["force_N"] for touch in three["touched"]) < 0.6
-    assert main(["explore", "--from", str(out), "--json"]) == 0
+    assert main(["explore", "--input", str(out), "--json"]) == 0
     fused = json.loads(capsys.readouterr().out)
     assert fused["patches"] == 3
     assert fused["size_mm"] == pytest.approx(three["size_mm"], rel=0.01)

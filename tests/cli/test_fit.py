@@ -25,7 +25,7 @@ def recording(tmp_path_factory):
                 "stage",
                 "--sensor",
                 "paper16",
-                "--specimen",
+                "--as-built",
                 str(folder / "odd.toml"),
                 "--seconds",
                 "0.5",
@@ -62,7 +62,7 @@ def test_a_fit_writes_a_sensor_file_and_its_report(recording, tmp_path, capsys):
                 "fit",
                 "--recording",
                 str(recording),
-                "--known",
+                "--fix",
                 "membrane.pre_stretch=1.05",
                 "--out",
                 str(out),
@@ -89,8 +89,8 @@ def test_a_fit_writes_a_sensor_file_and_its_report(recording, tmp_path, capsys):
 
 def test_bad_input_is_one_line(recording, tmp_path, capsys):
     for words, says in [
-        (["--known", "membrane.colour=3"], "no field"),
-        (["--known", "young"], "FIELD=NUMBER"),
+        (["--fix", "membrane.colour=3"], "no field"),
+        (["--fix", "young"], "FIELD=NUMBER"),
         (["--finger", "thumb"], "thumb"),
     ]:
         assert (

@@ -32,7 +32,7 @@ LOAD = {
 def test_every_shipped_file_can_be_copied_and_the_copy_is_good(capsys, monkeypatch, tmp_path, kind):
     monkeypatch.chdir(tmp_path)
     for like in resources.names(KINDS[kind].folder, KINDS[kind].suffix):
-        assert main(["new", kind, f"my_{like}", "--like", like, "--json"]) == 0
+        assert main(["new", kind, f"my_{like}", "--template", like, "--json"]) == 0
         report = json.loads(capsys.readouterr().out)
         copy = tmp_path / report["file"]
         assert copy.name == f"my_{like}{KINDS[kind].suffix}" and copy.name in report["next"]
@@ -42,7 +42,7 @@ def test_every_shipped_file_can_be_copied_and_the_copy_is_good(capsys, monkeypat
 
 
 def test_a_copied_simulated_rig_brings_its_robot_along(mjtactile, tmp_path):
-    report = json.loads(mjtactile("new", "rig", "mine", "--like", "sim", "--json").stdout)
+    report = json.loads(mjtactile("new", "rig", "mine", "--template", "sim", "--json").stdout)
     assert report["files"] == ["mine.toml", "mine.xml"]
     rig = read_rig_file(tmp_path / "mine.toml")
     assert mjtactile("docs", "rig_files").returncode == 0  # which it names as the page to read
@@ -55,11 +55,12 @@ def test_a_copied_simulated_rig_brings_its_robot_along(mjtactile, tmp_path):
         == ["paper16"] * 2
     )
     assert_one_line(
-        mjtactile("new", "rig", "mine.toml", "--like", "sim_arm"), ["mine.toml", "exists already"]
+        mjtactile("new", "rig", "mine.toml", "--template", "sim_arm"),
+        ["mine.toml", "exists already"],
     )
     (tmp_path / "other.xml").write_text("precious")
     assert_one_line(
-        mjtactile("new", "rig", "other", "--like", "sim"), ["other.xml", "exists already"]
+        mjtactile("new", "rig", "other", "--template", "sim"), ["other.xml", "exists already"]
     )
     assert (tmp_path / "other.xml").read_text() == "precious" and not (
         tmp_path / "other.toml"
@@ -67,13 +68,15 @@ def test_a_copied_simulated_rig_brings_its_robot_along(mjtactile, tmp_path):
 
 
 def test_a_random_object_is_written_to_be_looked_at(mjtactile, tmp_path):
-    report = json.loads(mjtactile("new", "object", "thing", "--like", "random:7", "--json").stdout)
+    report = json.loads(
+        mjtactile("new", "object", "thing", "--template", "random:7", "--json").stdout
+    )
     assert (
         report["like"] == "random:7"
         and load_object(tmp_path / "thing.xml").mass == load_object("random:7").mass
     )
     assert_one_line(
-        mjtactile("new", "object", "other", "--like", "random"),
+        mjtactile("new", "object", "other", "--template", "random"),
         ["'random' does not ship", "random:N"],
     )
 
@@ -86,7 +89,7 @@ def test_what_it_says_to_run_next_runs(mjtactile, tmp_path):
     words = process.stdout.splitlines()[2].split()
     assert (
         words == ["mjtactile", "docs", "sensor_files"]
-        and "Your own sensor" in mjtactile(*words[1:]).stdout
+        and "Describe a tactile sensor" in mjtactile(*words[1:]).stdout
     )
 
 
@@ -101,7 +104,7 @@ def test_a_copied_controller_grasps_a_copied_object(mjtactile, tmp_path):
             "./plum.xml",
             "--controller",
             "./mine.py",
-            "--effects=-images,-sheet,-chain",
+            "--effects=-images,-mesh,-pipeline",
             "--out",
             "result",
             "--json",
@@ -121,7 +124,7 @@ def test_nothing_is_overwritten(mjtactile, tmp_path):
     ("args", "words"),
     [
         (("new", "gripper", "x"), ["gripper", "controller", "rig"]),
-        (("new", "sensor", "x", "--like", "egg"), ["--like", "egg", "dense", "paper16"]),
+        (("new", "sensor", "x", "--template", "egg"), ["--template", "egg", "dense", "paper16"]),
         (("new", "sensor", "no/such/x"), ["no/such/x.toml", "cannot be written"]),
         (("docs", "nothing"), ["nothing", "reference/sensor_files", "how-to/controllers"]),
     ],

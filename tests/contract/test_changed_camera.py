@@ -39,7 +39,9 @@ def test_a_grasp_goes_on_when_both_cameras_are_knocked(tmp_path, sensor):
     path.write_text(TROUBLES)
     quick = tmp_path / "quick.py"
     quick.write_text(controller_text(hold=0.5))
-    scenario = Scenario(object="egg", sensor=sensor, controller=str(quick), seed=6, vary=str(path))
+    scenario = Scenario(
+        object="egg", sensor=sensor, controller=str(quick), seed=6, randomization=str(path)
+    )
     errors = Errors()
     result = run_grasp(scenario, [errors])
     assert result.outcome == "held" and errors.statuses == {"ok"}

@@ -38,7 +38,7 @@ def make(name, request):
             patient_rig_file(), DESIGN, object_name="egg", seed=0, emulator=emulator
         )
     if name == "gym":
-        env = gymnasium.make("mjtactile/Grasp-v0", object="egg", effects="-sheet,-chain")
+        env = gymnasium.make("mjtactile/Grasp-v0", object="egg", effects="-mesh,-pipeline")
         env.reset(seed=0)
         return env.unwrapped._rig
     return World().rig()
@@ -125,7 +125,7 @@ def test_the_range_of_the_force_action_is_monotonic():
     """From the softest to the hardest: peak forces on an egg rise, and -1 touches nothing."""
     peaks = []
     for action in (-1.0, -0.95, -0.85, -0.7):
-        env = gymnasium.make("mjtactile/Grasp-v0", object="egg", effects="-sheet,-chain")
+        env = gymnasium.make("mjtactile/Grasp-v0", object="egg", effects="-mesh,-pipeline")
         _, info = env.reset(seed=1)
         for _ in range(75):
             _, _, over, _, info = env.step(np.array([-1.0, action, 0.0], np.float32))

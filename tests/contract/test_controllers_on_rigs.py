@@ -160,7 +160,7 @@ def test_adaptive_does_a_task_on_the_emulated_rig(emulator):
     rig = build_emulated_rig(
         patient_rig_file(), DESIGN, object_name="egg", seed=0, emulator=emulator
     )
-    rig = replace(rig, told=load_task("place").orders.told())
+    rig = replace(rig, goal=load_task("place").orders.goal())
     heights = {}
     try:
         session = Session(rig)
@@ -175,7 +175,7 @@ def test_adaptive_does_a_task_on_the_emulated_rig(emulator):
         rig.close()
     assert last.phase == "done" and not last.reason
     # in the last image of the hold; the servos' goals are rounded, and the pinions have play
-    assert heights["hold"] - 0.0315 == pytest.approx(rig.told.lift_height, abs=5e-3)
+    assert heights["hold"] - 0.0315 == pytest.approx(rig.goal.lift_height, abs=5e-3)
     assert stands == pytest.approx(0.0315, abs=2e-3)  # in its cup again
     assert last.lift_height == pytest.approx(0.0, abs=4e-3)
 

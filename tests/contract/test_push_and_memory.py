@@ -54,5 +54,5 @@ def test_servos_that_push_a_frame_are_said_and_a_step_that_eats_the_memory_is_re
         emulator.close()
     assert recording.columns["state"][-1] == "latched"
     # N: the servos are told 6, of which membranes pressed in by 1.3 mm feel about 1
-    said = json.loads(output)["flags"]["beyond"]
+    said = json.loads(output)["flags"]["unsensed_force"]
     assert 2.0 < float(said.split("carry ")[1].split(" N")[0]) < 8.0, said

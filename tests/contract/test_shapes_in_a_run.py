@@ -18,7 +18,7 @@ from mjtactile.runtime.grasp import run_grasp
 CLOSES = """
 from dataclasses import replace
 
-READS = ("shape",)
+REQUIRES = ("contact_shape",)
 
 
 def step(observation):
@@ -42,10 +42,12 @@ def controller(tmp_path):
 
 
 def test_a_controller_says_what_it_reads(tmp_path, controller):
-    assert controller.reads == ("shape",)
+    assert controller.reads == ("contact_shape",)
     path = tmp_path / "wrong.py"
-    path.write_text(CLOSES.replace('("shape",)', '("colour",)'))
-    with pytest.raises(ControllerError, match=r"wrong\.py: READS: 'colour' .* choices: shape"):
+    path.write_text(CLOSES.replace('("contact_shape",)', '("colour",)'))
+    with pytest.raises(
+        ControllerError, match=r"wrong\.py: REQUIRES: 'colour' .* choices: contact_shape"
+    ):
         load_controller(path)
 
 
@@ -57,12 +59,12 @@ def test_shapes_are_the_same_bits_in_a_process(tmp_path, controller):
     for workers, asks, shapes in ((0, controller, False), (1, asked, True), (0, unasked, False)):
         folder = tmp_path / f"run{len(recordings)}"
         with Recorder(folder, {"object": "egg"}) as recorder:
-            scenario = Scenario(seed=5, shapes=shapes)
+            scenario = Scenario(seed=5, contact_shapes=shapes)
             run_grasp(scenario, [recorder], workers=workers, controller=asks)
         recordings.append(load_recording(folder))
     # a replay finds them again where they were asked for
     replayed = [resolve_scenario(Scenario(rig=f"replay:{one.folder}")) for one in recordings]
-    assert [one.shapes for one in replayed] == [True, True, False]
+    assert [one.contact_shapes for one in replayed] == [True, True, False]
     with_shapes, in_a_process, without = (one.columns for one in recordings)
     kinds = {kind for row in with_shapes["shape_kind"] for kind in row}
     assert kinds - {"unknown"}, kinds

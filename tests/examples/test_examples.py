@@ -216,7 +216,7 @@ def test_my_camera_class_is_found_by_its_entry_point_and_drives_a_rig(tmp_path):
     )
     (work / "rig.toml").write_text(rig)
     environment = os.environ | {
-        "MJTACTILE_SLOW": "6",  # it gives up on images that are 0.15 s old
+        "MJTACTILE_TIME_SCALE": "6",  # it gives up on images that are 0.15 s old
         "PYTHONPATH": os.pathsep.join([str(site), os.environ.get("PYTHONPATH", "")]),
     }
     process = subprocess.run(

@@ -108,9 +108,10 @@ def test_a_pin_between_the_vertices_is_felt_and_its_error_is_stated():
     for contact, low, high in (("auto", -0.1, 0.1), ("elements", 0.0, 1.0)):
         (force, _), world = pressed("cylinder:0.5", (2e-3,), at=(1.1e-3, 1.2e-3), contact=contact)
         assert (
-            "finer than the mesh" in world.flags["feature"] and "off by" in world.flags["feature"]
+            "finer than the mesh" in world.flags["small_feature"]
+            and "off by" in world.flags["small_feature"]
         )
-        stated = float(world.flags["feature"].split("off by ")[1].split("%")[0]) / 100
+        stated = float(world.flags["small_feature"].split("off by ")[1].split("%")[0]) / 100
         off = force[0] / 0.161 - 1
         assert low < off < high and abs(off) < stated
 
@@ -118,7 +119,7 @@ def test_a_pin_between_the_vertices_is_felt_and_its_error_is_stated():
 @pytest.mark.parametrize("radius", [0.5, 1, 2, 4])
 def test_small_balls_are_flagged(radius):
     _, world = pressed(f"sphere:{radius}", (1e-3,))
-    assert "feature" in world.flags
+    assert "small_feature" in world.flags
 
 
 def test_a_large_smooth_object_is_not_flagged():
@@ -135,7 +136,7 @@ def test_an_edge_costs_what_the_flag_says(indenter):
     """The truth, and the statement: an edge falls between vertices, and the force of a face is too
     low by up to a third."""
     (force, _), world = pressed(indenter, (2e-3,))
-    stated = float(world.flags["edge"].split("off by ")[1].split("%")[0]) / 100
+    stated = float(world.flags["sharp_edge"].split("off by ")[1].split("%")[0]) / 100
     assert abs(force[0] / EDGES[indenter] - 1) < stated <= 0.7  # 0.3 to 1.4 times, and no worse
 
 

@@ -40,7 +40,7 @@ def press_world(effects, **kwargs):
 
 
 def test_all_off_leaves_no_element_behind():
-    off, on = (press_world(effects).model for effects in ({"sheet"}, PHYSICS))
+    off, on = (press_world(effects).model for effects in ({"mesh"}, PHYSICS))
     assert off.ntendon == 0 and on.ntendon == 1
     assert off.na == on.na == 0
     # frictionless contacts have one row, not three
@@ -49,7 +49,7 @@ def test_all_off_leaves_no_element_behind():
 
 
 def test_all_off_writes_its_load_once():
-    world = press_world({"sheet"})
+    world = press_world({"mesh"})
     sensor = world.sensors[0]
     sensor.open_valve(500.0)
     world.step()
@@ -183,7 +183,7 @@ def test_shadows_are_for_steep_sheets_and_grazing_light():
     wide = replace(DENSE, leds=replace(DENSE.leds, ring_radius=0.018))
     assert on(wide) and not on(DENSE)  # LEDs that look in past the frame's wall, at y = 15 mm
     # light from everywhere throws no shadow
-    assert not on(replace(wide, leds=replace(wide.leds, falloff=0.0)))
+    assert not on(replace(wide, leds=replace(wide.leds, vignetting=0.0)))
 
 
 @pytest.mark.parametrize(
@@ -275,6 +275,6 @@ def test_an_effect_is_its_name_and_a_misspelt_one_is_refused():
         == {"gas", "LED shading"}
     )
     with pytest.raises(
-        InputError, match=r"'frction' is not an effect \(valid: sheet, gas, .*shadows"
+        InputError, match=r"'frction' is not an effect \(valid: mesh, gas, .*shadows"
     ):
         PressWorld(DENSE, Indenter("sphere", 0.016), mesh=MESH, effects={"frction"})

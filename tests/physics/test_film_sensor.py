@@ -14,7 +14,7 @@ from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.scenes.world import World
 from mjtactile.sim.sensor.effect_switches import PHYSICS
 
-FILM = PHYSICS - {"sheet"}
+FILM = PHYSICS - {"mesh"}
 DENSE = load_sensor("dense")
 G = 9.81
 
@@ -41,9 +41,9 @@ def test_force_and_pressure_are_those_of_the_mesh(at):
 def test_what_is_narrow_for_the_grid_is_flagged(radius, narrow):
     world = PressWorld(DENSE, Indenter("sphere", radius), effects=FILM)
     world.inflate(1000.0, seal=True)
-    assert "feature" not in world.sensors[0].flags()  # not before it touches
+    assert "small_feature" not in world.sensors[0].flags()  # not before it touches
     assert world.press(0.5e-3)
-    assert ("25 %" in world.sensors[0].flags().get("feature", "")) is narrow
+    assert ("25 %" in world.sensors[0].flags().get("small_feature", "")) is narrow
 
 
 def test_what_presses_meets_what_the_film_bears():
@@ -216,15 +216,15 @@ def next_to_sensor(height):
 def test_what_lies_on_the_rim_is_borne_and_said():
     """The sheet's middle is half its thickness below the face that lies on the frame."""
     above, on = (next_to_sensor(height)[1] for height in (4e-4, 0.0))
-    assert above.failure() is None and "rim" not in above.flags()
-    assert on.failure() is None and "frame's rim" in on.flags()["rim"]
+    assert above.failure() is None and "rim_contact" not in above.flags()
+    assert on.failure() is None and "frame's rim" in on.flags()["rim_contact"]
     assert on.wrench[2] < above.wrench[2] < -0.1  # N
 
 
 def test_what_is_far_below_the_rim_stops_it_when_it_stays():
     world, sensor = next_to_sensor(-1e-3)
     assert sensor.failure() is None  # a thing that falls past the frame does so for some steps
-    assert "rim" in sensor.flags()["film"]
+    assert "rim" in sensor.flags()["quasistatic"]
     with pytest.raises(SimulationError, match="rim"):
         world.step(30)
 

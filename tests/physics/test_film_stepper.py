@@ -11,7 +11,7 @@ from mjtactile.sim import ground_truth
 
 def hand(task="lift"):
     """An egg between inflated films."""
-    rig = build_rig(Scenario(object="egg", effects="-sheet,-chain", seed=3, task=task))
+    rig = build_rig(Scenario(object="egg", effects="-mesh,-pipeline", seed=3, task=task))
     world = rig.scene
     for act in (world.open_valve, world.close_valve):
         for sensor in range(2):

@@ -252,7 +252,7 @@ def test_a_base_that_is_turned_in_a_frame_is_raised_straight_up(tmp_path):
             "sim",
             [],
             [("mm_per_mm = 1.0", "mm_per_mm = -1.0")],
-            r"do not open to 80 mm \(is the sign of " r"the law right\?\)",
+            r"do not open to 80 mm \(check the sign of the transmission\)",
         ),
         (
             "sim_arm",

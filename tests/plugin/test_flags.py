@@ -40,7 +40,7 @@ def test_a_weight_on_the_frame_is_flagged_with_its_newtons():
     mjtactile.step(model, data, [finger], nstep=200)
     on_frame = 0.5 * G + finger.ground_truth_wrench()[2]
     assert on_frame > 1.0
-    said = float(finger.flags["frame"].split("carries ")[1].split(" N")[0])
+    said = float(finger.flags["frame_contact"].split("carries ")[1].split(" N")[0])
     # it is said as it was when first seen, within the bounces of the first 0.1 s
     assert said == pytest.approx(on_frame, rel=0.3)
 
@@ -56,7 +56,7 @@ def test_a_box_is_weighed_and_its_edges_are_flagged(turned, above, steps):
     geom = f'<geom type="box" size="{size}" euler="0 {turned} 0" mass="0.05"/>'
     model, data, finger = scene(geom, z=0.1045 + above)
     mjtactile.step(model, data, [finger], nstep=steps)
-    assert "mm from the middle of its face" in finger.flags["edge"]
+    assert "mm from the middle of its face" in finger.flags["sharp_edge"]
     touch = finger.touch
     assert touch.status == "ok"
     # N: by then it has come to rest within 10 mN

@@ -12,7 +12,7 @@ from benchmarks.thin_objects.press import BODIES, press
 from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.sim.sensor.effect_switches import PHYSICS
 
-# N, of films of 81 x 61 nodes: the middle of what they say at random places (`bench thin`)
+# N, of films of 81 x 61 nodes: the middle of what they say at random places (`bench thin-objects`)
 FILM = {
     "blade 0.4 x 12 mm": (0.58, 0.25),
     "rod of 1 mm radius": (0.26, 0.25),
@@ -99,7 +99,7 @@ def falling(kind, size, speed, height, **geom):
 
 def test_a_pin_that_falls_is_stopped_or_flagged():
     found = falling("mjGEOM_CYLINDER", [5e-4, 5e-3, 0], 0.0, 0.03, mass=0.02)
-    assert "'thing' went through" in found or "speed" in found or "feature" in found
+    assert "'thing' went through" in found or "speed" in found or "small_feature" in found
 
 
 @pytest.mark.parametrize("speed", [5.0, 10.0, 20.0])
@@ -121,7 +121,7 @@ def test_what_slips_between_vertices_is_said_when_the_scene_is_built(monkeypatch
     monkeypatch.setattr("mjtactile.sim.sensor.ray_intersection.entry_of", lambda *_: None)
     spec, mount = scene('<geom name="peg" type="cylinder" size="0.001 0.01"/>', contact="vertices")
     model = spec.compile()
-    assert "'peg'" in mount.bind(model, mujoco.MjData(model)).flags["feature"]
+    assert "'peg'" in mount.bind(model, mujoco.MjData(model)).flags["small_feature"]
 
 
 @pytest.mark.parametrize("contact", ["elements", "both"])
@@ -136,7 +136,7 @@ def test_a_face_smaller_than_the_frame_is_flagged_with_its_numbers():
     from benchmarks.thin_objects.press import FACES
 
     pressed = press(FACES["square of 6 mm"], (0.7e-3, 0.0), 0.03)
-    assert "0.3 to 1.4 times" in pressed.flags["edge"]
+    assert "0.3 to 1.4 times" in pressed.flags["sharp_edge"]
     # the independent solver's 0.20 N (models/reference_cases), 1 mm deep
     assert 0.3 < pressed.force / 0.20 < 1.4
 

@@ -290,8 +290,8 @@ def test_links_of_the_pages_in_the_wheel_stay_in_the_wheel(page):
 @pytest.mark.parametrize(
     ("page", "block", "table"),
     [
-        ("docs/validation/results.md", "numbers", results_tables.table),
-        ("README.md", "headline", results_tables.headline_table),
+        ("docs/validation/results.md", "summary-page", results_tables.table),
+        ("README.md", "readme-table", results_tables.headline_table),
     ],
 )
 def test_numbers_are_those_of_the_pages_that_the_benchmarks_wrote(page, block, table):
@@ -306,7 +306,7 @@ def test_the_readme_shows_five_numbers_and_fits_150_lines():
     assert sum(number.headline for number in results_tables.NUMBERS) == 5
     assert len(readme.splitlines()) <= 150
     # three commands and the numbers come before any section
-    assert readme.index("bench:headline") < readme.index("\n## ")
+    assert readme.index("bench:readme-table") < readme.index("\n## ")
 
 
 GENERATED = re.compile(r"(?s)<!-- bench:.*?<!-- /bench -->")

@@ -1,4 +1,4 @@
-"""`mjtactile calibrate WHAT`: measure what a sensor or a rig needs, once, and keep it with its
+"""`mjtactile calibrate WHAT`: calibrate a sensor or a rig once and store the result with
 residuals."""
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ refused, 2 bad input, 3 a device failed.
 
 @dataclass(frozen=True)
 class _Kinds:
-    """A command for each thing that can be calibrated."""
+    """Subcommand for each kind of calibration."""
 
     def add_to(self, parser: argparse.ArgumentParser) -> None:
         kinds = parser.add_subparsers(

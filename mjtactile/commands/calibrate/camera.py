@@ -134,7 +134,7 @@ def _fits(fit, design) -> list[str]:
 
 
 def _method(options: argparse.Namespace) -> tuple[Any, Any]:
-    """What finds the board, and what makes a camera of its points."""
+    """Return the board detector and the function that fits a camera to its points."""
     from mjtactile.calibrate.camera import BoardFinder, calibrate_camera
     from mjtactile.calibrate.circle_board import CircleFinder, calibrate_from_circles
 

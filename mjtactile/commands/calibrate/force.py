@@ -85,7 +85,7 @@ ARGUMENTS = (
 
 
 Loads = Iterator[tuple[str, float, Sequence[Sequence[Image]]]]
-"""Of each load: a name, the true force N, and images of each finger that is measured."""
+"""Loads, each with a name, the ground-truth force, N, and images of each measured finger."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -116,7 +116,8 @@ def run(options: argparse.Namespace) -> int:
 def _estimate_all(
     options: argparse.Namespace, chains: Sequence[Any], loads: Loads
 ) -> tuple[Any, Any, Any]:
-    """True forces (n,), and of each finger the forces felt and the areas (fingers, n)."""
+    """Return the applied forces (n,), and the estimated forces and areas of each finger (fingers,
+    n)."""
     import numpy as np
 
     from mjtactile.calibrate.force import feel
@@ -319,8 +320,8 @@ def _masses(options: argparse.Namespace) -> list[float]:
 
 
 def _load_cell(emulator: Any) -> Callable[[str], float | None]:
-    """The emulated world's: what goes through the object, which is the same on both sides but for
-    the table's friction."""
+    """Return the emulated world's load cell: the force through the object. It is equal on both
+    sides except for the table's friction."""
 
     def read(_: str) -> float:
         truth = emulator.truth()

@@ -88,8 +88,8 @@ def run(options: argparse.Namespace) -> int:
 
 
 Taken = tuple[list[Image], list[Image], float | None, bool]
-"""Images of the flat membrane, of the inflated one (none: only flat), what its pressure sensor
-says, Pa (None: there is none), and whether the chamber is sealed."""
+"""Images of the flat membrane, images of the inflated one (empty: only flat), the pressure sensor's
+reading, Pa (None: no sensor), and the sealed state of the chamber."""
 
 
 def _recorded(options: argparse.Namespace, design: SensorDesign) -> Taken:

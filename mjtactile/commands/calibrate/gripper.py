@@ -14,7 +14,7 @@ from mjtactile.commands.calibrate.terminal import ask, check_folder, confirm, fi
 from mjtactile.commands.output import stdout_to_stderr
 
 Instrument = Callable[[str], float | None]
-"""What is read off, asked with some words; None: nothing more."""
+"""Instrument that returns a reading for a prompt; None: no further readings."""
 _OPENING_PARTS = (0.6, 0.9)  # of the gripper's range
 _FORCE_PARTS = (0.3, 0.5, 0.7, 0.85, 1.0)  # of the largest force
 HELP = "jaw zero, scale, backlash and current to force, against a caliper and a load cell"
@@ -118,7 +118,7 @@ def _read(options: argparse.Namespace) -> tuple[Any, Any]:
 
 
 def _live(options: argparse.Namespace) -> tuple[Any, Any]:
-    """Openings and forces measured on the rig, after what was asked for was checked."""
+    """Measure openings and forces on the rig, after checking the options."""
     from mjtactile import load_sensor
     from mjtactile.calibrate.connect import live_gripper, live_rig
     from mjtactile.calibrate.interactive import measure_forces, measure_openings
@@ -182,7 +182,7 @@ def _instruments(emulator: Any) -> tuple[Instrument, Instrument]:
 
 
 def _lines(opening: Any, force: Any, servos: list[dict[str, Any]], refused: bool) -> list[str]:
-    """What was found, in words."""
+    """Format the results as text."""
     lines = []
     if opening is not None:
         lines.append(

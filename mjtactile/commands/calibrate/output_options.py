@@ -1,4 +1,4 @@
-"""Whose calibration it is: the options that say so, and the files that they name."""
+"""Options that specify the calibrated finger, and the files that they name."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ __all__ = ["OutputFile", "arguments", "find_targets", "places"]
 
 
 def arguments(live: str, *, finger: str | None = None) -> tuple[arg.Argument, ...]:
-    """Options that say whose calibration it is; `live` says what is done with a rig when there is
-    no SOURCE."""
+    """Return the options that specify the calibrated finger. `live` describes the use of a rig
+    without a SOURCE."""
     return (
         arg.option("--rig", "NAME|FILE.toml", f"whose finger it is; without SOURCE, {live}"),
         arg.choice(

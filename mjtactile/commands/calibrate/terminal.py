@@ -1,4 +1,4 @@
-"""What the calibrations share at the terminal: guidance, prompts, the result."""
+"""Terminal input and output of the calibrations: instructions, prompts, results."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mjtactile.commands.output import print_json
 
 
 def say(text: str) -> None:
-    """Tell the person what happens or what to do; stdout is for the result."""
+    """Print a message or instruction to stderr; stdout is reserved for the result."""
     print(text, file=sys.stderr, flush=True)
 
 
@@ -68,13 +68,13 @@ def _line(prompt: str) -> str:
 
 
 def confirm(text: str) -> None:
-    """Wait until a person has done what `text` says. Raises InputError when there is nobody."""
+    """Wait until the user confirms the action in `text`. Raises InputError if the input ends."""
     _line(f"{text}, then press Enter ")
 
 
 def ask(text: str) -> float | None:
-    """Ask for a number on the terminal; an empty line skips. Raises InputError when there is nobody
-    to answer."""
+    """Ask for a number on the terminal; an empty line skips. Raises InputError if the input
+    ends."""
     while True:
         line = _line(f"{text} [empty: skip]: ")
         if not line.strip():

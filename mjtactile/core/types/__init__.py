@@ -1,11 +1,11 @@
-"""Frozen, validated values that the stages pass to each other; arrays in them are read-only.
+"""Frozen, validated values exchanged between the stages; arrays in them are read-only.
 
-SI units throughout, except where a name ends in `_px`. Frames (monogram notation,
-docs/reference/conventions.md): S sensor (origin at the middle of the frame, in the flat membrane's
+SI units throughout, except if a name ends in `_px`. Frames (monogram notation,
+docs/reference/conventions.md): S sensor (origin at the center of the frame, in the flat membrane's
 plane, z outward, away from the camera), C camera (x right, y down, z forward), M marker. `p_SM` is
 the position of marker M expressed in S.
 
-This, and `mjtactile.grasp_estimation`, is all of the project that a controller may import.
+A controller may import only this and `mjtactile.grasp_estimation` of the project.
 """
 
 from mjtactile.core.types.arrays import Array

@@ -1,4 +1,4 @@
-"""Arrays and statuses of frozen values: read-only, of the shape that they say."""
+"""Arrays and statuses of frozen values: read-only, with checked shapes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Array = NDArray[Any]  # of float64; numpy's stubs cannot follow dtypes through a
 
 
 def fixed(array: NDArray) -> NDArray:
-    """`array`, which nobody may write to from now on: values may share it."""
+    """Make `array` read-only, so that values may share it, and return it."""
     array.setflags(write=False)
     return array
 

@@ -1,4 +1,4 @@
-"""What body touches, how it moves, and what it is made of."""
+"""Contact shape, motion and material of a touched object."""
 
 from __future__ import annotations
 
@@ -13,26 +13,29 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.status import OK, Status
 from mjtactile.core.types.arrays import Array, freeze, keep_status
 
-SHAPES: tuple[str, ...] = ("smooth", "face", "edge", "tip", "several")
-"""Kinds of bodies by touch: smooth (two curvatures: plane, ball, lying cylinder), a flat face with
-a rim (round, or straight sides), an edge and a tip (sharper than 4 mm of radius, along a line or
-at a point); several bodies at once (`ContactShape.parts`)."""
+SHAPES: tuple[str, ...] = ("smooth", "flat", "edge", "point", "multiple")
+"""Kinds of contact shapes: smooth (two curvatures: plane, ball, lying cylinder), a flat face with
+an edge all around (round, or with straight sides), an edge and a tip (radius below 4 mm, along a
+line or at a point), and several contacts together (`ContactShape.parts`)."""
 
 
 @dataclass(frozen=True, eq=False)
 class RelativeMotion:
-    """How a body moves against the rubber that it touches, over the last images; frame S. What is
-    not known, or has no meaning for the body, is NaN.
+    """Motion of an object relative to the rubber that it touches, over the last images; frame S.
+
+    Values that are unknown, or have no meaning for the shape, are NaN.
 
     Attributes:
-        velocity: (2,) m/s of the body's place over the rubber's material: it rolls or slides.
-        velocity_cov: (2, 2).
-        rolling: (2,) rad/s about x and y: of a flat face as its tilt tells; of a round body what
-            `velocity` comes to where it does not slip.
-        rolling_cov: (2, 2).
-        sliding: (2,) m/s, what of `velocity` is no rolling.
-        spinning: rad/s about z over the rubber; NaN for what looks the same all around.
-        spinning_sd: rad/s.
+        velocity: Velocity (2,) m/s of the shape's position relative to the rubber: it rolls or
+            slides.
+        velocity_cov: Covariance (2, 2) of the velocity.
+        rolling: Rolling rate (2,) rad/s about x and y. For a flat face it is measured by its tilt;
+            for a round shape it equals `velocity` over the radius while it does not slip.
+        rolling_cov: Covariance (2, 2) of the rolling rate.
+        sliding: Sliding velocity (2,) m/s, the part of `velocity` without rolling.
+        spinning: Rotation rate about z relative to the rubber, rad/s; NaN for rotationally
+            symmetric shapes.
+        spinning_sd: Standard deviation of the rotation rate, rad/s.
     """
 
     velocity: Array
@@ -52,32 +55,34 @@ class RelativeMotion:
 
 @dataclass(frozen=True, eq=False)
 class ContactShape:
-    """What body touches, as the membrane's shape tells. What is not known, or has no meaning for
-    the kind, is NaN; frame S.
+    """Contact shape estimated from the membrane's shape; frame S.
+
+    Values that are unknown, or have no meaning for the kind, are NaN.
 
     Attributes:
-        kind: One of SHAPES, or "unknown", and then `status` says why.
-        probabilities: Of each of SHAPES.
-        curvatures: (2,) 1/m of a smooth body where it touches, the larger first.
-        curvatures_sd: (2,) 1/m.
-        direction: rad from x of an edge, or of a smooth body's smaller curvature.
-        direction_sd: rad.
-        radius: m of a ball, of a lying cylinder, of a disc's rim.
-        radius_sd: m.
-        area: m^2 of the sheet that lies on it.
-        area_interval: m^2, 68 %, over the kinds that may be.
-        p_SO: (3,) m, its point that is nearest the sensor; of an edge, one on it.
-        R_SO: (3, 3) its axes; x along an edge or the smaller curvature, z away from the sensor.
-        pose_cov: (6, 6) of p_SO, m, and of small turns about the axes of S, rad.
-        outline: (P, 2) m, border of the contact.
-        force_normal: N that the body takes to be so deep in the sheet.
-        family: The narrower kind: "ball" and "cylinder" are "smooth", "disc" and "block" a "face";
-            of several bodies the families, with "+" between.
-        misfit: Mean square of the markers' heights over their sd: near 1.
-        status: "ok", or why it is unknown.
-        parts: Where several bodies touch, each of them, the strongest first; pose and outline are
-            then the first one's, area and force of all.
-        motion: Against the rubber; None: too few images of it were felt one after the other.
+        kind: One of SHAPES, or "unknown"; then `status` gives the reason.
+        probabilities: Probability of each of SHAPES.
+        curvatures: Curvatures (2,) 1/m of a smooth shape at the contact, the larger first.
+        curvatures_sd: Standard deviations (2,) 1/m.
+        direction: Direction of an edge, or of a smooth shape's smaller curvature, rad from x.
+        direction_sd: Standard deviation of the direction, rad.
+        radius: Radius of a ball, of a lying cylinder, or of a disc's edge, m.
+        radius_sd: Standard deviation of the radius, m.
+        area: Contact area of the membrane, m^2.
+        area_interval: Interval (68 %) of the area over the plausible kinds, m^2.
+        p_SO: Point of the object (3,) m that is nearest to the sensor; for an edge, a point on it.
+        R_SO: Axes of the object (3, 3); x along an edge or the smaller curvature, z away from the
+            sensor.
+        pose_cov: Covariance (6, 6) of p_SO, m, and of small rotations about the axes of S, rad.
+        outline: Border (P, 2) of the contact, m.
+        force_normal: Normal force predicted for the shape's indentation, N.
+        family: Specific shape: "ball" and "cylinder" are "smooth", "disc" and "block" are "flat";
+            for several contacts the families, joined by "+".
+        misfit: Mean square of the markers' height residuals over their variance: near 1.
+        status: "ok", or the reason why it is unknown.
+        parts: Separate shapes of several contacts, the strongest first. Pose and outline are then
+            those of the first; area and force are those of all.
+        motion: Motion relative to the rubber; None: too few consecutive images.
     """
 
     kind: str
@@ -135,14 +140,14 @@ MATERIALS: tuple[str, ...] = ("solid", "soft", "amorphous")
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """What a probe says an object is made of. What is not known is NaN, an open end of an interval
-    is inf.
+    """Material of an object, estimated by probing. Unknown values are NaN; an open end of an
+    interval is inf.
 
-    `kind` is one of MATERIALS or "unknown", `probability` has one entry a class. `stiffness` N/m of
-    the whole object, the force over the deformation that it can recover from; `modulus` Pa, the
-    same as stress over strain between flat faces; each with a 68 % interval. `relaxation_time` s
-    (0: none was seen), `deformation` m under `force` N, of which `permanent_set` m stayed, `speed`
-    m/s at which it went on deforming when the fingers had stopped.
+    `kind` is one of MATERIALS or "unknown", `probability` has one entry per class. `stiffness` N/m
+    is that of the whole object, the force over the recoverable deformation. `modulus` Pa is the
+    equivalent stress over strain between flat faces. Each has a 68 % interval. `relaxation_time` s
+    is 0 if no relaxation was observed. `deformation` m is under `force` N; `permanent_set` m of it
+    remained. `speed` m/s is the speed of the continued deformation after the fingers stopped.
     """
 
     kind: str

@@ -1,4 +1,4 @@
-"""What a controller sees, and what it asks for."""
+"""Input and output of a controller."""
 
 from __future__ import annotations
 
@@ -32,32 +32,32 @@ def _finite(value: Any, name: str) -> float:
 
 @dataclass(frozen=True)
 class Command:
-    """What a controller asks for. The rig limits it and returns what was really sent.
+    """Command of a controller. The rig limits it and returns the command that was sent.
 
     This is the contract of every gripper: simulated, emulated, real, replayed, or a test's
-    (`tests/contract/test_command.py`). No number stands for anything but itself; "unchanged" is
-    None. `Command` refuses what is not finite. `CommandLimits` of the rig then cut each goal to its
-    range and to the rig's speed, starting from the command before, and the gripper cuts it once
-    more to what its own devices can do.
+    (`tests/contract/test_command.py`). No number has a special meaning; "unchanged" is None.
+    `Command` rejects non-finite values. `CommandLimits` of the rig then limit each goal to its
+    range and to the rig's speed, starting from the previous command. The gripper also limits it to
+    the range of its own devices.
 
     Attributes:
-        opening: m, the gripper's goal; cut to `CommandLimits.opening` and `CommandLimits.speed`. 0:
-            closed.
-        force_limit: N, the most that the servo may push each finger with, opening or closing; cut
-            to 0 and `CommandLimits.force`. 0: it pushes with nothing at all, and so moves nothing.
-            None: the limit that is in force stays. What a gripper returns has the limit in force,
-            never None; only a replay of a recording that does not say it returns None.
-        lift_height: m of the hand above where it started, its goal; cut to `CommandLimits.lift` and
-            `CommandLimits.lift_speed`. 0: where it started.
+        opening: Goal of the gripper's opening, m; limited to `CommandLimits.opening` and
+            `CommandLimits.speed`. 0: closed.
+        force_limit: Maximum force of the servo on each finger, N, opening or closing; limited to 0
+            and `CommandLimits.force`. 0: no force, so that nothing moves. None: the current limit
+            is kept. A gripper returns the limit in force, never None. Only a replay of a recording
+            without it returns None.
+        lift_height: Goal of the gripper's height above its start, m; limited to
+            `CommandLimits.lift` and `CommandLimits.lift_speed`. 0: the start.
         phase: One of PHASES; "done" and "abort" end the run.
-        memory: The controller's own notebook: the loop hands it back in the next
-            `Observation.command`, so that `step` can be a pure function.
-        reason: Why the controller gives up, or sets down early; for the result and the log. Empty:
-            it does neither.
-        gauge_pressure: Pa above ambient in each finger's chamber, in their order, which the valves
-            then keep; cut to `CommandLimits.pressure` and `CommandLimits.pressure_rate`. 0: the
-            ambient air's.
-            None: leave the air alone, sealed in.
+        memory: The controller's own state. The loop returns it in the next `Observation.command`,
+            so that `step` can be a pure function.
+        reason: Reason for an abort, or for an early set-down; for the result and the log. Empty:
+            none.
+        gauge_pressure: Gauge pressure in each finger's chamber, in their order, Pa, which the
+            valves then maintain; limited to `CommandLimits.pressure` and
+            `CommandLimits.pressure_rate`. 0: the pressure of the ambient air. None: the chambers
+            stay sealed.
     """
 
     opening: float
@@ -93,13 +93,13 @@ class Command:
         object.__setattr__(self, "memory", MappingProxyType(dict(self.memory)))
 
     def checked(self) -> Command:
-        """Check every value again, also of a subclass, or what was changed past the checks.
+        """Check every value again, also for a subclass, or for values changed without the checks.
 
         Returns:
             A plain Command of the same values.
 
         Raises:
-            InputError: A value is not what it must be.
+            InputError: A value is invalid.
         """
         return Command(
             self.opening,
@@ -118,15 +118,15 @@ class Command:
 
 @dataclass(frozen=True)
 class TaskGoal:
-    """What a task asks of the robot.
+    """Goal of a task for the robot.
 
     Attributes:
-        lift_height: m, how high it shall lift.
-        hold_time: s, how long it shall hold there.
-        place_height: m of the hand over where it gripped, where the thing shall be set down; the
-            place may be higher or lower than that.
-        handover: Whether somebody will take the thing out of the hand.
-        push: N, as hard as somebody may push it, from any side.
+        lift_height: Lift height, m.
+        hold_time: Hold time at that height, s.
+        place_height: Height of the gripper above the grip height at which the object shall be set
+            down, m; it may be negative.
+        handover: True if a person will take the object out of the gripper.
+        push: Maximum force of pushes by a person, from any side, N.
     """
 
     lift_height: float = 0.040
@@ -141,17 +141,16 @@ DEFAULT_GOAL = TaskGoal()
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What a controller sees once a control cycle: only what the sensors say.
+    """Observation of a controller in one control cycle: only sensor data.
 
     Attributes:
-        time: s on the rig's clock.
-        period: s from one cycle to the next.
-        touch: One value a finger, in the order of the rig (left, right).
+        time: Time on the rig's clock, s.
+        period: Time from one cycle to the next, s.
+        touch: One value per finger, in the order of the rig (left, right).
         gripper: The gripper's newest state.
         valves: The valves' states, in the order of the fingers that have one.
-        command: The last command really sent, with the `phase` and `memory` that the controller put
-            into it.
-        told: What the task asks for.
+        command: The last command that was sent, with the controller's `phase` and `memory`.
+        goal: Goal of the task.
     """
 
     time: float
@@ -160,4 +159,4 @@ class Observation:
     gripper: GripperState
     valves: tuple[ValveState, ...]
     command: Command
-    told: TaskGoal = DEFAULT_GOAL
+    goal: TaskGoal = DEFAULT_GOAL

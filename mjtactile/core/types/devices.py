@@ -1,24 +1,24 @@
-"""What gripper and valves report."""
+"""States of gripper and valves."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 FINGERS = ("left", "right")
-"""What the fingers of a pair are called, in this order."""
+"""Names of the fingers of a pair, in this order."""
 
 
 @dataclass(frozen=True)
 class GripperState:
-    """What the gripper reports.
+    """State of the gripper.
 
     Attributes:
-        opening: m between the two sensors' frames.
-        speed: m/s of the opening.
-        effort: N at the jaw, as the servo believes it.
-        lift_height: m of the hand above where it started.
-        time: s on the rig's clock at which it was so (NaN: not known).
-        age: s from then until it was handed over (NaN: not known).
+        opening: Distance between the two sensors' frames, m.
+        speed: Rate of change of the opening, m/s.
+        effort: Force at the jaw, estimated from the servo's current, N.
+        lift_height: Height of the gripper above its start, m.
+        time: Time of the measurement on the rig's clock, s (NaN: unknown).
+        age: Time from the measurement to its delivery, s (NaN: unknown).
     """
 
     opening: float
@@ -31,13 +31,13 @@ class GripperState:
 
 @dataclass(frozen=True)
 class ValveState:
-    """What the valve of one chamber reports.
+    """State of the valve of one chamber.
 
     Attributes:
-        is_open: Whether the chamber is connected to its supply.
-        gauge_pressure: Pa in the chamber above ambient; None where the rig has no pressure sensor.
-        time: s on the rig's clock at which it was measured (NaN: not known).
-        age: s from then until it was handed over (NaN: not known).
+        is_open: True if the chamber is connected to its supply.
+        gauge_pressure: Gauge pressure in the chamber, Pa; None if the rig has no pressure sensor.
+        time: Time of the measurement on the rig's clock, s (NaN: unknown).
+        age: Time from the measurement to its delivery, s (NaN: unknown).
     """
 
     is_open: bool
@@ -48,8 +48,11 @@ class ValveState:
 
 @dataclass(frozen=True)
 class PressureReading:
-    """What the pressure gauge of a chamber showed at `time` s on the images' clock: Pa above the
-    air's, its zero taken off, with its `sd`; and whether the valve was open then."""
+    """Reading of a chamber's pressure sensor at `time` s on the images' clock.
+
+    The gauge pressure, Pa, is corrected by the sensor's zero and has the standard deviation `sd`.
+    `is_open` is the state of the valve at that time.
+    """
 
     gauge_pressure: float
     sd: float

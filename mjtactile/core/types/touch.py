@@ -1,4 +1,4 @@
-"""What one sensor feels: the membrane's shape, forces over it, contact, slip."""
+"""Tactile estimates of one sensor: the membrane's shape, its forces, contact, slip."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ class Surface:
     """The membrane's shape in S, as heights over a Cartesian grid.
 
     Attributes:
-        x: (nx,) m, increasing.
-        y: (ny,) m, increasing.
-        z: (ny, nx) m, zero on the frame, positive outward.
-        area: m^2 of the curved surface.
-        volume: m^3 between it and the frame's plane, positive outward.
+        x: Grid positions (nx,) m, increasing.
+        y: Grid positions (ny,) m, increasing.
+        z: Heights (ny, nx) m, zero on the frame, positive outward.
+        area: Area of the curved surface, m^2.
+        volume: Volume between surface and the frame's plane, m^3, positive outward.
         area_sd: Standard deviation of the area, m^2.
         volume_sd: Standard deviation of the volume, m^3.
-        status: "ok", or why the shape is not to be trusted.
+        status: "ok", or the reason why the shape is invalid.
     """
 
     x: Array
@@ -51,17 +51,17 @@ class Surface:
 
 @dataclass(frozen=True, eq=False)
 class Traction:
-    """Force that the outside world exerts on the membrane, in S. A press has a negative z.
+    """External force on the membrane, in S. An indenting force has a negative z.
 
     Attributes:
-        x: (nx,) m, the grid's nodes along x.
-        y: (ny,) m, along y.
-        force: (ny, nx, 3) N on each node.
-        wrench: (6,) net force, N, and torque about the origin of S, N m.
-        wrench_cov: (6, 6) its covariance.
-        gauge_pressure: Pa in the chamber, as estimated.
+        x: Grid nodes along x (nx,) m.
+        y: Grid nodes along y (ny,) m.
+        force: Force on each node (ny, nx, 3) N.
+        wrench: Net force, N, and torque about the origin of S, N m, (6,).
+        wrench_cov: Covariance (6, 6) of the wrench.
+        gauge_pressure: Estimated gauge pressure in the chamber, Pa.
         method: Name of the estimator.
-        status: "ok", or why it is not to be trusted.
+        status: "ok", or the reason why it is invalid.
     """
 
     x: Array
@@ -84,21 +84,21 @@ class Traction:
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """What touches: all of it, or one patch.
+    """Contact region: all contacts together, or one patch.
 
     Attributes:
-        touching: Whether anything does. If not, `area` is 0 and `centroid` NaN.
-        area: m^2 of the membrane that is in contact.
-        centroid: (2,) m in S, the middle of the contact.
-        depth: m of the deepest indentation against the rest shape.
-        mask: (ny, nx) the traction grid's nodes in contact.
-        status: "ok", or why it is not to be trusted.
-        force: (3,) N on a single patch, S.
-        outline: (P, 2) m, a single patch's border as a closed polygon.
-        semi_axes: (2,) m, of the ellipse of the same second moments, the larger first.
-        angle: rad of the larger one from x.
-        area_source: What `area` and `outline` are of: the "nodal" estimate of pressures, or the
-            family of the body that was found (`Touch.shape`).
+        touching: True if there is contact. If not, `area` is 0 and `centroid` NaN.
+        area: Area of the membrane in contact, m^2.
+        centroid: Center of the contact (2,) m in S.
+        depth: Maximum indentation relative to the rest shape, m.
+        mask: Nodes of the traction grid in contact (ny, nx).
+        status: "ok", or the reason why it is invalid.
+        force: Force on a single patch (3,) N, S.
+        outline: Border of a single patch as a closed polygon (P, 2) m.
+        semi_axes: Semi-axes of the ellipse with the same second moments (2,) m, the larger first.
+        angle: Angle of the larger one from x, rad.
+        area_source: Source of `area` and `outline`: the "nodal" estimate of pressures, or the
+            family of the estimated shape (`Touch.shape`).
     """
 
     touching: bool
@@ -128,17 +128,17 @@ SLIP_STATES: tuple[str, ...] = get_args(SlipState)
 
 @dataclass(frozen=True, eq=False)
 class Slip:
-    """Whether the object slips on the membrane.
+    """Slip of the object on the membrane.
 
     Attributes:
-        state: One of SLIP_STATES. "none": nothing touches; "slipping": all of the contact slides,
-            as seen, whatever the friction; "incipient": most of the friction is used up, as far as
-            it is known.
-        velocity: (2,) m/s of the object over the membrane, S; noise while it sticks. By the
-            body's own place where its shape is read, else by the centre of what presses.
-        distance: m slipped since the touch began.
-        stick_ratio: Share of the contact whose shear is below what friction can hold there.
-        status: "ok", or why nothing is known.
+        state: One of SLIP_STATES. "none": no contact; "slipping": the whole contact slides,
+            according to the images, regardless of friction; "incipient": the friction is nearly
+            exhausted, as far as the coefficient is known.
+        velocity: Velocity (2,) m/s of the object over the membrane, S; noise while it sticks. It is
+            that of the estimated shape if available, else that of the pressure center.
+        distance: Slip distance since the start of the contact, m.
+        stick_ratio: Fraction of the contact with shear below the friction limit.
+        status: "ok", or the reason why it is unknown.
     """
 
     state: SlipState
@@ -154,23 +154,25 @@ class Slip:
 
 @dataclass(frozen=True, eq=False)
 class Touch:
-    """What one sensor feels, from one image.
+    """Tactile estimate of one sensor from one image.
 
     Attributes:
-        time: Of the image's capture, s.
-        age: s from then until now.
-        force_normal: N, positive for a press; NaN when `status` is not "ok": unknown is not zero.
+        time: Capture time of the image, s.
+        age: Time from the capture until now, s.
+        force_normal: Normal force, N, positive for indentation; NaN when `status` is not "ok":
+            unknown is not zero.
         force_normal_sd: Its standard deviation, N.
-        touching: Whether anything touches.
-        contact: All that touches, taken together.
+        touching: True if there is contact.
+        contact: All contacts together.
         traction: Forces over the membrane, and the net wrench.
         surface: The membrane's shape.
-        markers: The markers that were seen.
-        status: "ok", or why the force is unknown.
-        patches: Each place of contact, the strongest first.
-        slip: Whether the object slips.
-        shape: What body touches; None where nobody asked (`StatefulPipeline(shapes=True)`).
-        camera: How the camera has changed, by the fiducials; None: there are none, or too few seen.
+        markers: The detected markers.
+        status: "ok", or the reason why the force is unknown.
+        patches: Separate contact patches, the strongest first.
+        slip: Slip of the object.
+        shape: Contact shape; None if not requested (`StatefulPipeline(contact_shapes=True)`).
+        camera: Drift of the camera by the fiducials; None: there are none, or too few were
+            detected.
     """
 
     time: float
@@ -200,10 +202,10 @@ class SyntheticTouch(Image):
 
     @classmethod
     def of(cls, touch: Touch) -> SyntheticTouch:
-        """Hand over a touch where an image would be.
+        """Wrap a touch for use in place of an image.
 
         Args:
-            touch: What is felt.
+            touch: The tactile estimate.
 
         Returns:
             The touch in place of an image of its time.

@@ -1,4 +1,4 @@
-"""What a camera gives, and what is found in its image: ellipses, circles, markers, fiducials."""
+"""Camera images and the features detected in them: ellipses, circles, markers, fiducials."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ class Image:
 
 @dataclass(frozen=True, eq=False)
 class Ellipses:
-    """N ellipses in distorted pixel coordinates: centre (N, 2), semi-axes a >= b (N, 2), angle of a
+    """N ellipses in distorted pixel coordinates: center (N, 2), semi-axes a >= b (N, 2), angle of a
     (N,) rad.
 
-    `cov` (N, 5, 5) is the covariance of (u, v, a, b, angle); `status` (N,) strings; `darkness` (N,)
-    the logarithm of the level inside over that `outside` (N,), and `blur_px` (N,) the edge's sd
-    (None: unknown).
+    `cov` (N, 5, 5) is the covariance of (u, v, a, b, angle); `status` (N,) are strings. `darkness`
+    (N,) is the logarithm of the grey level inside over that `outside` (N,). `blur_px` (N,) is the
+    standard deviation of the edge blur (None: unknown).
     """
 
     center_px: Array
@@ -77,12 +77,12 @@ class SyntheticEllipses(Image):
 
 @dataclass(frozen=True, eq=False)
 class CirclePoses:
-    """N circles in the camera frame: centre `p_CM` (N, 3) m, the two candidate unit normals `n_C`,
+    """N circles in the camera frame: center `p_CM` (N, 3) m, the two candidate unit normals `n_C`,
     `n_C_alt` (N, 3).
 
-    Normals point towards the camera. `p_CM_alt` is the centre that goes with `n_C_alt`. `uv_px` (N,
-    2) is the projected *centre* (not the ellipse's) in distorted pixels; `cov_p` (N, 3, 3) m^2;
-    `status` (N,) strings.
+    Normals point towards the camera. `p_CM_alt` is the center for `n_C_alt`. `uv_px` (N, 2) is the
+    projected *center* (not the ellipse's) in distorted pixels; `cov_p` (N, 3, 3) m^2; `status` (N,)
+    strings.
     """
 
     uv_px: Array
@@ -107,16 +107,16 @@ class CirclePoses:
 
 @dataclass(frozen=True, eq=False)
 class FiducialDetections:
-    """What an image shows of the circles that do not move.
+    """Fixed circles detected in an image.
 
     Attributes:
-        ids: (n,) Of the sensor file's list, in order.
-        center_px: (n, 2) In distorted pixels.
-        radius_px: (n,) Root of the product of the semi-axes.
-        cov: (n, 3, 3) Covariance of (u, v, radius), px^2.
-        inside: (n,) Grey levels of the circles; NaN: unknown.
-        outside: (n,) Of the ground around them.
-        blur_px: (n,) Their edges' sd.
+        ids: Indices (n,) in the sensor file's list, in order.
+        center_px: Centers (n, 2) in distorted pixels.
+        radius_px: Root of the product of the semi-axes (n,).
+        cov: Covariance (n, 3, 3) of (u, v, radius), px^2.
+        inside: Grey levels of the circles (n,); NaN: unknown.
+        outside: Grey levels of the ground around them (n,).
+        blur_px: Standard deviations of their edge blur (n,).
     """
 
     ids: NDArray[np.int64]
@@ -140,28 +140,29 @@ class FiducialDetections:
 
     @property
     def has_levels(self) -> bool:
-        """Whether grey levels and blur are known: those of an image are."""
+        """True if grey levels and blur are known, as for detections in an image."""
         return bool(np.isfinite(self.inside + self.outside + self.blur_px).all())
 
 
 @dataclass(frozen=True, eq=False)
 class CameraDrift:
-    """How a camera differs from what it was at the rest reference, by the fiducials of one image.
+    """Change of a camera since the rest reference, estimated from the fiducials of one image.
 
-    What planar circles hardly tell apart (a camera that moved aside or turned; one that came nearer
-    or shows all larger) is shared out as likely; all of it together is well known.
+    Planar circles hardly separate some modes (a translated or rotated camera; a nearer camera or a
+    larger scale). The estimate distributes such a change by the modes' prior probability. The total
+    change is accurate.
 
     Attributes:
-        shift: (2,) px by which the picture's middle has moved.
-        turn: About the camera's axis, rad.
-        scale: Share by which all is larger.
-        radius_change_px: By how much circles' radii are larger beside that: gamma, clipping.
+        shift: Shift of the image center (2,) px.
+        turn: Rotation about the camera's axis, rad.
+        scale: Relative magnification.
+        radius_change_px: Additional increase of the circles' radii: gamma, clipping.
         light: Level of white over that at the reference.
-        gamma: Exponent 1/gamma with which levels go now; NaN: unknown.
-        black: Level that no light has now; more than at the reference is fog.
-        blur_px: More blur, sd, px; less than 0: sharper.
-        seen: Number of fiducials that this is from.
-        misfit: Mean square of what they do not agree about, over its variance.
+        gamma: Exponent 1/gamma of the current levels; NaN: unknown.
+        black: Current level without light; higher than at the reference for fog.
+        blur_px: Increase of blur, standard deviation, px; less than 0: sharper.
+        seen: Number of fiducials used.
+        misfit: Mean square of their residuals over the variance.
     """
 
     shift: tuple[float, float]
@@ -178,9 +179,12 @@ class CameraDrift:
 
 @dataclass(frozen=True, eq=False)
 class Markers:
-    """Identified markers in the sensor frame: `ids` (N,) indices into the design's layout, `p_SM`,
-    `n_S` (N, 3); `darkness` (N,) of each as in `Ellipses` (None: unknown); what was seen of the
-    `fiducials` with them (None: there are none)."""
+    """Identified markers in the sensor frame: `ids` (N,) are indices into the design's layout,
+    `p_SM`, `n_S` (N, 3) positions and normals.
+
+    `darkness` (N,) is as in `Ellipses` (None: unknown). `fiducials` are the fiducials detected in
+    the same image (None: there are none).
+    """
 
     ids: NDArray[np.int64]
     p_SM: Array

@@ -1,10 +1,11 @@
-"""`OpenCvCamera`: a UVC camera through V4L2 (or a network stream), with every setting read back.
+"""`OpenCvCamera`: a UVC camera through V4L2 (or a network stream), with all settings verified by
+read-back.
 
-Why it is done in this order: size, FOURCC and buffer size reset the stream, and with it the
-controls; so those come first and exposure, gain and white balance last. Drivers clamp what they are
-given while `set` returns True; so each value is read back, and what did not take is refused. An
-automatic that works on its own makes forces drift; so each is switched off. Pictures wait in the
-driver's buffers; so a thread reads all of them and keeps the newest.
+The order of the settings matters. Size, FOURCC and buffer size reset the stream and its controls,
+so they come first; exposure, gain and white balance come last. Drivers clamp values although `set`
+returns True, so each value is read back, and a different value is refused. Automatic controls cause
+drift of the forces, so each is switched off. Images queue in the driver's buffers, so a thread
+reads all of them and keeps the newest.
 """
 
 from __future__ import annotations
@@ -28,18 +29,19 @@ from mjtactile.core.types import Image
 from mjtactile.rig.file import CameraConfig
 
 _log = logging.getLogger(__name__)
-_FIRST_IMAGE_TIME = 4.0  # s; USB cameras take up to 2 s to start their stream
-_STALE_PERIODS = 3.0  # a picture older than this many periods is no observation of now
+# wait for the first image, s; USB cameras take up to 2 s to start their stream
+_FIRST_IMAGE_TIME = 4.0
+_STALE_PERIODS = 3.0  # maximum age of a valid image, in periods
 _OPEN_TIME_MS = 5000
 _READ_TIME_MS = 1000
-_KERNEL_AGE_MAX = 5.0  # s; a kernel time further from now is on another clock
+_KERNEL_AGE_MAX = 5.0  # limit of a kernel timestamp's age, s; a larger one is from another clock
 # V4L2_EXPOSURE_MANUAL, V4L2_EXPOSURE_APERTURE_PRIORITY
 _AUTO_EXPOSURE_MANUAL = 1
 _AUTO_EXPOSURE_AUTO = 3
 
 
 class Capture(Protocol):
-    """What is used of `cv2.VideoCapture`."""
+    """Part of the interface of `cv2.VideoCapture` that is used here."""
 
     def isOpened(self) -> bool: ...
     def get(self, propId: int) -> float: ...
@@ -54,8 +56,8 @@ _FLIPS = {"left-right": 1, "top-bottom": 0, "both": -1}
 
 @dataclass
 class CameraCounters:
-    """What went by: pictures, pictures that never came (by their time), pictures with the very same
-    pixels twice."""
+    """Counts of received images, missing images (by their time), and repeated images with identical
+    pixels."""
 
     pictures: int = 0
     dropped: int = 0
@@ -64,10 +66,10 @@ class CameraCounters:
 
 
 class OpenCvCamera:
-    """One finger's camera, streaming. `capture` stands in for `cv2.VideoCapture` in tests.
+    """One finger's camera, streaming. `capture` replaces `cv2.VideoCapture` in tests.
 
-    Raises DeviceError naming the camera: it is not there, it gives another size than the file says,
-    or a control does not take.
+    Raises DeviceError naming the camera: it is missing, its image size differs from the file, or a
+    control cannot be set.
     """
 
     def __init__(
@@ -140,7 +142,7 @@ class OpenCvCamera:
 
     @property
     def newest_time(self) -> float:
-        """When the newest picture was captured, monotonic s."""
+        """Capture time of the newest image, monotonic, s."""
         with self._condition:
             return -math.inf if self._newest is None else self._newest.time
 

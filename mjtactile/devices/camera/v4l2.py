@@ -1,7 +1,8 @@
-"""Video devices of a Linux computer: their names and what they can send, asked of the kernel
-without starting them.
+"""Video devices of a Linux computer: their names and formats, queried from the kernel without
+starting them.
 
-Structures and request numbers: linux/videodev2.h, https://docs.kernel.org/userspace-api/media/v4l/.
+Structures and request numbers: linux/videodev2.h,
+https://docs.kernel.org/userspace-api/media/v4l/.
 """
 
 from __future__ import annotations
@@ -27,9 +28,11 @@ Ioctl = Callable[[int, int, bytearray], object]
 
 @dataclass(frozen=True)
 class VideoDevice:
-    """A camera: `path` to open it by, the stablest there is; what the kernel calls it (`device`,
-    /dev/videoN), its maker (`name`) and its `serial` number ("" if none); `formats`: (fourcc,
-    width, height, largest rate in Hz)."""
+    """Camera with its most stable `path` for opening it.
+
+    `device` is its kernel name (/dev/videoN), `name` that of its maker, and `serial` its serial
+    number ("" if none). `formats` are (fourcc, width, height, largest rate in Hz).
+    """
 
     path: str
     device: str
@@ -64,7 +67,7 @@ def video_devices(root: Path = Path("/")) -> list[VideoDevice]:
 
 
 def formats_of(device: Path, ioctl: Ioctl = fcntl.ioctl) -> Iterator[tuple[str, int, int, float]]:
-    """What it can send; nothing for one that may not be opened or is no camera."""
+    """Return the formats of a device; empty if it cannot be opened or is not a camera."""
     with contextlib.suppress(OSError):
         number = os.open(device, os.O_RDWR | os.O_NONBLOCK)
         try:
@@ -79,8 +82,8 @@ def formats_of(device: Path, ioctl: Ioctl = fcntl.ioctl) -> Iterator[tuple[str, 
 def _entries(
     number: int, request: int, size: int, head: tuple[int, ...], ioctl: Ioctl
 ) -> Iterator[bytes]:
-    """The kernel's answers for index 0, 1, … until it says that there are no more; `head` follows
-    the index."""
+    """Yield the kernel's answers for index 0, 1, … until there are no more; `head` follows the
+    index."""
     for index in range(_MOST):
         data = bytearray(struct.pack(f"{1 + len(head)}I", index, *head).ljust(size, b"\0"))
         try:

@@ -1,5 +1,5 @@
-"""What `mjtactile doctor` looks at. Each check returns findings in plain words with a remedy; none
-moves anything."""
+"""Checks of `mjtactile doctor`. Each check returns findings in plain words with a remedy; none
+moves a device."""
 
 from __future__ import annotations
 
@@ -36,8 +36,11 @@ def examine(
     fix: bool = False,
     look: ViewCheck = _check_empty_view,
 ) -> list[Finding]:
-    """All findings; `sensor` is on fingers of which the rig file does not say it, and `look` what
-    is asked of a picture of each. Raises InputError for a rig file that is wrong itself."""
+    """Return all findings for a rig.
+
+    `sensor` applies to fingers without a sensor in the rig file. `look` checks an image of each
+    finger. Raises InputError for an invalid rig file.
+    """
     findings = [*_plugged_in()]
     if rig is None:
         return findings
@@ -87,7 +90,7 @@ def _check_torques(rig_file: RigFile) -> Iterator[Finding]:
 
 
 def _check_host_loss(rig_file: RigFile) -> Iterator[Finding]:
-    """What becomes of what is held when the host is late or gone."""
+    """Report the effect of a late or lost host on a held object."""
     what = "lost host"
     heartbeat = min((valve.heartbeat for valve in rig_file.valves), default=0.0)
     chambers = f"chambers vent {1e3 * heartbeat:.0f} ms after the last line"
@@ -110,7 +113,7 @@ def _has_bad(findings: list[Finding]) -> bool:
 
 
 def _plugged_in() -> Iterator[Finding]:
-    """The same ports and cameras that `mjtactile devices` lists; nobody is asked."""
+    """List the same ports and cameras as `mjtactile devices`, without queries."""
     ports = serial_ports(ask=False)
     for port in ports:
         yield Finding("ok", "serial port", f"{port.path} ({port.description})")

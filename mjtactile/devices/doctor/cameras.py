@@ -16,16 +16,16 @@ from mjtactile.devices.doctor.ports import group_of
 from mjtactile.rig.doctor_finding import Finding
 from mjtactile.rig.file import CameraConfig
 
-_CAMERA_TIME = 2.0  # s that pictures of a camera are counted
+_CAMERA_TIME = 2.0  # duration of counting a camera's images, s
 
 
 ViewCheck = Callable[[str, SensorDesign, Image], Iterable[Finding]]
-"""What is found in a picture of the camera of that name, with that sensor before it."""
+"""Check of an image from a camera, given its name and the sensor in front of it."""
 
 
 def check_camera(config: CameraConfig, design: SensorDesign, look: ViewCheck) -> Iterator[Finding]:
-    """Settings by read-back, then rate, age and jitter over two seconds, then what a picture
-    shows."""
+    """Check a camera: settings by read-back, then rate, age and jitter over two seconds, then the
+    image content."""
     what = f"camera {config.finger}"
     try:
         camera = OpenCvCamera(config)

@@ -11,8 +11,8 @@ from mjtactile.rig.doctor_finding import Finding
 
 
 def check_port(what: str, path: str, *, fix: bool) -> Iterator[Finding]:
-    """That the port is there, may be used, and does not wait 16 ms to hand over what it
-    received."""
+    """Check that the port exists and is accessible, and that it does not delay received data by 16
+    ms."""
     if "://" in path:
         return
     if not Path(path).exists():

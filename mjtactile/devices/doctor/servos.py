@@ -1,4 +1,4 @@
-"""Servos against what the rig file says, and their bus."""
+"""Checks of the servos against the rig file, and of their bus."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from mjtactile.devices.dynamixel.servo_models import MODELS, NO_CURRENT_CONTROL
 from mjtactile.rig.doctor_finding import Finding
 from mjtactile.rig.file import BusConfig, RigFile
 
-# s for three servos at 1 Mbaud with latency_timer = 1; 16 ms is the driver's default timer
+# maximum round trip time, s, for three servos at 1 Mbaud with latency_timer = 1; the driver's
+# default timer is 16 ms
 _ROUND_TRIP_GOOD = 4e-3
 
 
@@ -53,7 +54,7 @@ def check_servos(rig_file: RigFile) -> Iterator[Finding]:
 
 
 def check_servo(bus: DynamixelBus, servo: int, model: str) -> Iterator[Finding]:
-    """One servo against what the file says."""
+    """Check one servo against the rig file."""
     what = f"servo {servo}"
     try:
         number, _ = bus.ping(servo)
@@ -97,7 +98,7 @@ def check_servo(bus: DynamixelBus, servo: int, model: str) -> Iterator[Finding]:
 
 
 def _identity(what: str, number: int, report: ServoReport, model: str) -> Finding:
-    """Which servo answers, against the `model` that the file says."""
+    """Compare the responding servo with the rig file's `model`."""
     text = (
         f"{report.model}, firmware {report.firmware}, mode {report.operating_mode}, "
         f"{report.voltage:.1f} V, "
@@ -149,8 +150,8 @@ def _round_trip(bus: DynamixelBus, servos: list[int], config: BusConfig) -> Find
 
 
 def _search_servos(config: BusConfig) -> Iterator[Finding]:
-    """Nobody answered: look for servos with other ids and baud rates. Takes some seconds; pings
-    change nothing."""
+    """Search for servos with other ids and baud rates after none has answered. This takes some
+    seconds; pings change nothing."""
     bauds = (config.baud, *(baud for baud in BAUDS if baud != config.baud))
     with contextlib.suppress(DeviceError):
         baud, found = servos_at(config.port, bauds, reply_time=config.reply_timeout)

@@ -1,16 +1,16 @@
-"""One Dynamixel bus: the SDK's classic packet layer with its traps closed.
+"""Dynamixel bus on top of the SDK's packet layer, with its defects corrected.
 
-What the SDK 4.1.0 does, and what is done here instead:
+Behavior of the SDK 4.1.0, and the correction here:
 
 - group reads drop the alert byte: replies are parsed here and keep it;
-- a short reply counts as success and blows up later: the length is checked;
-- an exception leaves `is_using` set, and every later call fails: it is cleared on every way out;
-- two threads on one port spoil each other: one lock around each transaction;
-- a missing reply costs 34 ms (LATENCY_TIMER): the time-out is the wire's time plus what the rig
-  file allows;
-- time-outs on the wall clock: here on the monotonic one; the port is opened exclusively;
-- it waits by spinning: here in `select`, so that the camera's thread gets the processor;
-- byte stuffing of a packet that grows is computed and thrown away: here it is sent.
+- a short reply counts as success and fails later: the length is checked;
+- an exception leaves `is_using` set, and every later call fails: it is cleared on every exit;
+- two threads on one port disturb each other: one lock around each transaction;
+- a missing reply costs 34 ms (LATENCY_TIMER): the timeout is the transmission time plus the rig
+  file's allowance;
+- timeouts use the wall clock: here the monotonic one; the port is opened exclusively;
+- it waits by busy polling: here in `select`, so that the camera's thread gets the processor;
+- byte stuffing of a growing packet is computed and discarded: here it is sent.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ _ERROR = 8
 _PARAMETERS = 9
 _OVERHEAD = 11  # bytes of a status packet around its parameters
 ALERT = 0x80
-_DRAIN_MAX = 0.05  # s of babble that are thrown away
+_DRAIN_MAX = 0.05  # maximum time of discarding noise, s
 _LOST = (serial.SerialException, OSError, termios.error, TypeError)
-"""What pyserial raises on a port that has gone: termios.error is no OSError, and a closed port is a
+"""Exceptions of pyserial for a lost port: termios.error is not an OSError, and a closed port raises
 TypeError."""
 _STATUS_ERRORS = {
     1: "could not carry it out",
@@ -79,15 +79,15 @@ class DynamixelBus:
     there or taken."""
 
     def __init__(self, port: str, baud: int = 1_000_000, *, reply_timeout: float = 0.008):
-        """`reply_timeout` s is what a reply may take on top of its time on the wire: USB latency
-        and return delay."""
+        """Open the bus. `reply_timeout` s is the allowance for a reply in addition to its
+        transmission time: USB latency and return delay."""
         self.name = port
         self._lock = threading.RLock()
         self._port = Port(port, reply_timeout)
         self._packets = PacketHandler()
         self._port.baudrate = baud
         self._dirty = False
-        self._quiet = reply_timeout  # s to wait for a straggler: as long again as a reply may take
+        self._quiet = reply_timeout  # wait for a late reply, s: equal to the reply timeout
         try:
             if not self._port.setBaudRate(baud):
                 raise DeviceError(f"{port}: the SDK knows no baud rate {baud}")
@@ -107,8 +107,11 @@ class DynamixelBus:
             return packet.value(0, 2), packet.value(2, 1)
 
     def read(self, servo: int, address: int, size: int, *, again: bool = False) -> Reply:
-        """Read `size` bytes of one servo. `again`: the same was asked just before, so that a late
-        answer to that is as good and need not be waited for and thrown away. Raises BusError."""
+        """Read `size` bytes of one servo. Raises BusError.
+
+        `again`: the same read was requested just before. A late answer to it is then valid and need
+        not be discarded.
+        """
         with self._transaction(servo, again=again):
             return self._exchange(
                 servo, [2, *_bytes_of_word(address), *_bytes_of_word(size)], reply=size
@@ -141,8 +144,8 @@ class DynamixelBus:
     def read_many(
         self, servos: Sequence[int], address: int, size: int, *, fast: bool = False
     ) -> tuple[dict[int, Reply], dict[int, BusError]]:
-        """Sync (or fast sync) read: the same registers of several servos; what came, and what did
-        not and why.
+        """Read the same registers of several servos (sync or fast sync read); return the replies,
+        and the errors of the other servos.
 
         Raises BusError only when the port itself fails.
         """
@@ -161,12 +164,12 @@ class DynamixelBus:
             if result != COMM_SUCCESS:
                 raise self._failed(None, result)
             self._port.setPacketTimeout((_OVERHEAD + size) * len(servos))
-            self._dirty = True  # whoever comes in between must let the answers pass first
+            self._dirty = True  # any other transaction must first discard the pending answers
 
     def answers(
         self, servos: Sequence[int], size: int, *, fast: bool = False
     ) -> tuple[dict[int, Reply], dict[int, BusError]]:
-        """What the servos said to `request_many` of the same arguments; see `read_many`."""
+        """Return the servos' replies to `request_many` with the same arguments; see `read_many`."""
         with self._transaction(None, again=True):
             if fast:
                 replies, failures = self._receive_fast(servos, size)
@@ -180,7 +183,7 @@ class DynamixelBus:
 
     @contextlib.contextmanager
     def _transaction(self, servo: int | None, *, again: bool = False) -> Iterator[None]:
-        """Hold the bus; whatever happens, leave it usable, and name the port in what is raised."""
+        """Lock the bus. On any error, leave it usable and name the port in the exception."""
         with self._lock:
             try:
                 if self._dirty and not again:
@@ -218,8 +221,8 @@ class DynamixelBus:
                 break
 
     def _exchange(self, servo: int, body: list[int], *, reply: int) -> Reply:
-        """Send one instruction and return the parameters of its status packet, of which there must
-        be `reply` bytes."""
+        """Send one instruction and return the parameters of its status packet, which must have
+        `reply` bytes."""
         length = len(body) + 2
         packet = [0, 0, 0, 0, servo, length & 0xFF, length >> 8, *body, 0, 0]
         result = self._packets.txPacket(self._port, packet)

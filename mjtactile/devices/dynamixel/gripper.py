@@ -33,17 +33,17 @@ __all__ = ["DynamixelGripper", "ServoFault", "ServoReport", "read_report"]
 _log = logging.getLogger(__name__)
 # goal current, velocity, profile acceleration, profile velocity, goal position: one block
 _GOAL_START = 102
-_LEAD_TIME = 0.1  # s at the largest speed: how far a closing jaw's goal is ahead of it at most
+_LEAD_TIME = 0.1  # maximum lead of a closing jaw's goal, s at the largest speed
 # questions in a row without a servo's reply before it counts as lost: one cycle of two, and another
 _FAILURES_MAX = 3
-_FIRST_FORCE_FRACTION = 0.25  # of the largest force, until a command says another
-_SILENCE_IDLE = 30.0  # s without any call, before the first command (references are being taken)
+_FIRST_FORCE_FRACTION = 0.25  # fraction of the largest force until a command sets another limit
+_SILENCE_IDLE = 30.0  # allowed silence before the first command, s (references are being taken)
 
 
 class DynamixelGripper:
-    """The jaws of a rig file's gripper, connected: ready to hold where they stand, torque on.
+    """Connected jaws of a rig file's gripper, holding their position with torque on.
 
-    Raises DeviceError at connect when a servo does not answer, is another model than the file says,
+    Raises DeviceError at connect when a servo does not answer, differs from the file's model,
     cannot limit its force, has a latched error, stands outside the gripper's range, or does not
     keep a setting.
     """
@@ -95,15 +95,17 @@ class DynamixelGripper:
     # --------------------------------------------------------------------------------
 
     def ask(self) -> None:
-        """Ask all servos now; `state` collects what they say. Raises DeviceError when the port is
-        lost."""
+        """Request the state of all servos now; `state` collects the replies. Raises DeviceError
+        when the port is lost."""
         with self._lock:
             self._last_call = scaled_clock.monotonic()
             self._request_all()
 
     def state(self) -> GripperState:
-        """What the servos said to `ask`, which is done now if it was not. Raises DeviceError when
-        one is lost, ServoFault when one reports a hardware error."""
+        """Return the state from the replies to `ask`, which is called if necessary.
+
+        Raises DeviceError when a servo is lost, ServoFault when one reports a hardware error.
+        """
         with self._lock:
             self._last_call = scaled_clock.monotonic()
             self._refresh()
@@ -123,13 +125,13 @@ class DynamixelGripper:
             )
 
     def command(self, command: Command) -> Command:
-        """Send goals to all servos in one packet; returns what was sent, after limits.
+        """Send goals to all servos in one packet; return the sent command, after limits.
 
-        A servo rounds to its own position unit (0.02 mm here). That is not in what is returned: a
-        controller that steps from the last command by less than half a unit would never get
-        anywhere. Closing, no servo's goal is further ahead of it than its jaw moves in 0.1 s: one
-        that goes on to its goal when the host is dead stops there. Raises
-        DeviceError when the port is lost.
+        A servo rounds to its own position unit (0.02 mm here). The returned command is not rounded:
+        otherwise a controller with steps below half a unit would never move. While closing, no
+        servo's goal leads its position by more than the jaw's travel in 0.1 s. A servo that moves
+        on to its goal after the loss of the host stops there. Raises DeviceError when the port is
+        lost.
         """
         with self._lock:
             self._arm()
@@ -153,7 +155,7 @@ class DynamixelGripper:
             self._send_goals()
             self._commanded = True
             self._sent_time = scaled_clock.monotonic()
-            self._poll_one()  # here, where the cycle's picture waits for nothing any more
+            self._poll_one()  # at this point of the cycle it delays no image
             return replace(
                 command, opening=opening, force_limit=self._force_limit, lift_height=height
             )
@@ -165,14 +167,14 @@ class DynamixelGripper:
 
     @property
     def positions(self) -> dict[int, tuple[int, float]]:
-        """Of each jaw servo by id, as last heard: position in ticks within the gripper's turn,
-        current A."""
+        """Last reported position in ticks within the gripper's turn, and current, A, of each jaw
+        servo by id."""
         turns = {jaw.config.id: jaw.revolution_offset_ticks for jaw in self.geometry.servos}
         return {i: (servo.ticks + turns[i], servo.current) for i, servo in self._jaws.items()}
 
     def close(self, *, quiet: bool = False) -> None:
-        """Torque off on every servo, also after one of them failed; then let go of the port. Later
-        calls do nothing.
+        """Switch the torque off on every servo, even after a failure of one, then release the port.
+        Later calls do nothing.
 
         Raises DeviceError naming the servos whose torque could not be switched off, unless `quiet`
         (then it is logged).
@@ -207,7 +209,7 @@ class DynamixelGripper:
     # --------------------------------------------------------------------------------
 
     def _find_place(self, servo: Servo, ticks: int) -> None:
-        """Which turn the servo is in, from where its jaw can be."""
+        """Determine the servo's turn from the possible range of its jaw."""
         if servo.id not in self._jaws:
             self._lift_zero_ticks = ticks  # the lift's height is measured from where it stands
             return
@@ -260,7 +262,7 @@ class DynamixelGripper:
             self._asked = asked
 
     def _refresh(self) -> None:
-        """Hear what all servos say and note what is wrong with which."""
+        """Collect the replies of all servos and record the errors of each."""
         self._request_all()
         asked = self._asked
         self._asked = None
@@ -294,7 +296,7 @@ class DynamixelGripper:
         return True
 
     def _poll_one(self) -> None:
-        """Each time ask one servo, in turn, for what the block does not hold."""
+        """Query one servo per call, in turn, for values outside of the state block."""
         self._poll_index += 1
         servo = list(self._servos.values())[self._poll_index % len(self._servos)]
         if not servo.failures:  # one that is silent has cost time enough
@@ -314,8 +316,8 @@ class DynamixelGripper:
         self.bus.write_many(_GOAL_START, blocks)
 
     def _arm(self) -> None:
-        """At the first command, the bus watchdogs get the rig file's time, and a silent host is
-        given no more than that."""
+        """Set the bus watchdogs and the host timeout to the rig file's values at the first
+        command."""
         if self._silence != self._bus_config.host_timeout:
             for servo in self._servos.values():
                 servo.set_watchdog(self._bus_config.watchdog)
@@ -336,8 +338,8 @@ class DynamixelGripper:
         return height
 
     def _lift_height(self) -> float:
-        """Height of the hand above where it started, m. Without a lift: the height asked for, as
-        the rig file says."""
+        """Return the height of the gripper above its start, m. Without a lift servo: the commanded
+        height."""
         if self._lift_config.kind == "servo":
             servo = self._servos[self._lift_config.id]
             return (servo.ticks - self._lift_zero_ticks) / TICKS_PER_RAD * self._lift_config.per_rad

@@ -1,9 +1,9 @@
-"""From servo angle to jaw opening and back, and from current to force at the jaw.
+"""Conversions between servo angle and jaw opening, and from current to force at the jaw.
 
-Each jaw servo owns a part of the gripper's opening by a law of `mjtactile.rig.jaw_transmission`.
-Jaws that a gear keeps symmetric, or that squeeze one object, share: the force on each finger is the
-mean over the servos when each owns its finger's half, and the single servo's when one servo owns
-the whole opening.
+Each jaw servo moves a part of the gripper's opening by a law of `mjtactile.rig.jaw_transmission`.
+Jaws coupled by a gear, or in contact with one object, have equal forces. If each servo moves its
+finger's half, the force on each finger is the mean over the servos. If one servo moves the whole
+opening, it is that servo's force.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ class JawGeometry:
         )
 
     def effort(self, ticks: dict[int, int], current: dict[int, float]) -> float:
-        """Closing force on each finger, N, as the currents say."""
+        """Compute the closing force on each finger from the currents, N."""
         forces = [
             servo.closing_force(current[servo.config.id], ticks[servo.config.id])
             for servo in self.servos
@@ -142,11 +142,11 @@ def find_model(name: str, source: str, field: str) -> ServoModel:
 def _law(config: ServoConfig, source: str) -> JawLaw:
     try:
         return make_law(
-            LINEAR if config.law == "rack" else config.law,
+            LINEAR if config.transmission == "rack" else config.transmission,
             config.opening_part,
             config.per_rad,
             config.table,
         )
     except ValueError as error:
-        field = "table_deg_mm" if config.law == "table" else "mm_per_rad"
+        field = "table_deg_mm" if config.transmission == "table" else "mm_per_rad"
         raise InputError(str(error), source=source, field=f"gripper.servo.{field}") from error

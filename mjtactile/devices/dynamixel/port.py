@@ -13,7 +13,9 @@ from mjtactile.core import scaled_clock
 from mjtactile.devices.serial_write import write
 
 _BABBLE = 5  # times the time-out
-_WRITE_TIME = 0.5  # s: pySerial counts what the computer stood still, also when all was written
+# write timeout, s: pySerial counts time in which the computer was suspended, even after a complete
+# write
+_WRITE_TIME = 0.5
 
 
 class Port(PortHandler):

@@ -1,8 +1,7 @@
-"""One servo on a bus: its registers, the recipe that makes it ready, what it said last, and its
-torque off.
+"""One servo on a bus: its registers, start-up sequence, last reported state, and torque off.
 
-Recipe and registers: https://emanual.robotis.com/docs/en/dxl/x/xm430-w350/ and .../xl330-m288/. A
-servo is never rebooted from here: a reboot lets go of what is held. What a dead host leaves behind:
+Sequence and registers: https://emanual.robotis.com/docs/en/dxl/x/xm430-w350/ and .../xl330-m288/. A
+servo is never rebooted from here: a reboot drops the held object. State after the loss of the host:
 docs/decisions/0019-a-dead-host.md.
 """
 
@@ -33,10 +32,11 @@ from mjtactile.devices.dynamixel.servo_models import (
 # present current, velocity, position, …, voltage, temperature: one block
 STATE_START = 126
 STATE_SIZE = 21
-# s, before the first command: taking references can hold the interpreter for longer than 0.1 s
+# watchdog time before the first command, s: taking references can block the interpreter for longer
+# than 0.1 s
 WATCHDOG_IDLE = 2.0
 _OFF_ATTEMPTS = _READ_ATTEMPTS = 3
-REQUIRED = (  # register, what it must be, and what anything else means
+REQUIRED = (  # register, required value, and effect of any other value
     ("Drive Mode", 0, "reversed, time-based, or switching its torque on by itself"),
     ("Status Return Level", 2, "silent"),
     (
@@ -94,8 +94,8 @@ class Servo:
         )
 
     def _ask(self, question: Callable[[], _Answer]) -> _Answer:
-        """The answer to what changes nothing, so that it is asked again where the reply is lost.
-        Raises BusError."""
+        """Return the answer to a query without side effects, repeated if the reply is lost. Raises
+        BusError."""
         for attempt in range(_READ_ATTEMPTS):
             try:
                 return question()
@@ -116,7 +116,7 @@ class Servo:
         except BusError as error:
             if error.reason not in ("no reply", "corrupt", "short"):
                 raise DeviceError(f"{self.where}: {name} = {value}: {error}") from error
-        found = self.get(name)  # also tells whether a write whose answer was lost has arrived
+        found = self.get(name)  # also detects if a write without an answer has arrived
         if found != unsigned:
             raise DeviceError(f"{self.where}: {name} was set to {value} but reads {found}")
 
@@ -124,8 +124,8 @@ class Servo:
     # --------------------------------------------------------------------------------
 
     def check_identity(self, baud: int) -> None:
-        """Refuse another model than the file's, a latched error, or settings that change what
-        numbers mean."""
+        """Reject a model other than the file's, a latched error, or settings that change the
+        meaning of values."""
         try:
             number, firmware = self._ask(lambda: self.bus.ping(self.id))
         except BusError as error:
@@ -167,19 +167,19 @@ class Servo:
         first_current: Callable[[Servo], int],
         p_gain: int | None,
     ) -> None:
-        """Torque on in current-based position mode, standing still, limits and watchdog first:
-        whenever the host dies, the servo is off or has both. Writing the mode resets gains and
-        goals.
+        """Switch the torque on in current-based position mode, standing still. Limits and watchdog
+        are set first: if the host dies, the servo is off or has both. Writing the mode resets gains
+        and goals.
 
-        `find_place` is told the present position (ticks) before the torque is on; `limit` is the
-        largest goal current (units) that any command may ask for, `first_current` says the one
-        until the first command.
+        `find_place` receives the present position (ticks) before the torque is on. `limit` is the
+        largest goal current (units) of any command. `first_current` returns the goal current until
+        the first command.
         """
         self.set("Bus Watchdog", 0)  # one that has tripped makes the goals read-only
         self.set("Torque Enable", 0)
         self.set("Operating Mode", CURRENT_BASED_POSITION)
         self.current_limit_units = limit
-        self.set("Current Limit", limit)  # what a goal current is reset to
+        self.set("Current Limit", limit)  # a goal current is reset to this value
         self.set("Return Delay Time", 0)
         find_place(signed(self.get("Present Position"), 4))
         self.goal_current_units = min(first_current(self), limit)
@@ -225,11 +225,11 @@ class Servo:
         self._note_fault(text)
 
     def poll(self) -> None:
-        """Ask for what the state block does not hold: a tripped watchdog, or one that a restart in
-        silence has set back to 0.
+        """Check the watchdog, which the state block does not contain: it may have tripped, or an
+        unnoticed restart may have reset it to 0.
 
-        A watchdog that has tripped is cleared: until then no goal is taken, and the hand could not
-        retreat. Raises BusError.
+        A tripped watchdog is cleared: until then the servo accepts no goal, and the gripper could
+        not retreat. Raises BusError.
         """
         register = self.model.table["Bus Watchdog"]
         reply = self.bus.read(self.id, register.address, register.size)
@@ -258,8 +258,8 @@ class Servo:
     # --------------------------------------------------------------------------------
 
     def torque_off(self) -> str:
-        """Switch the torque off, trying again on a lost reply; "" when it was confirmed, else what
-        went wrong."""
+        """Switch the torque off, with retries after a lost reply; return "" when confirmed, else
+        the error."""
         address = self.model.table["Torque Enable"].address
         reason = ""
         for _ in range(_OFF_ATTEMPTS):
@@ -278,8 +278,8 @@ class Servo:
 
 @dataclass(frozen=True)
 class ServoReport:
-    """What a servo says about itself: volt, degrees Celsius, latched errors in words ("" for none),
-    `settings` of `REQUIRED`."""
+    """State reported by a servo: voltage, V, temperature, degrees Celsius, latched errors in words
+    ("" for none), `settings` of `REQUIRED`."""
 
     id: int
     model: str

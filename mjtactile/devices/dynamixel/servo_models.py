@@ -1,10 +1,10 @@
-"""What the driver must know of each servo model: registers (read from the tables that the SDK
-ships) and units.
+"""Properties of each servo model for the driver: registers (read from the tables shipped with the
+SDK) and units.
 
-The SDK's tables give addresses, but no current unit worth using (1.0 "raw", or "N/m"), so the mA
-per unit are here, each from the "Goal Current" entry of the model's page at
+The SDK's tables give addresses, but no usable current unit (1.0 "raw", or "N/m"). The mA per unit
+are therefore defined here, from the "Goal Current" entry of each model's page at
 https://emanual.robotis.com/docs/en/dxl/x/. Torque over current are the stall values of the same
-page's specifications. What each rests on: docs/how-to/hardware.md.
+page's specifications. The sources of all values: docs/how-to/hardware.md.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from mjtactile.core.errors import DeviceError
 
 TICKS_PER_RAD = 4096 / (2 * math.pi)
 VELOCITY_UNIT = 0.229 * 2 * math.pi / 60  # rad/s, "Present Velocity"
-WATCHDOG_UNIT = 0.020  # s, "Bus Watchdog"
+WATCHDOG_UNIT = 0.020  # unit of "Bus Watchdog", s
 CURRENT_BASED_POSITION = 5  # "Operating Mode"
 EEPROM_END = 64  # registers below are kept without power and locked while torque is on
 
@@ -40,9 +40,12 @@ HARDWARE_ERRORS = {
 
 @dataclass(frozen=True)
 class ServoModel:
-    """`ampere_per_unit` of goal and present current, `current_max_units` that Current Limit takes,
-    `torque_per_A` N m/A at the shaft (stall torque over stall current of the data sheet: good to 20
-    %; `calibrate gripper` measures it)."""
+    """Servo model: `ampere_per_unit` of goal and present current, and `current_max_units`, the
+    maximum of Current Limit.
+
+    `torque_per_A` N m/A is at the shaft: stall torque over stall current of the data sheet,
+    accurate to 20 %; `calibrate gripper` measures it.
+    """
 
     number: int
     name: str
@@ -55,8 +58,8 @@ class ServoModel:
         return load_table(self.name.lower().replace("-", "_"))
 
     def watchdog_stops(self, firmware: int) -> bool:
-        """Whether the bus watchdog of this firmware stops the motor: one is known that notes the
-        trip and turns on."""
+        """Return True if the bus watchdog of this firmware stops the motor. One known firmware
+        reports the trip but continues to turn."""
         return "330" not in self.name or firmware not in _WATCHDOG_STOPS_NOTHING
 
 

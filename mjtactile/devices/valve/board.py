@@ -1,9 +1,8 @@
-"""`ValveBoard`: a board on a serial port: handshake, limits, heartbeat, and a vent on every way
-out.
+"""`ValveBoard`: a board on a serial port: handshake, limits, heartbeat, and a vent on every exit.
 
-A board that hears nothing for its heartbeat time vents by itself. The heartbeat is a thread of this
-process that reads the pressures, but only while the control loop calls: a loop that hangs lets the
-board vent.
+A board without a message during its heartbeat time vents by itself. The heartbeat is a thread of
+this process that reads the pressures, but only while the control loop calls. If the loop hangs, the
+board vents.
 """
 
 from __future__ import annotations
@@ -27,14 +26,20 @@ from mjtactile.devices.valve import protocol
 from mjtactile.rig.file import ValveConfig
 
 _log = logging.getLogger(__name__)
-_HANDSHAKE_TIME = 4.0  # s; opening the port resets many boards, whose boot loader waits up to 2 s
-# s at least for the answer to a command; USB adds 16 ms each way, a board's own loop up to 50 ms
+# handshake timeout, s; opening the port resets many boards, whose boot loader waits up to 2 s
+_HANDSHAKE_TIME = 4.0
+# minimum timeout of a command's answer, s; USB adds 16 ms in each direction, a board's own loop up
+# to 50 ms
 _COMMAND_TIME = 0.15
 _COMMAND_FRACTION = 5  # of the rig file's reply time-out, where that is longer
 _ATTEMPTS = 2
-_RETRY_TIME = 0.008  # s from a failed reading to the next try: longer than a burst of noise
-_WRITE_TIME = 0.5  # s: pySerial counts what the computer stood still, also when all was written
-# s without a call from the loop before the heartbeat is let die; references take 2 s between calls
+# time from a failed reading to the next attempt, s: longer than a burst of noise
+_RETRY_TIME = 0.008
+# write timeout, s: pySerial counts time in which the computer was suspended, even after a complete
+# write
+_WRITE_TIME = 0.5
+# maximum time without a call from the loop before the heartbeat stops, s; references take 2 s
+# between calls
 _SILENCE = 5.0
 _FAILURES_MAX = 3
 _T = TypeVar("_T")
@@ -69,7 +74,7 @@ class ValveBoard:
             scaled_clock.Event()
         )  # the heartbeat's thread has something to do before its time
         self._readings: dict[int, ValveReading] = {}
-        # Pa that a channel is to be kept at (None: sealed), and what the board was told of it
+        # pressure setpoints of the channels, Pa (None: sealed), and those sent to the board
         self._aims: dict[int, int | None] = {}
         self._told: dict[int, int | None] = {}
         self._sequence = 0
@@ -90,7 +95,7 @@ class ValveBoard:
             raise
         self._thread.start()
 
-    # -- what the valves use
+    # -- interface for the valves
     # --------------------------------------------------------------------------------
 
     def set(self, channel: int, pressure: float) -> None:
@@ -111,8 +116,11 @@ class ValveBoard:
         self._command(f"vent {channel}", channel)
 
     def aim(self, channel: int, pressure: float | None) -> None:
-        """Have the heartbeat's thread tell the board to keep a channel at `pressure` Pa; None: seal
-        it, if it was kept so. Waits for nothing."""
+        """Set the pressure, Pa, that the board shall maintain in a channel; None: seal it, if it
+        was maintained.
+
+        The heartbeat's thread sends it; the call does not wait.
+        """
         if pressure is not None:
             self._aims[channel] = round(pressure)
         elif channel in self._aims:
@@ -137,14 +145,15 @@ class ValveBoard:
         return reading
 
     def measure(self, channel: int, disk_wait_time: float | None = None) -> ValveReading:
-        """Ask the board now, for at most `patience` s (None: a command's). Raises DeviceError."""
+        """Ask the board now, for at most `disk_wait_time` s (None: a command's). Raises
+        DeviceError."""
         with self._lock:
             self._last_call = scaled_clock.monotonic()
             return self._with_retry(lambda: self._read(channel, disk_wait_time))
 
     def close(self, *, quiet: bool = False) -> None:
-        """Vent every channel, also after one failed, then let go of the port. Raises DeviceError
-        for what did not vent."""
+        """Vent every channel, even after a failure of one, then release the port. Raises
+        DeviceError for channels that did not vent."""
         if self._closed.is_set():
             return
         self._closed.set()
@@ -167,12 +176,11 @@ class ValveBoard:
             if not quiet:
                 raise DeviceError(text)
 
-    # -- connecting
-    # --------------------------------------------------------------------------------
+    # -- connecting --------------------------------------------------------------------------------
 
     def _handshake(self) -> None:
-        """Ask who it is until it says so or the deadline passes; its boot banner and a cut line are
-        skipped."""
+        """Query the board's identity until it answers or the deadline passes. Its boot banner and
+        incomplete lines are skipped."""
         deadline = scaled_clock.monotonic() + _HANDSHAKE_TIME
         heard = ""
         while scaled_clock.monotonic() < deadline:
@@ -220,7 +228,7 @@ class ValveBoard:
                     "gives",
                     field="valve.supply_kPa",
                 )
-            self._command_echoed(f"vent {channel}")  # also says that what was before is known
+            self._command_echoed(f"vent {channel}")  # also acknowledges an earlier fault
             self._command_echoed(f"limit {channel} {round(config.pressure_max)}")
         self._command_echoed(
             f"beat {round(1e3 * min(config.heartbeat for config in self._configs.values()))}"
@@ -234,8 +242,7 @@ class ValveBoard:
     def _version(self) -> tuple[int, ...]:
         return tuple(int(part) for part in self.firmware.split("."))
 
-    # -- talking
-    # --------------------------------------------------------------------------------
+    # -- talking --------------------------------------------------------------------------------
 
     def _command(self, text: str, channel: int) -> None:
         with self._lock:
@@ -258,8 +265,8 @@ class ValveBoard:
         return act()
 
     def _ask(self, text: str, disk_wait_time: float | None = None) -> str:
-        """The text of the answer to one command, within `patience` s (None: a command's). Raises
-        DeviceError."""
+        """The text of the answer to one command, within `disk_wait_time` s (None: a command's).
+        Raises DeviceError."""
         with self._lock:
             self._sequence = (self._sequence + 1) % protocol.SEQUENCES
             try:
@@ -294,7 +301,7 @@ class ValveBoard:
             data = self._serial.read(max(1, self._serial.in_waiting))
             self._received += data
             waited = scaled_clock.monotonic() - asked
-            # what has come is read: this thread may be late
+            # received data is read first: this thread may be late
             if waited > disk_wait_time and (not data or waited > 2 * disk_wait_time):
                 raise _NoReply(
                     f"valve board {self.name}: "
@@ -337,7 +344,7 @@ class ValveBoard:
                     self._last_error = str(error)
 
     def _tell(self, channel: int) -> None:
-        """Pass on what a channel is to be kept at, where the board does not know it yet."""
+        """Send the pressure setpoint of a channel, unless the board has it already."""
         if self._has_setpoint(channel):
             return
         pressure = self._aims[channel]
@@ -348,7 +355,7 @@ class ValveBoard:
         return channel not in self._aims or self._told.get(channel, ...) == self._aims[channel]
 
     def _forget_aim(self, channel: int) -> None:
-        """What is commanded now counts."""
+        """Delete the pressure setpoint of a channel, since a direct command replaces it."""
         with self._lock:
             self._aims.pop(channel, None)
             self._told.pop(channel, None)

@@ -12,8 +12,8 @@ from mjtactile.devices.valve.board import ValveBoard, ValveReading
 from mjtactile.rig.file import ValveConfig
 
 __all__ = ["BoardValve", "ValveBoard", "connect_valves"]
-_SETTLE_TIME = 1.5  # s for the chamber to reach the pressure that was set
-_SETTLE_POLL = 0.02  # s between looks at it
+_SETTLE_TIME = 1.5  # time for the chamber to reach the setpoint, s
+_SETTLE_POLL = 0.02  # polling interval of the pressure, s
 # of the pressure, Pa: how far off is a valve that does not move
 _SETTLE_FRACTION = 0.25
 _SETTLE_FLOOR = 120.0
@@ -29,8 +29,8 @@ class BoardValve:
         self._goal_time = 0.0
 
     def state(self) -> ValveState:
-        """Whether it is open, and the pressure. Raises DeviceError: silent board, or a pressure
-        that does not follow."""
+        """Return the valve's state and pressure. Raises DeviceError for a silent board, or a
+        pressure that does not follow."""
         reading = self.board.reading(self.config.channel)
         if reading.fault:
             raise DeviceError(f"valve {self.config.finger} vented by itself: {reading.fault}")
@@ -61,8 +61,8 @@ class BoardValve:
         self._goal_time = scaled_clock.monotonic()
 
     def close(self) -> None:
-        """Seal the chamber, once its pressure is what was set. Raises DeviceError for a valve that
-        does not move."""
+        """Seal the chamber after its pressure has reached the setpoint. Raises DeviceError for a
+        valve that does not move."""
         while self._goal is not None and not self._has_moved(
             self.board.measure(self.config.channel)
         ):
@@ -72,8 +72,11 @@ class BoardValve:
         self._goal = None
 
     def follow(self, gauge_pressure: float | None) -> None:
-        """Have the board keep the chamber at what its gauge shows as `gauge_pressure` Pa; None:
-        seal it, if it was kept so. The heartbeat's thread says it to the board."""
+        """Set the sensor reading `gauge_pressure`, Pa, that the board shall maintain; None: seal
+        the chamber, if it was maintained.
+
+        The heartbeat's thread sends it to the board.
+        """
         if gauge_pressure is None:
             self.board.aim(self.config.channel, None)
             self._goal = None
@@ -92,7 +95,7 @@ class BoardValve:
             )
 
     def _has_moved(self, reading: ValveReading) -> bool:
-        """The chamber has the pressure that was set, as far as is known."""
+        """Return True if the chamber has reached the setpoint, or if its pressure is unknown."""
         if self._goal is None or reading.gauge_pressure is None:
             return True
         return abs(reading.gauge_pressure - self._goal) <= max(

@@ -1,8 +1,8 @@
-"""Lines of "mjvalve", which the board in firmware/valve/ speaks: `SEQUENCE WORD ARGUMENTS*CRC`,
+"""Lines of "mjvalve", the protocol of the board in firmware/valve/: `SEQUENCE WORD ARGUMENTS*CRC`,
 ended by a newline.
 
-CRC is the CRC-32 of what stands before the `*`, as zlib's, in eight hexadecimal digits. An answer
-bears the sequence number of its command and repeats it, or says `error REASON`. The whole language:
+CRC is the CRC-32 of the text before the `*`, as in zlib, in eight hexadecimal digits. An answer has
+the sequence number of its command and repeats it, or is `error REASON`. The complete protocol:
 firmware/valve/README.md.
 """
 
@@ -14,7 +14,7 @@ import zlib
 NAME = "mjvalve"
 VERSION_MIN = (1, 0)
 HOLD_VERSION = (1, 1)
-"""From which on a board can hold what is there for a host that is late."""
+"""First version of a board that can hold the chambers' state for a late host."""
 SEQUENCES = 65536
 LONGEST = 80  # bytes of a line without its end
 STATES = {"vent": True, "set": True, "sealed": False}

@@ -28,11 +28,11 @@ def write(
     task: str | None = None,
     say: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Write all episodes into `out` and return how many frames of what. `crf` 0 keeps every pixel
-    of a video, 18-30 take a tenth of the space and do not.
+    """Write all episodes into `out` and return the counts.
 
-    Raises InputError for episodes that do not fit together, and where images are asked for that are
-    not there.
+    `crf` 0 is a lossless video. 18-30 is lossy and takes a tenth of the space.
+
+    Raises InputError if the episodes are not compatible, or if requested images are missing.
     """
     fps = round(episodes[0].rate)
     features = features_of(episodes[0], images)
@@ -79,7 +79,7 @@ def _check(
     features: Mapping[str, Feature],
     images: str,
 ) -> None:
-    """Raise InputError where `episode` cannot stand beside the `first`."""
+    """Raise InputError if `episode` is not compatible with the `first`."""
     folder = episode.recording.folder
     if round(episode.rate) != fps:
         raise InputError(
@@ -287,7 +287,7 @@ def _write_tasks(path: Path, tasks: Sequence[str]) -> None:
 
 
 def _infos(features: Mapping[str, Feature], fps: int) -> dict[str, Any]:
-    """What info.json says of each column."""
+    """Return the info.json entry of each column."""
     infos = {key: feature.info() for key, feature in features.items()}
     for info in infos.values():
         if info["dtype"] == "video":

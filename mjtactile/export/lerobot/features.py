@@ -1,8 +1,7 @@
-"""The columns of a LeRobot data set, and how a cycle says each.
+"""Columns of a LeRobot data set, and their values for a cycle.
 
-`observation.state` and `action` are what policies look for; `recorded.*` is the log column by
-column, in doubles; `truth.*` what a simulation knew, under a name that no policy takes for an
-observation.
+Policies use `observation.state` and `action`. `recorded.*` is the log column by column, in doubles.
+`truth.*` is the ground truth of a simulation; no policy treats this name as an observation.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from mjtactile.recording.files import to_json
 from mjtactile.recording.log_schema import TRUE
 
 IMAGES = {"video": ("video", 3), "png": ("image", 1), "none": ("", 0)}
-"""How images are kept, to LeRobot's word for it and to the channels that a reader gets."""
+"""Image storage: LeRobot's data type and the number of channels for a reader."""
 INDEX = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 _STATE = (
     ("opening", "opening_m"),
@@ -39,7 +38,7 @@ _WRENCH = ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
 
 @dataclass(frozen=True)
 class Feature:
-    """A column: `dtype` and `names` as info.json has them, and how a cycle says it."""
+    """Column with `dtype` and `names` as in info.json, and the function that computes its value."""
 
     dtype: str
     names: list[str]
@@ -70,14 +69,14 @@ def features_of(episode: RecordedEpisode, images: str) -> dict[str, Feature]:
 
 
 def _state(seen: Perceived) -> Array:
-    """What the gripper reports, and the wrench on each finger."""
+    """Return the gripper state and the wrench on each finger."""
     reported = [float(seen.row[key]) for key, _ in _STATE]
     wrenches = np.array(list(seen.row["wrench"]), float)
     return np.concatenate([reported, np.ravel(wrenches)])
 
 
 def _action(seen: Perceived) -> Array:
-    """What was commanded."""
+    """Return the command."""
     return np.array([float(seen.row[key]) for key, _ in _ACTION])
 
 
@@ -98,7 +97,7 @@ def _image_columns(episode: RecordedEpisode, images: str) -> dict[str, Feature]:
 
 
 def _marker_columns(episode: RecordedEpisode) -> dict[str, Feature]:
-    """Where each finger's markers are."""
+    """Return the columns of each finger's marker positions."""
     count = episode.design.markers.count
     names = [f"{number}.{axis}_m" for number, axis in product(range(count), "xyz")]
     found = {}

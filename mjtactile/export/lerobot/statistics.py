@@ -1,4 +1,4 @@
-"""What normalisation is done by: smallest, largest, mean, standard deviation and quantiles of every
+"""Statistics for normalization: minimum, maximum, mean, standard deviation and quantiles per
 column."""
 
 from __future__ import annotations
@@ -14,8 +14,10 @@ _QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 
 
 def of_numbers(values: Array) -> dict[str, Any]:
-    """Of (n, k) numbers, each column's own; unknown ones do not count, and one that never was known
-    is null."""
+    """Compute the statistics of each column of (n, k) numbers.
+
+    Unknown numbers are skipped; a column of only unknown numbers is null.
+    """
     known = np.isfinite(values)
     filled = np.where(known.any(axis=0), values, 0.0)
     found = {
@@ -33,7 +35,8 @@ def of_numbers(values: Array) -> dict[str, Any]:
 
 
 def of_images(values: Array, channels: int) -> dict[str, Any]:
-    """Of (n, h, w) grey levels 0-1, in the shape (channels, 1, 1) that readers expect."""
+    """Compute the statistics of (n, h, w) gray levels 0-1, in the standard shape (channels, 1,
+    1)."""
     found = {
         "min": values.min(),
         "max": values.max(),

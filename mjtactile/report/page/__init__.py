@@ -47,7 +47,7 @@ _FACTS: tuple[tuple[str, str, str], ...] = (
     ("perception_ms_median", "perception, median", "ms a cycle"),
     ("recording_problem", "recording", ""),
 )
-"""Key of a summary, what it is called, unit."""
+"""Key of a summary, label, unit."""
 
 
 def write_page(
@@ -57,9 +57,11 @@ def write_page(
     summary: Mapping[str, Any],
     snapshot: Seen | None = None,
 ) -> None:
-    """Write the page of a run into `path`: its `recording`, `strip` of cycles with their scenes
-    (`recording.strip`), and the `summary` that its command printed; `snapshot` is the cycle that is
-    shown first."""
+    """Write the HTML page of a run to `path`.
+
+    It shows the `recording`, the `strip` of cycles with their scenes (`recording.strip`), and the
+    `summary` that the command printed. The page opens at the cycle `snapshot`.
+    """
     page = document(_title(summary), _body(recording, strip, summary, snapshot), style=_STYLE)
     part = path.with_name(path.name + ".part")
     part.write_text(page, encoding="utf-8")
@@ -115,7 +117,7 @@ def _facts(summary: Mapping[str, Any]) -> str:
 
 
 def _doubts(recording: Recording) -> str:
-    """What makes the simulation's numbers worse than usual."""
+    """Return the table of reasons for reduced simulation accuracy."""
     if not recording.flags:
         return ""
     rows = [[escape(kind), escape(reason)] for kind, reason in recording.flags.items()]
@@ -134,8 +136,10 @@ def _words(value: Any, unit: str) -> str:
 
 
 def _fingers(recording: Recording) -> str:
-    """For how long each finger said that what it feels sticks, is about to slip, slips; and for how
-    long it could not say."""
+    """Return the table of the time that each finger reported sticking, incipient and full slip.
+
+    It also contains the time without an estimate.
+    """
     if len(recording) < 2 or "slip_state" not in recording.columns:
         return ""
     period = float(np.median(np.diff(recording.column("time")[:, 0])))
@@ -205,7 +209,8 @@ def _moment(data: Mapping[str, Any], *, scene: bool) -> str:
 
 
 def _simulated(recording: Recording) -> str:
-    """Which effects were on and why, with their price; what was drawn for this world."""
+    """Return the tables of enabled and disabled effects with reason and cost, and randomized
+    values."""
     how = recording.notes.get("simulated")
     if not isinstance(how, Mapping):
         return ""
@@ -225,7 +230,7 @@ def _simulated(recording: Recording) -> str:
 
     head = ["effect", "costs, ms a simulated s", "without it, mN", "um", "why"]
     varied = ", ".join(
-        f"{name} {value}" for name, value in recording.notes.get("varied", {}).items()
+        f"{name} {value}" for name, value in recording.notes.get("randomized", {}).items()
     )
     drawn = ""
     if varied:

@@ -1,5 +1,5 @@
-"""What the page of a run shows, as plain values for its scripts: curves over time, and pictures and
-membranes at some moments."""
+"""Data of a run's page for its scripts: curves over time, images and membranes at selected
+times."""
 
 from __future__ import annotations
 
@@ -33,8 +33,11 @@ _GREY = "#555555"
 
 @dataclass(frozen=True)
 class Plot:
-    """A curve for each finger, or one: a `column` of the recording in units of 1/`scale`, with the
-    columns of its standard deviation and its truth."""
+    """Curve of each finger, or a single one.
+
+    It shows a `column` of the recording, multiplied by `scale`. `sd` is the column of its standard
+    deviation, `true` its ground truth.
+    """
 
     label: str
     column: str
@@ -131,8 +134,11 @@ def _heights(touches: Sequence[Touch]) -> tuple[float, float]:
 
 
 def _plot(plot: Plot, recording: Recording) -> dict[str, Any]:
-    """`{"label", "series": [{"name", "colour", "y", "sd", "dash"}], "lines": [(value, words)]}`; no
-    series of what is unknown."""
+    """Return the curves of a plot; unknown series are omitted.
+
+    Format: `{"label", "series": [{"name", "colour", "y", "sd", "dash"}], "lines": [(value,
+    words)]}`.
+    """
     felt = plot.scale * recording.column(plot.column)
     sd = recording.column(plot.sd) if plot.sd else None
     true = None if plot.true is None else plot.scale * plot.true(recording)
@@ -171,7 +177,7 @@ def _plain(values: Array, digits: int) -> list[float | None]:
 
 
 def _said(recording: Recording) -> list[list[str]]:
-    """What each finger said of the touch in each cycle: its slip, or why it cannot say."""
+    """Return the slip state of each finger in each cycle, or the reason why it is unknown."""
     statuses = recording.columns["status"]
     slips = recording.columns.get("slip_state", statuses)
     said = []
@@ -184,7 +190,7 @@ def _said(recording: Recording) -> list[list[str]]:
 def _grids(
     moments: Sequence[tuple[Seen, Any]], fingers: int
 ) -> list[dict[str, list[float]] | None]:
-    """Where the heights of each finger are, mm."""
+    """Return the grid coordinates of each finger's height map, mm."""
     found: list[dict[str, list[float]] | None] = [None] * fingers
     for cycle, _ in moments:
         for finger, touch in enumerate(cycle.touch[:fingers]):
@@ -197,7 +203,7 @@ def _grids(
 
 
 def _shot(cycle: Seen, view: Any, unit: float) -> dict[str, Any]:
-    """What there is to see at one moment."""
+    """Return images, scene and membranes at one time."""
     scene = None
     if view is not None:
         bgr = picture_of(view, _SCENE, samples=1)[:, :, ::-1]
@@ -221,8 +227,12 @@ def _jpeg(bgr: NDArray[np.uint8]) -> str:
 
 
 def _felt(touch: Touch, unit: float, view: Any, finger: int) -> Mapping[str, Any] | None:
-    """A membrane: `z` (ny nx) whole numbers of `unit` mm, the traction with a minus sign: foot, mm,
-    and Pa; of the body that is believed its lines, mm, and of what is truly there."""
+    """Return the estimated membrane of a finger.
+
+    `z` (ny nx) holds integers in units of `unit` mm. Each arrow has its foot, mm, and the negative
+    traction, Pa. Further entries are the lines of the estimated contact shape and of the ground
+    truth, mm.
+    """
     if touch.surface is None:
         return None
     foot, stress = arrows(touch, touch.surface)

@@ -1,2 +1,2 @@
-"""What touches: a body of few numbers that the film meets as the markers show it
+"""Estimation of the contact shape: parametric shape models fitted to the marker positions
 (docs/theory/contact_shape.md, Eq. F18-F20)."""

@@ -1,4 +1,5 @@
-"""How much of the sheet lies on a body that was found (docs/theory/contact_shape.md, Eq. F20)."""
+"""Contact area between the membrane and an estimated shape (docs/theory/contact_shape.md, Eq.
+F20)."""
 
 from __future__ import annotations
 
@@ -21,20 +22,20 @@ from mjtactile.sensing.settings import ContactShapeSettings
 _INTERVAL = (0.16, 0.84)
 _LIKELY = 1e-3  # probability, below which a family has no part in an interval
 FACES = ("disc", "block")
-_SLOPES = (0.02, 1.2)  # of a sheet at a rim: least, most
+_SLOPES = (0.02, 1.2)  # slope of the membrane at a rim: minimum, maximum
 _FACE_MIN = 0.5  # of a face that was found, that may be left of it
 
 
 def areas(forward: ForwardModel, found: Fit, s: ContactShapeSettings) -> list[float]:
-    """Area, m^2, of each of the bodies (of the one that there is).
+    """Return the contact area of each part of the shape, m^2.
 
     Args:
-        forward: The film.
-        found: The body, or bodies.
+        forward: Membrane model.
+        found: Fitted shape, with one or several parts.
         s: Settings.
 
     Returns:
-        An area for each part.
+        One area per part.
     """
     family = found.family
     if not family.parts:
@@ -50,7 +51,7 @@ def areas(forward: ForwardModel, found: Fit, s: ContactShapeSettings) -> list[fl
 
 
 def shares(forward: ForwardModel, found: Fit) -> list[float]:
-    """Of several bodies, each one's part of the force."""
+    """Return the fraction of the force on each part of a shape."""
     force = found.state.contact_forces
     nearest = nearest_part(forward, found)
     total = max(float(force.sum()), 1e-9)
@@ -59,7 +60,7 @@ def shares(forward: ForwardModel, found: Fit) -> list[float]:
 
 
 def nearest_part(forward: ForwardModel, found: Fit) -> Array:
-    """Which of several bodies each node (nx, ny) is nearest to."""
+    """Return the index of the nearest part for each node (nx, ny)."""
     x, y = _places(forward, found)
     middles = [
         hint.place + 1e-3 * theta[:2]
@@ -82,8 +83,11 @@ def _area(
     share: float,
     s: ContactShapeSettings,
 ) -> float:
-    """Of a flat face, what of it has nodes that touch; of what is round, the film's own, as far as
-    one tension would have it, by how much the sheet is stretched."""
+    """Return the contact area of one part, m^2.
+
+    For a flat face, use the fraction of the face with touching nodes. For a round shape, correct
+    the area of the membrane model, which has uniform tension, for the stretch of the membrane.
+    """
     state = found.state
     if family.name in FACES:
         off, whole = face_of(family, theta, hint, state.displacements[:2])
@@ -100,24 +104,25 @@ def _area(
 
 
 def rim_length(family: ShapeModel, theta: Array) -> float:
-    """Of a face's rim, m."""
+    """Return the length of a face's rim, m."""
     if family.name == "disc":
         return 2e-3 * math.pi * float(theta[5])
     return 4e-3 * float(theta[6] + theta[7])
 
 
 def slope_at_rim(force: float, area: float, rim: float, state: MembraneSolution) -> float:
-    """By how much the sheet goes up from a face at its rim, from how it is borne: what gas does not
-    press on the face, the sheet's tension draws to the rim.
+    """Compute the slope of the membrane at the rim of a face from the force balance.
+
+    The membrane tension at the rim carries the force that gas pressure on the face does not.
 
     Args:
-        force: N on the face.
-        area: m^2 of it.
-        rim: Its length, m.
-        state: Of the film.
+        force: Force on the face, N.
+        area: Area of the face, m^2.
+        rim: Length of the rim, m.
+        state: Solution of the membrane model.
 
     Returns:
-        The mean sine of the angle, within what a film bears.
+        Mean sine of the slope angle, clipped to the range that a membrane can have.
     """
     drawn = force - state.gauge_pressure * area
     slope = drawn / max(float(state.found[TENSION]) * rim, 1e-9)
@@ -125,22 +130,23 @@ def slope_at_rim(force: float, area: float, rim: float, state: MembraneSolution)
 
 
 def _rim_out(slope: float, stuck: float, s: ContactShapeSettings) -> float:
-    """By how many roundings a sharp rim is outside of the one that was found.
+    """Return the outward offset of a sharp rim from the fitted rim, in rounding radii.
 
-    The found one is round: a sheet that goes up steeply leaves it farther out than a flat one, and
-    more so beside the frame, where it sticks and is steeper than the film.
+    The fitted rim is rounded. A steep membrane leaves it farther outward than a flat one. Near the
+    frame the offset is larger, because the membrane sticks and is steeper than the model.
     """
     return s.rim_slope * slope + s.rim_stuck * stuck - s.rim_in
 
 
 def area_sd(found: Fit, area: float, noise: float, s: ContactShapeSettings) -> float:
-    """Standard deviation, m^2, of an area: by the numbers' covariance, and what film and family
-    leave.
+    """Return the standard deviation of an area, m^2.
+
+    It combines the covariance of the parameters with the error of membrane and shape model.
 
     Args:
-        found: The body.
-        area: m^2.
-        noise: Factor on the markers' variances.
+        found: Fitted shape.
+        area: Contact area, m^2.
+        noise: Factor on the marker variances.
         s: Settings.
 
     Returns:

@@ -1,5 +1,8 @@
-"""What body touches: each family fitted to the images of a touch, weighed by its evidence, and said
-with what is not known (docs/theory/contact_shape.md, Eq. F18-F20)."""
+"""Estimation of the contact shape.
+
+Each shape model is fitted to the images of a touch and weighted by its evidence. The result
+includes its uncertainty (docs/theory/contact_shape.md, Eq. F18-F20).
+"""
 
 from __future__ import annotations
 
@@ -25,16 +28,16 @@ from mjtactile.sensing.contact_shape.shape_result import words
 from mjtactile.sensing.force.rest_equilibrium import InverseRest
 from mjtactile.sensing.settings import DEFAULTS, ContactShapeSettings, Settings
 
-_EDGE = 1.5e-3  # m from the frame, where bodies that go on are cut off
+_EDGE = 1.5e-3  # distance from the frame where long shapes are cut off, m
 _ROUNDING = 0.5  # spacings of the film
-_MAX_PARTS = 3  # bodies at once
-_PART_FRACTION = 0.12  # of the force: what bears less is no body of its own; nearly all patches do
+_MAX_PARTS = 3  # simultaneous contacts
+_PART_FRACTION = 0.12  # minimum force fraction of a separate part; nearly all patches exceed it
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What one image says of what touches: its `shape`, the `load` that it bears (None: the shape
-    is unknown), and what is left for the next image."""
+    """Contact shape result of one image: the `shape`, its `load` (None: the shape is unknown), and
+    the history for the next image."""
 
     shape: ContactShape
     load: ContactLoad | None
@@ -42,13 +45,13 @@ class Found:
 
 
 class ContactShapeEstimator:
-    """Finds what body touches one sensor; made once for a rest.
+    """Contact shape estimator of one sensor, made once per rest reference.
 
     Args:
-        design: The sensor.
-        rest: What it measured of itself with nothing touching.
-        gauge: Pa, about, of the gas at rest; None: as `rest` has it.
-        settings: Chosen numbers.
+        design: Sensor design.
+        rest: Rest state that the sensor measured without contact.
+        gauge: Approximate gauge pressure at rest, Pa; None: taken from `rest`.
+        settings: Settings of the stages.
     """
 
     def __init__(
@@ -65,14 +68,14 @@ class ContactShapeEstimator:
         self.films = Films(fine, fine.by_gas())
 
     def find(self, touches: Sequence[Touch], p_rest: Array) -> ContactShape:
-        """Say what touches.
+        """Estimate the contact shape from the images of one contact episode.
 
         Args:
-            touches: Images of one press, oldest first; the newest is what is spoken of.
-            p_rest: (N, 3) m, the markers at rest in S.
+            touches: Touches of one contact episode, oldest first; the result is for the newest.
+            p_rest: Marker positions at rest (N, 3), m, frame S.
 
         Returns:
-            The shape; "unknown", with a status, where it cannot be said.
+            The shape; "unknown", with a status, if it cannot be estimated.
         """
         found = Found(_unknown(Status(StatusCode.INCOMPLETE_DATA, "no image")), None, None)
         for touch in touches:
@@ -86,16 +89,16 @@ class ContactShapeEstimator:
         p_rest: Array,
         rubber: MembraneMotion | None = None,
     ) -> Found:
-        """Say what touches in one image more.
+        """Estimate the contact shape in the next image.
 
         Args:
-            touch: The image's.
-            press: What the images before left; None: nothing.
-            p_rest: (N, 3) m, the markers at rest in S.
-            rubber: How it moved since the image before; None: that is not known.
+            touch: Touch of the image.
+            press: History from the previous images; None: no history.
+            p_rest: Marker positions at rest (N, 3), m, frame S.
+            rubber: Motion of the rubber since the previous image; None: unknown.
 
         Returns:
-            What is found.
+            The result.
         """
         s = self.settings.body
         lacking = uninformative_status(touch, s)
@@ -172,22 +175,22 @@ class ContactShapeEstimator:
 
 
 def slips(touch: Touch) -> bool:
-    """Whether it is said that what touches slips.
+    """Return True if the touch is classified as slipping.
 
     Args:
-        touch: What was felt.
+        touch: Estimated touch.
 
     Returns:
-        Whether it is.
+        True if it slips.
     """
     return touch.slip is not None and touch.slip.state == "slipping"
 
 
 def uninformative_status(touch: Touch, s: ContactShapeSettings) -> ContactShape | None:
-    """An unknown shape where an image tells nothing of one; None where it does.
+    """Return an unknown shape if the image cannot determine one, else None.
 
     Args:
-        touch: The image's.
+        touch: Touch of the image.
         s: Settings.
 
     Returns:

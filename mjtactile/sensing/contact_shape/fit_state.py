@@ -1,4 +1,4 @@
-"""One image's data, what is believed of a body's numbers, and the film on a body
+"""Data of one image, prior of the shape parameters, and state of a fit
 (docs/theory/contact_shape.md, Eq. F18)."""
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from mjtactile.sensing.settings import ContactShapeSettings
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """What one image shows: the `heights` (n,) m of markers `ids` (n,) as a film would have them,
-    the whitening `root` (n, n) of their noise, and the normal `force` N that was felt."""
+    """Data of one image: `heights` (n,), m, of the markers `ids` (n,), relative to the membrane
+    model; the whitening `root` (n, n) of their noise; and the estimated normal `force`, N."""
 
     ids: NDArray[np.int64]
     heights: Array
@@ -27,7 +27,8 @@ class Data:
     force: float
 
     def raised(self, by: Array) -> Data:
-        """As another film has them, whose markers at rest stand `by` (N,) m higher."""
+        """Return the data for another membrane model, whose markers at rest are `by` (N,) m
+        higher."""
         return replace(self, heights=self.heights + by[self.ids])
 
     @classmethod
@@ -39,15 +40,15 @@ class Data:
         s: ContactShapeSettings,
         drift: tuple[float, float],
     ) -> Data:
-        """Of a touch with markers.
+        """Build the data of a touch with markers.
 
         Args:
-            touch: What was felt.
-            raised: (N,) m by which the markers at rest stand over the film's.
-            by_gas: (N,) m, the markers' heights by a share of gas.
+            touch: Estimated touch.
+            raised: Height of the markers at rest above the model's (N,), m.
+            by_gas: Derivative of the marker heights by the relative gas amount (N,), m.
             s: Settings.
-            drift: What may have changed since the rest was measured, as sd: share of gas, and m
-                that the camera has moved.
+            drift: Standard deviations of the drift since the rest reference: relative gas amount,
+                and camera displacement, m.
         """
         from scipy.linalg import solve_triangular  # takes a while to import
 
@@ -66,8 +67,8 @@ class Data:
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What is believed of a family's numbers, over the family's own sd: `mean` (k,) and
-    `precision` (k, k)."""
+    """Gaussian prior of a model's parameters, scaled by the model's standard deviations: `mean`
+    (k,) and `precision` (k, k)."""
 
     mean: Array
     precision: Array
@@ -80,15 +81,15 @@ class Prior:
         return cls(np.where(turns, start, family.mean) / family.sd, np.eye(len(family.sd)))
 
     def cost(self, t: Array) -> float:
-        """Of numbers `t` (k,) over their sd."""
+        """Return the cost of scaled parameters `t` (k,)."""
         off = t - self.mean
         return float(off @ self.precision @ off)
 
 
 @dataclass(frozen=True, eq=False)
 class FitState:
-    """Where a fit stands: the numbers `theta`, the film on them, its markers' `heights` (N,) m, the
-    whitened `residual`, and the `cost`."""
+    """State of a fit: the parameters `theta`, the membrane solution, its marker `heights` (N,), m,
+    the whitened `residual`, and the `cost`."""
 
     theta: Array
     state: MembraneSolution
@@ -106,19 +107,19 @@ def begin(
     prior: Prior,
     state: MembraneSolution | None,
 ) -> FitState | None:
-    """The film on a body of numbers `theta`, from `state`; None: it finds no rest.
+    """Solve the membrane on a shape with parameters `theta`, starting from `state`.
 
     Args:
-        forward: The film.
-        family: The family.
-        hint: What its numbers count from.
-        theta: Its numbers.
-        data: The image.
-        prior: What is believed.
-        state: The film before.
+        forward: Membrane model.
+        family: Shape model.
+        hint: Initial guess that the parameters are relative to.
+        theta: Shape parameters.
+        data: Image data.
+        prior: Prior of the parameters.
+        state: Previous membrane solution; None: start from rest.
 
     Returns:
-        Where a fit may begin.
+        Start state of a fit; None: the solver did not converge.
     """
     theta = np.clip(theta, family.low, family.high)
     batch = forward.solve([family.build(theta, hint)], state)
@@ -135,7 +136,7 @@ def standing(
     prior: Prior,
     state: MembraneSolution,
 ) -> FitState:
-    """Where a fit stands whose film has come to rest already; arguments as of `begin`."""
+    """Return the fit state of a converged membrane solution; arguments as for `begin`."""
     heights = forward.heights(state.x[None])[0]
     residual = data.residual(heights)
     cost = float(residual @ residual) + prior.cost(theta / family.sd)

@@ -1,5 +1,5 @@
-"""Force where the shape is known: what the film bears on the body that was found, with the nodal
-estimate (docs/theory/contact_shape.md, Eq. F21)."""
+"""Fusion of the load on the estimated shape with the nodal force estimate
+(docs/theory/contact_shape.md, Eq. F21)."""
 
 from __future__ import annotations
 
@@ -19,15 +19,17 @@ from mjtactile.sensing.settings import ContactShapeSettings
 
 _NORMAL = 2
 _BESIDE = 2.1  # spacings of the film: its two last rows of nodes
-_BELOW = 1e-4  # m: what is so much lower than the frame, counts
+_BELOW = 1e-4  # depth below the frame with full weight, m
 
 
 @dataclass(frozen=True, eq=False)
 class ContactLoad:
-    """What a body that was found takes to be so deep in the sheet: normal force, N, and torques
-    about x and y of where it presses, N m, `load` (3,) with covariance `cov`; they are the numbers
-    `rows` (3, 6) of a wrench. It has `explained` so much of what is sharp in the markers, a share
-    of the variance."""
+    """Load that indents the membrane with the estimated shape to its depth.
+
+    `load` (3,) holds the normal force, N, and the torques about x and y, N m, which give the
+    pressure center. `cov` is its covariance. `rows` (3, 6) map a wrench to these numbers.
+    `explained` is the fraction of the variance due to sharp features that the shape explains.
+    """
 
     load: Array
     cov: Array
@@ -38,29 +40,30 @@ class ContactLoad:
 def borne(
     forward: ForwardModel, press: PressHistory, wrench: Array, noise: float, s: ContactShapeSettings
 ) -> ContactLoad:
-    """What the likeliest body bears.
+    """Compute the load on the most likely shape.
 
     Args:
-        forward: The film.
-        press: What is known of what touches.
-        wrench: (6,) as the nodal estimate has it.
-        noise: Factor on the markers' variances.
+        forward: Membrane model.
+        press: History of the contact episode.
+        wrench: Wrench (6,) of the nodal estimate.
+        noise: Factor on the marker variances.
         s: Settings.
 
     Returns:
-        Force and torques, and how surely: by the body's numbers, by what film and friction leave,
-        and, as far as it may be another body, by the nodal estimate's distance.
+        Force and torques with covariance. The covariance covers the parameter uncertainty and the
+        errors of membrane and friction model. It also covers the distance to the nodal estimate,
+        weighted by the probability of another shape.
     """
     found = press.now
     state = found.state
     kinds = press.kinds(SHAPES)
-    blunt = kinds["smooth"] + kinds["face"]
+    blunt = kinds["smooth"] + kinds["flat"]
     forces = state.contact_forces
     height = float((forces * state.heights).sum() / max(float(forces.sum()), 1e-9))
     above = s.shear_above[1] + blunt * (s.shear_above[0] - s.shear_above[1])
     rows = np.zeros((3, 6))
     rows[0, 2] = rows[1, 3] = rows[2, 4] = 1.0
-    # what shear does at that height is no part of it
+    # remove the torque of the shear force at that height
     rows[1, 1] = height + above
     rows[2, 0] = -(height + above)
     more = sticks(forward, state, s)
@@ -76,14 +79,14 @@ def borne(
     doubt = 1 - float(press.probabilities[0])
     left = (max(found.misfit, 1.0) / s.misfit_max) ** 2
     cov = model + by_numbers + doubt * np.outer(off, off)
-    # a point catches the sheet where the film slides; of what is blunt nothing is sharp, and where
-    # markers say that something is, it may be a point that was taken for it
-    explains = kinds["edge"] + kinds["several"]
+    # The membrane catches on a point, while the model slides. Blunt shapes explain nothing sharp:
+    # if the markers show something sharp, it may be a misclassified point.
+    explains = kinds["edge"] + kinds["multiple"]
     return ContactLoad(load, cov, rows, max(1 - left, 0.0) * explains)
 
 
 def _pointed(found: Fit, noise: float, s: ContactShapeSettings) -> float:
-    """How probably the sheet meets a point: more curved than a limit both ways."""
+    """Return the probability of a point contact: both curvatures above a limit."""
     from scipy.special import ndtr  # takes a while to import
 
     cov = found.cov_with(noise)
@@ -101,17 +104,18 @@ def _pointed(found: Fit, noise: float, s: ContactShapeSettings) -> float:
 
 
 def below_frame(forward: ForwardModel, state: MembraneSolution) -> float:
-    """Force, N, that presses the sheet lower than its frame, close beside it.
+    """Return the contact force close to the frame where the membrane is below it, N.
 
-    A film is held at the frame, and bodies that go on end before it: how steeply the sheet hangs
-    there, and what the last millimetres bear, it does not know.
+    The model membrane is fixed at the frame, and long shapes end before it. So the model does not
+    represent the membrane slope there, nor the load on the last millimeters.
 
     Args:
-        forward: The film.
-        state: Of it, on the body.
+        forward: Membrane model.
+        state: Membrane solution on the shape.
 
     Returns:
-        The force of nodes within two spacings; of those less than `_BELOW` lower, a part.
+        Force of the nodes within two spacings. Nodes less than `_BELOW` below the frame are
+        weighted in proportion.
     """
     frame = forward.film.design.frame
     x, y = forward.nodes
@@ -124,7 +128,8 @@ def below_frame(forward: ForwardModel, state: MembraneSolution) -> float:
 def _model(
     load: Array, misfit: float, pointed: float, place: float, below: float, s: ContactShapeSettings
 ) -> Array:
-    """Covariance (3, 3) of what film and friction leave: of the force, and of where it acts."""
+    """Return the covariance (3, 3) of membrane and friction model errors: force and its
+    position."""
     force = abs(float(load[0]))
     share = math.hypot(s.force_fraction * misfit, s.tip_fraction * pointed)
     variance = s.force_sd**2 + (share * force) ** 2 + (s.frame_fraction * below) ** 2
@@ -137,16 +142,16 @@ def _model(
 
 
 def with_load(touch: Touch, known: ContactLoad, sharpness: Array) -> Touch:
-    """A touch whose wrench takes up what a body bears.
+    """Return the touch with its wrench fused with the load on the shape.
 
     Args:
-        touch: As the nodal estimate has it.
-        known: Of the body.
-        sharpness: (6,) The part of its wrench's variance that is there since the nodal estimate
-            does not follow what is sharp: as far as the body explains that, it is none.
+        touch: Touch from the nodal estimate.
+        known: Load on the shape.
+        sharpness: Part of the wrench variance (6,) due to sharp features that the nodal estimate
+            cannot follow. The fraction explained by the shape is removed.
 
     Returns:
-        The touch with one wrench and one covariance of both.
+        The touch with the fused wrench and covariance.
     """
     traction = touch.traction
     if traction is None:

@@ -20,18 +20,18 @@ from mjtactile.sensing.force.rest_equilibrium import InverseRest
 _STEPS = 20  # of 50 films that come to rest 49 have; those that never do take all
 _MORE = 0.02  # of the pressure, for its derivative
 SUMS = np.array([*range(6), PRESSURE, AREA])
-"""Of what the film adds up, that is followed: wrench (N, N m), pressure (Pa), area (m^2)."""
+"""Membrane sums used in the fit: wrench (N, N m), pressure (Pa), area (m^2)."""
 SUM_AREA = 7
 
 
 class ForwardModel:
-    """The film of one sensor at rest, and how high its markers stand on it.
+    """Quasi-static membrane model of one sensor, with the heights of its markers.
 
     Args:
-        design: The sensor.
-        rest: What it measured of itself.
-        spacing: m, about, between the film's nodes.
-        gauge: Pa of the gas at rest; None: as `rest` has it.
+        design: Sensor design.
+        rest: Rest state that the sensor measured.
+        spacing: Approximate node spacing of the membrane model, m.
+        gauge: Gauge pressure at rest, Pa; None: taken from `rest`.
     """
 
     def __init__(
@@ -81,8 +81,8 @@ class ForwardModel:
         return higher / rise * absolute / (1 + yields)
 
     def heights(self, x: Array) -> Array:
-        """Heights (n, N) m of the markers, of films with nodes displaced by `x` (n, 3, nx, ny), of
-        which the last along the second axis counts."""
+        """Return the marker heights (n, N), m, for node displacements `x` (n, 3, nx, ny); only the
+        last component of the second axis is used."""
         if self._by_node is not None:
             return x[:, -1].reshape(len(x), -1) @ self._by_node.T
         rows = self._across @ x[:, -1]
@@ -91,9 +91,11 @@ class ForwardModel:
     def answers(
         self, state: MembraneSolution, bodies: Sequence[Sequence[Obstacle]], steps: Array
     ) -> tuple[Array, Array]:
-        """About how markers' heights (n, N) m and the normal force (n,) N change from a state on
-        the first of `bodies` to those that are each of `steps` (n,) further
-        (`film.derivatives.answered`)."""
+        """Approximate the changes of marker heights (n, N), m, and normal force (n,), N.
+
+        The changes are from a state on the first of `bodies` to the others, each of which is one of
+        `steps` (n,) further (`film.derivatives.answered`).
+        """
         by_z, by_force = answered(self.film, state, *self._rows(bodies), steps)
         return self.heights(by_z[:, None]), by_force.sum(axis=(1, 2))
 
@@ -106,15 +108,15 @@ class ForwardModel:
         return self.heights(by.displacements), sums
 
     def _rows(self, bodies: Sequence[Sequence[Obstacle]]) -> tuple[Array, Array | None]:
-        """(m, k, NUMBERS) of them, and their pool."""
+        """Return the obstacle rows (m, k, NUMBERS) and their pool."""
         rows, pool = pooled([body for one in bodies for body in one], self.film.grid)
         return rows.reshape(len(bodies), -1, NUMBERS), pool
 
     def solve(
         self, bodies: Sequence[Sequence[Obstacle]], start: MembraneSolution | None = None
     ) -> MembraneSolutionBatch:
-        """Films on each set of bodies, from `start`; what does not come to rest from there is given
-        up."""
+        """Solve the membrane on each set of obstacles, from `start`; stop those that do not
+        converge."""
         if start is None:
             return self.film.solve_batch(bodies)
         count = len(bodies)
@@ -129,5 +131,5 @@ class ForwardModel:
 
 
 def converged(batch: MembraneSolutionBatch) -> bool:
-    """Whether the first of some films did."""
+    """Return True if the first solution of the batch converged."""
     return bool(batch.found[0, STATUS] == 0)

@@ -21,33 +21,33 @@ from mjtactile.sensing.contact_shape.levenberg_step import Step, damped_step
 from mjtactile.sensing.contact_shape.primitives import InitialGuess
 from mjtactile.sensing.contact_shape.shape_models import ShapeModel
 
-_DAMPING = (1e-2, 1e-8, 1e2)  # first, least, most
-_GOOD = 0.4  # of what a step promised: the next is damped less
+_DAMPING = (1e-2, 1e-8, 1e2)  # first, minimum, maximum
+_GOOD = 0.4  # fraction of the promised gain above which damping decreases
 _POLISHED = 2  # times, with exact slopes,
 _POLISHING = 2  # of so many films
 _POLISH = 0.05
-# Of the cost over its noise: what does not tell one body from another; a step that promises so much
-# wants fresh slopes; how far behind the best a body is not followed any more
+# Thresholds of the cost relative to its noise: gain that does not separate two shapes; promised
+# gain that requires fresh slopes; distance behind the best fit where a fit is stopped
 _SETTLED = 0.25
 _FAR = 4.0
 _BEHIND = 30.0
-_PROMISED = 1.5  # times what a step promises, that may come of all that follow
+_PROMISED = 1.5  # ratio of the total gain of all following steps to the promised gain of one
 _ALIKE = 0.1  # of how much more is left than of the best: less does not matter
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A body of one family.
+    """Fitted shape of one model.
 
     Attributes:
-        family: Its family.
-        hint: What its numbers count from.
-        at: Its numbers, and the film on it.
-        prior: What was believed of them.
-        curvature: (k, k) of half the sum of squares of the whitened markers, by the numbers over
-            their sd.
-        slopes: Of heights and sums.
-        felt: N, the normal force of the nodal estimate in its image.
+        family: Shape model.
+        hint: Initial guess that the parameters are relative to.
+        at: Parameters and the membrane solution on the shape.
+        prior: Prior of the parameters.
+        curvature: Hessian (k, k) of half the sum of squares of the whitened residual, by the scaled
+            parameters.
+        slopes: Derivatives of heights and sums.
+        felt: Normal force of the nodal estimate in this image, N.
     """
 
     family: ShapeModel
@@ -79,8 +79,8 @@ class Fit:
         return self.chi2 / len(self.at.residual)
 
     def precision_with(self, noise: float) -> Array:
-        """(k, k) of the numbers over their sd, where variances are `noise` times what is
-        believed."""
+        """Return the precision (k, k) of the scaled parameters; marker variances are multiplied by
+        `noise`."""
         return self.curvature / noise + self.prior.precision
 
     def cov_with(self, noise: float) -> Array:
@@ -94,8 +94,10 @@ class Fit:
         return self.slopes.sums @ cov @ self.slopes.sums.T
 
     def log_evidence_with(self, noise: float) -> float:
-        """Log of the family's evidence (Laplace) of this image where the markers' variances are
-        `noise` times what is believed."""
+        """Return the log evidence of the model for this image (Laplace approximation).
+
+        The marker variances are multiplied by `noise`.
+        """
         cost = self.chi2 / noise + self.prior.cost(self.theta / self.family.sd)
         spread = np.linalg.slogdet(self.precision_with(noise))[1]
         known = np.linalg.slogdet(self.prior.precision)[1]
@@ -104,8 +106,11 @@ class Fit:
 
 @dataclass(frozen=True)
 class _Enough:
-    """Of a fit's cost: what more is worth no step, from where on slopes are to be fresh, and the
-    best's own, with the most by which a body may be behind it."""
+    """Cost thresholds of a fit.
+
+    A smaller promised gain than `settled` ends the fit. A larger one than `far` requires fresh
+    slopes. `known` is the best cost so far, and `behind` the maximum cost worth following.
+    """
 
     settled: float
     far: float
@@ -120,8 +125,10 @@ class _Enough:
         return cls(2 * settled * noise, _FAR * noise, known, known + _BEHIND * noise)
 
     def is_reached(self, cost: float, step: Step, damping: float) -> bool:
-        """Whether a fit ends that leaves a cost, and would go on by such a step; a short or much
-        damped one says little of what could be."""
+        """Return True if the fit should stop at this cost instead of taking the step.
+
+        A short or strongly damped step predicts little of the possible gain.
+        """
         settled = max(self.settled, _ALIKE * (cost - self.known))
         whole = not step.cut and damping <= _DAMPING[0]
         return step.promised < settled or (whole and cost - _PROMISED * step.promised > self.behind)
@@ -141,24 +148,24 @@ def refine(
     noise: float,
     settled: float = _SETTLED,
 ) -> Fit:
-    """The body of `family` that explains the markers best, from `at`.
+    """Fit the parameters of `family` to the markers, starting from `at`.
 
     Args:
-        forward: The film.
-        family: The family.
-        hint: What its numbers count from.
-        at: Where to begin.
-        data: The image.
-        prior: What is believed.
-        slopes: Found nearby, for an image before (None: they are found here); where they are of no
-            use any more, or have gone too far, they are found anew.
-        rounds: Films on other bodies, at most.
-        known: The sum of squares that another family reached: what stays far above is given up.
-        noise: Of the markers' variances, what even the best leaves.
-        settled: Of the cost over its noise, what more is worth no step.
+        forward: Membrane model.
+        family: Shape model.
+        hint: Initial guess that the parameters are relative to.
+        at: Start state.
+        data: Image data.
+        prior: Prior of the parameters.
+        slopes: Jacobian computed nearby for an earlier image (None: computed here). It is
+            recomputed where it does not help any more, or is too far away.
+        rounds: Maximum number of membrane solutions.
+        known: Sum of squares that another model reached; a fit far above it is stopped.
+        noise: Factor on the marker variances that even the best fit leaves.
+        settled: Cost relative to the noise below which a step is not worthwhile.
 
     Returns:
-        The body; its slopes need not be exact.
+        The fit; its Jacobian may be approximate.
     """
     sd = family.sd
     enough = _Enough.of(settled, known, noise, len(at.residual))
@@ -205,17 +212,19 @@ def refine(
 def exactly(
     forward: ForwardModel, fit: Fit, data: Data, noise: float, times: int = _POLISHED
 ) -> Fit:
-    """A fit with exact slopes, for what is said of it; they lead it on to where quick ones do not.
+    """Return the fit with an exact Jacobian, as needed for reporting.
+
+    The exact Jacobian also refines the fit where the approximate one stopped early.
 
     Args:
-        forward: The film.
-        fit: Of an image.
-        data: The image.
-        noise: As for `refine`.
-        times: That they may lead it on.
+        forward: Membrane model.
+        fit: Fit of an image.
+        data: Image data.
+        noise: Factor on the marker variances, as for `refine`.
+        times: Maximum number of refinements.
 
     Returns:
-        The same, where its slopes are exact.
+        The fit with an exact Jacobian.
     """
     for _ in range(times):
         if fit.slopes.exact:

@@ -1,4 +1,4 @@
-"""What the images of a press have told: families that may be it, weighed by their evidence
+"""Contact shape hypotheses of one contact episode, weighted by their evidence
 (docs/theory/contact_shape.md, Eq. F19)."""
 
 from __future__ import annotations
@@ -20,14 +20,17 @@ from mjtactile.sensing.contact_shape.shape_filter import ShapeFilter
 from mjtactile.sensing.contact_shape.shape_models import ShapeModel, kinds_of
 from mjtactile.sensing.settings import ContactShapeSettings
 
-_BEHIND = 10.0  # of the log of evidence: a family that is not looked for again in a press
+_BEHIND = 10.0  # log evidence behind the best: the model is not searched again in this episode
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A family that may be it: its `fit` at the last look, the `log` of the images' evidence so
-    far, what all looks have told of what it keeps, and by how much it was `behind` the likeliest
-    when it was given up."""
+    """Shape model that may be the right one.
+
+    It holds the `fit` of the last evaluation, the log evidence of the images, and the filter
+    `common` of the constant parameters over all evaluations. `behind` is the log evidence by which
+    it trailed the best model when it was dropped.
+    """
 
     family: ShapeModel
     fit: Fit
@@ -37,14 +40,15 @@ class Candidate:
 
     @property
     def log(self) -> float:
-        """Of its evidence: the images', and that it stayed the same."""
+        """Log evidence: that of the images, less the penalty for a change of the constant
+        parameters."""
         return self.image_log - self.common.drift / 2
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """A body of the newest image, with what was known before: the `image_log` of its family's
-    evidence and what its looks had in common; the image's own evidence counts by a `share`."""
+    """Fit to the newest image with the history of its model: the log evidence `image_log` and the
+    filter `common`. The evidence of the new image is weighted by `share`."""
 
     fit: Fit
     image_log: float
@@ -56,25 +60,25 @@ class Evaluation:
         return replace(self, fit=exactly(forward, self.fit, data, noise))
 
     def with_noise(self, noise: float) -> Candidate:
-        """As a candidate, where the markers' variances are `noise` times what is believed."""
+        """Return the candidate for marker variances multiplied by `noise`."""
         log = self.image_log + self.share * self.fit.log_evidence_with(noise)
         return Candidate(self.fit.family, self.fit, log, self.common.with_observation(self.fit))
 
 
 @dataclass(frozen=True, eq=False)
 class PressHistory:
-    """What the images of a press have told.
+    """Shape estimate from the images of one contact episode.
 
     Attributes:
-        candidates: The families that may be it; first the likeliest of the likeliest kind.
-        now: The first one's body in the newest image.
-        noise: Of the markers' variances, what the best left at the last look.
-        force: N, felt at the last look.
-        images: Since the last look.
-        parts: Places where it was touched then.
-        doubted: Mean square misfit when all families were looked for.
-        track: Where the body stood in the last images.
-        left: Families that were given up, as they were then.
+        candidates: Possible models; first the most likely model of the most likely kind.
+        now: Fit of the first candidate to the newest image.
+        noise: Factor on the marker variances from the best fit of the last evaluation.
+        force: Estimated force at the last evaluation, N.
+        images: Number of images since the last evaluation.
+        parts: Number of contact patches then.
+        doubted: Mean square misfit at the last search over all models.
+        track: Poses of the shape in the last images.
+        left: Models that were dropped, in their last state.
     """
 
     candidates: tuple[Candidate, ...]
@@ -103,7 +107,7 @@ class PressHistory:
         return sums
 
     def near(self, families: Sequence[ShapeModel]) -> list[ShapeModel]:
-        """Those of `families` that are not far behind by what the press has told."""
+        """Return those of `families` whose evidence is not far behind in this contact episode."""
         known = (*self.candidates, *self.left)
         close = {one.family.name for one in known if one.behind < _BEHIND}
         return [family for family in families if family.name in close]
@@ -123,12 +127,12 @@ def weighed(
     s: ContactShapeSettings,
     past: PressHistory | None = None,
 ) -> PressHistory | None:
-    """Bodies of an image, weighed; those that are given up, with those that were in the `past`, are
-    remembered.
+    """Weight the fits of an image by evidence. Dropped models are kept together with those in
+    `past`.
 
-    What even the best leaves of the markers is the film's and the simulator's doing: it is taken
-    for noise, the same for all families, so that none wins by chi-squares of hundreds over another
-    that is as wrong.
+    The residual of the best fit comes from errors of the membrane model and the simulator. It is
+    treated as noise, the same for all models. So no model wins by a chi-square of hundreds over
+    another that is equally wrong.
     """
     if not found:
         return None

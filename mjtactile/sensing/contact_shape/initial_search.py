@@ -1,5 +1,7 @@
-"""Bodies of which nothing is known yet: a ball is pressed in until it feels the force, and other
-families begin where what is found already is."""
+"""Search for shapes without a prior.
+
+A ball is lowered until the force matches; other models start from the shapes found so far.
+"""
 
 from __future__ import annotations
 
@@ -19,10 +21,10 @@ from mjtactile.sensing.contact_shape.primitives import InitialGuess, principal
 from mjtactile.sensing.contact_shape.shape_models import ShapeModel
 
 _APPROACH = (1.2, 0.7, 0.3, 0.0)  # mm above the start: the film is pressed in steps
-_WIDE = (0.75, 1.05)  # times what a contact's area has, of a disc that presses there
+_WIDE = (0.75, 1.05)  # radius of a start disc relative to a disc with the contact's area
 _FORCE_STEPS = 3
-_FORCE_NEAR = 0.1  # of the force that is felt
-_STIFFNESS = (0.05, 0.12, 2.0)  # N/mm of a touch: least, first, most
+_FORCE_NEAR = 0.1  # tolerance relative to the estimated force
+_STIFFNESS = (0.05, 0.12, 2.0)  # contact stiffness, N/mm: minimum, first, maximum
 _HOPELESS = 120.0  # of the sum of squares over the noise: a family so far behind is not looked for
 _FIRST_CURVATURE = 80.0  # 1/m
 _ORDER = {"ball": 0, "smooth": 1, "cylinder": 2}  # others later
@@ -45,21 +47,20 @@ def search(
     near: MembraneSolution | None = None,
     known: float = math.inf,
 ) -> list[Fit]:
-    """Each family's body, of which nothing is known yet.
+    """Fit each model without a prior from earlier images.
 
     Args:
-        films: The sensor's.
-        families: Of which.
-        hint: Where it was touched.
-        data: The image.
-        noise: Of the markers' variances, what even the best leaves.
-        near: The film on another body, of the image before: what finds no rest from there is not
-            looked for from farther; None: there is none.
-        known: The sum of squares that a family leaves which is not among these.
+        films: Membrane model of the sensor.
+        families: Shape models to fit.
+        hint: Initial guess from the touch.
+        data: Image data.
+        noise: Factor on the marker variances that even the best fit leaves.
+        near: Membrane solution on another shape, from the previous image. A model that does not
+            converge from there is not tried from farther away; None: no such solution.
+        known: Sum of squares of a model that is not among these.
 
     Returns:
-        The bodies, without those of families that explain far less than others, or in which no
-        film rests.
+        The fits, without models that fit much worse than others or did not converge.
     """
     found: list[Fit] = []
     for family in sorted(families, key=lambda one: _ORDER.get(one.name, len(_ORDER))):
@@ -77,8 +78,7 @@ def search(
 def _reuse_curvature(
     forward: ForwardModel, hint: InitialGuess, data: Data, found: list[Fit], noise: float
 ) -> list[Fit]:
-    """The same, but a smooth body that explains less than the lying cylinder, which is one,
-    begun there."""
+    """Refit the smooth model from the lying cylinder if that special case of it fits better."""
     by_name = {one.family.name: one for one in found}
     smooth, line = (by_name.get(name) for name in ("smooth", "cylinder"))
     if smooth is None or line is None or line.chi2 > smooth.chi2:
@@ -105,7 +105,7 @@ def _best_start(
     near: MembraneSolution | None,
     least: float,
 ) -> Fit | None:
-    """From the start that explains most where it feels the force."""
+    """Fit a model from the start that explains the markers best after matching the force."""
     reached = []
     state = min(known, key=lambda one: one.chi2).state if known else near
     for start in _starts(family, hint, known, _Pressed.of(forward, state)):
@@ -131,8 +131,11 @@ def _best_start(
 def _starts(
     family: ShapeModel, hint: InitialGuess, known: Sequence[Fit], pressed: _Pressed | None
 ) -> Sequence[Array]:
-    """A family's own, where another body presses, and about as wide as that contact is; what is a
-    simpler case of another, or another of it, begins as that is."""
+    """Return start parameters of a model.
+
+    Usually they are the model's own, moved to the contact of the other shape and scaled to its
+    size. A model related to another (ball, smooth, cylinder) starts from that model's fit.
+    """
     if family.parts:
         return family.starts(hint)
     by_name = {one.family.name: one.theta for one in known}
@@ -163,8 +166,8 @@ def _starts(
 
 @dataclass(frozen=True, eq=False)
 class _Pressed:
-    """Where a film bears on a body: `middle` (2,) m and `area` m^2; `angle` rad of its longer axis
-    and half sides (2,) m of the rectangle that spreads as its forces do."""
+    """Contact region of a membrane solution: center `middle` (2,), m, and `area`, m^2; `angle` of
+    the longer axis, rad, and half-extents (2,), m, of the rectangle with the same force spread."""
 
     middle: Array
     area: float
@@ -173,7 +176,7 @@ class _Pressed:
 
     @classmethod
     def of(cls, forward: ForwardModel, state: MembraneSolution | None) -> _Pressed | None:
-        """By a film at rest; None where nothing touches."""
+        """Compute the contact region of a membrane solution; None without contact."""
         if state is None or not (state.force > 0).any():
             return None
         force, x, y = _pressing(forward, state)
@@ -186,7 +189,7 @@ class _Pressed:
 
 
 def _pressing(forward: ForwardModel, state: MembraneSolution) -> tuple[Array, Array, Array]:
-    """Of nodes that touch: force (n,) N, and places x and y (n,) m."""
+    """Return force (n,), N, and positions x and y (n,), m, of the touching nodes."""
     touching = state.force > 0
     x, y = (
         nodes[touching] + moved[touching]
@@ -204,20 +207,22 @@ def beside(
     prior: Prior,
     state: MembraneSolution | None,
 ) -> FitState | None:
-    """Put a body in the place of another: as high as that one's contact does no work on the change,
-    and then as the force says.
+    """Put a shape in the place of another one.
+
+    Its height is first chosen so that the contact forces do no work on the change, then adjusted to
+    the force.
 
     Args:
-        forward: The film.
-        family: The family.
-        hint: What its numbers count from.
-        start: Its numbers, but for its height.
-        data: The image.
-        prior: What is believed.
-        state: The film on the other; None: there is none.
+        forward: Membrane model.
+        family: Shape model.
+        hint: Initial guess that the parameters are relative to.
+        start: Parameters, except for the height.
+        data: Image data.
+        prior: Prior of the parameters.
+        state: Membrane solution on the other shape; None: no such solution.
 
     Returns:
-        Where a fit may begin; None: no film rests there.
+        Start state of a fit; None: the solver did not converge.
     """
     if state is None or family.parts or not (state.force > 0).any():
         return None
@@ -245,18 +250,18 @@ def approach(
     data: Data,
     prior: Prior,
 ) -> FitState | None:
-    """Press a body in until it feels the force that was felt.
+    """Lower a shape into the membrane until its force matches the estimated force.
 
     Args:
-        forward: The film.
-        family: The family.
-        hint: What its numbers count from.
-        start: Its numbers, in about the height where it begins to touch.
-        data: The image.
-        prior: What is believed.
+        forward: Membrane model.
+        family: Shape model.
+        hint: Initial guess that the parameters are relative to.
+        start: Parameters, at about the height of first contact.
+        data: Image data.
+        prior: Prior of the parameters.
 
     Returns:
-        Where a fit may begin; None: no film rests there.
+        Start state of a fit; None: the solver did not converge.
     """
     theta = np.clip(start, family.low, family.high)
     heights = family.heights

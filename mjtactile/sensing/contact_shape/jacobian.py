@@ -1,5 +1,5 @@
-"""How markers' heights go with a body's numbers: exactly, nearly, or as a step has shown
-(docs/theory/contact_shape.md, Eq. F18)."""
+"""Derivatives of the marker heights by the shape parameters: exact, approximate, or updated from a
+step (docs/theory/contact_shape.md, Eq. F18)."""
 
 from __future__ import annotations
 
@@ -15,17 +15,20 @@ from mjtactile.sensing.contact_shape.forward_model import SUMS, ForwardModel
 from mjtactile.sensing.contact_shape.primitives import InitialGuess
 from mjtactile.sensing.contact_shape.shape_models import ShapeModel
 
-_WORN = 8.0  # steps of a derivative that a number may go before it is taken anew
+_WORN = 8.0  # parameter change, in derivative steps, after which the Jacobian is recomputed
 # of a family's steps: bodies' own differences, which are closed forms
 _SMALL = 1e-5
-_LITTLE = 1e-2  # where a body's edge is found to a millionth of a spacing
+_LITTLE = 1e-2  # the edge of an obstacle is located to a millionth of a spacing
 
 
 @dataclass(frozen=True, eq=False)
 class Jacobian:
-    """By each number over its sd: `heights` (N, k) m of the markers and `sums` (8, k) of the film
-    (`forward.SUMS`); found where the numbers were `theta` (k,). What is not `exact` leads a fit to
-    its end as well, and says too little of the sums to be told."""
+    """Derivatives by the scaled parameters at `theta` (k,).
+
+    They are those of the marker `heights` (N, k), m, and of the membrane's `sums` (8, k)
+    (`forward.SUMS`). If not `exact`, they suffice for the fit to converge, but the sums are not
+    accurate enough to report.
+    """
 
     heights: Array
     sums: Array
@@ -33,7 +36,7 @@ class Jacobian:
     exact: bool
 
     def seen(self, data: Data) -> Array:
-        """Of an image's whitened markers (n, k)."""
+        """Return the Jacobian of the whitened markers of an image (n, k)."""
         return data.root @ self.heights[data.ids]
 
     def learnt(self, moved: Array, heights: Array, sums: Array) -> Jacobian:
@@ -47,12 +50,12 @@ class Jacobian:
         )
 
     def worn(self, family: ShapeModel, theta: Array) -> bool:
-        """Whether the numbers have gone so far that they are to be found anew."""
+        """Return True if the parameters have moved so far that the Jacobian must be recomputed."""
         return bool((np.abs(theta - self.theta) > _WORN * family.steps).any())
 
 
 def learnt(slopes: Jacobian, sd: Array, at: FitState, new: FitState) -> Jacobian:
-    """Slopes that say of the step from `at` to `new` what came of it."""
+    """Return the Jacobian updated by the result of the step from `at` to `new`."""
     moved = (new.theta - at.theta) / sd
     sums = new.state.found[SUMS] - at.state.found[SUMS]
     return slopes.learnt(moved, new.heights - at.heights, sums)
@@ -61,16 +64,18 @@ def learnt(slopes: Jacobian, sd: Array, at: FitState, new: FitState) -> Jacobian
 def approximate_jacobian(
     forward: ForwardModel, family: ShapeModel, hint: InitialGuess, at: FitState
 ) -> Jacobian:
-    """Slopes at a body for a fifth of the time of exact ones, within 5 to 20 %: for steps.
+    """Compute an approximate Jacobian, accurate to 5 to 20 %, for fit steps.
+
+    It takes a fifth of the time of the exact one.
 
     Args:
-        forward: The film.
-        family: The family.
-        hint: What its numbers count from.
-        at: Where.
+        forward: Membrane model.
+        family: Shape model.
+        hint: Initial guess that the parameters are relative to.
+        at: Fit state.
 
     Returns:
-        The slopes; of the sums, that of the normal force alone.
+        The Jacobian; of the sums only the normal force.
     """
     steps = _LITTLE * family.steps
     try:
@@ -93,17 +98,19 @@ def _beside(
 def exact_jacobian(
     forward: ForwardModel, family: ShapeModel, hint: InitialGuess, at: FitState
 ) -> Jacobian:
-    """Slopes at a body: the film's own derivatives, or, where it has none (a face that is about to
-    slide off its rim), differences of films that start from the one on it.
+    """Compute the exact Jacobian from the analytic derivatives of the membrane model.
+
+    If these do not exist (a face about to slide off its rim), finite differences of membrane
+    solutions are used.
 
     Args:
-        forward: The film.
-        family: The family.
-        hint: What its numbers count from.
-        at: Where.
+        forward: Membrane model.
+        family: Shape model.
+        hint: Initial guess that the parameters are relative to.
+        at: Fit state.
 
     Returns:
-        The slopes; nothing of a number by which no film rests.
+        The Jacobian; zero for parameters whose changed solution did not converge.
     """
     sides = np.where(at.theta + family.steps > family.high, -1.0, 1.0)
     steps = sides * family.steps

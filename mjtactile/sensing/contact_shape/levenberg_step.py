@@ -11,8 +11,7 @@ from mjtactile.core.types import Array
 from mjtactile.sensing.contact_shape.fit_state import FitState, Prior
 from mjtactile.sensing.contact_shape.shape_models import ShapeModel
 
-# mm and rad that a step may go at most, and shares of a curvature (1/m, of what is as flat as that
-# at least) and of a size
+# Maximum steps: mm and rad, and fractions of a curvature (at least `_FLAT`, 1/m) and of a size
 _STRAIGHT = {
     "x": 1.5, "y": 1.5, "z": 0.5, "tilt": 0.1, "lean": 0.1, "direction": 0.35, "angle": 0.35,
 }  # fmt: skip
@@ -23,8 +22,8 @@ _SIZE_STEP = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A step `by` (k,), of numbers over their sd, and by how much it should lower the cost; `cut`:
-    more of it would lower it more."""
+    """Step `by` (k,) of the scaled parameters, with the predicted decrease of the cost; `cut`: True
+    if the step was limited."""
 
     by: Array
     promised: float
@@ -32,17 +31,17 @@ class Step:
 
 
 def damped_step(J: Array, at: FitState, family: ShapeModel, prior: Prior, damping: float) -> Step:
-    """One damped Gauss-Newton step.
+    """Compute one damped Gauss-Newton step.
 
     Args:
-        J: (n, k) of the whitened markers by the numbers over their sd.
-        at: Where from.
-        family: The family.
-        prior: What is believed.
-        damping: Levenberg's, as a share of the curvature.
+        J: Jacobian (n, k) of the whitened markers by the scaled parameters.
+        at: Fit state at the start of the step.
+        family: Shape model.
+        prior: Prior of the parameters.
+        damping: Levenberg damping, relative to the diagonal of the normal matrix.
 
     Returns:
-        The step, no number of it farther than a film's answer is about straight.
+        The step, limited per parameter to the range where the membrane responds about linearly.
     """
     gradient = J.T @ at.residual + prior.precision @ (at.theta / family.sd - prior.mean)
     normal = J.T @ J
@@ -57,8 +56,11 @@ def damped_step(J: Array, at: FitState, family: ShapeModel, prior: Prior, dampin
 
 
 def _within(H: Array, gradient: Array, step: Array, most: Array, far: NDArray[np.bool_]) -> Array:
-    """A step of which numbers that would go too `far` go as far as they may, and the others make
-    the best of that; shorter as a whole, where that makes others go too far."""
+    """Return a step within its limits.
+
+    Parameters that would go too `far` are held at their limit, and the others are solved again. If
+    these then exceed their limits, the whole step is shortened.
+    """
     held = step.copy()
     held[far] = np.clip(step, -most, most)[far]
     near = ~far
@@ -71,7 +73,7 @@ def _within(H: Array, gradient: Array, step: Array, most: Array, far: NDArray[np
 
 
 def _straight(family: ShapeModel, theta: Array) -> Array:
-    """How far (k,) each number may go at once."""
+    """Return the maximum step (k,) of each parameter."""
     bent = [abs(value) for value, name in zip(theta, family.names, strict=True) if name[0] == "k"]
     curved = _BEND_STEP * max([_FLAT, *bent])
     most = []

@@ -37,7 +37,8 @@ def other_parts(films: Films, best: Fit, data: Data, s: ContactShapeSettings) ->
 def _with_part(
     films: Films, fit: Fit, family: ShapeModel, place: int, data: Data, noise: float
 ) -> Fit | None:
-    """Of several bodies one is of another family: the likeliest of its starts."""
+    """Fit several contacts with one part replaced by another model, and return the best start's
+    fit."""
     part = family.parts[place]
     own = fit.hint.parts[place]
     found: list[Fit] = []

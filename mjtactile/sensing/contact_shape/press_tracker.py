@@ -1,5 +1,8 @@
-"""A press, followed from image to image: the likeliest family alone from where its body was; all
-that may still be it when there is more to be told (docs/theory/contact_shape.md, Eq. F19)."""
+"""Tracking of the contact shape from image to image.
+
+Usually only the most likely model is refitted, from its last pose. All remaining candidates are
+evaluated when an image has new information (docs/theory/contact_shape.md, Eq. F19).
+"""
 
 from __future__ import annotations
 
@@ -17,10 +20,10 @@ from mjtactile.sensing.contact_shape.shape_filter import ShapeFilter
 from mjtactile.sensing.contact_shape.shape_models import FAMILIES, several
 from mjtactile.sensing.settings import ContactShapeSettings
 
-_WORSE = 1.5  # times as much is left as when all families were looked for: they are again,
-_BAD = 0.25  # of the misfit that is too much: with so much they are looked for at each look
-_BETTER = 0.8  # and what explains so much more than what is followed is taken in its place
-_STUCK = 1.15  # times the misfit of another family: it is begun with anew
+_WORSE = 1.5  # misfit ratio to the last search over all models above which they are searched again
+_BAD = 0.25  # fraction of misfit_max above which every evaluation with grown force searches all
+_BETTER = 0.8  # misfit ratio below which a newly found shape replaces the tracked one
+_STUCK = 1.15  # misfit ratio to the best model above which a fit is restarted
 _ONE = tuple(FAMILIES.values())
 
 
@@ -31,17 +34,17 @@ def follow(
     data: Data,
     s: ContactShapeSettings,
 ) -> PressHistory | None:
-    """One image more.
+    """Update the shape history with the next image.
 
     Args:
-        films: The sensor's.
-        press: What is known from the images before; None: nothing.
-        hint: Where it is touched.
-        data: The image.
+        films: Membrane model of the sensor.
+        press: History from the previous images; None: no history.
+        hint: Initial guess from the touch.
+        data: Image data.
         s: Settings.
 
     Returns:
-        What is known now; None: no body of any family rests there.
+        The updated history; None: no model converged.
     """
     if press is None:
         return _first(films, hint, data, s)
@@ -50,13 +53,13 @@ def follow(
     looked = None
     if not told and press.images + 1 < s.check_images:
         looked = _follow(films, press, hint, data)
-    # what is followed may be stuck
+    # the tracked fit may be stuck
     if looked is None or _is_worse(looked, press, s):
         looked = _look(films, press, hint, data, s)
     if looked is None:
         return _first(films, hint, data, s)
     worse = _is_worse(looked, press, s)
-    # what is dragged is worse explained, and still the same: only what comes deeper is another
+    # A dragged shape fits worse but is still the same. Only a deeper indentation can show another.
     if grown and (worse or looked.now.misfit > _BAD * s.misfit_max):
         other = _first(films, hint, data, s, looked)
         if other is not None and other.now.misfit < _BETTER * looked.now.misfit:
@@ -66,7 +69,7 @@ def follow(
 
 
 def _is_worse(looked: PressHistory, press: PressHistory, s: ContactShapeSettings) -> bool:
-    """Whether an image is explained worse than that in which all families were looked for."""
+    """Return True if the fit is worse than at the last search over all models."""
     return looked.now.misfit > max(_WORSE * press.doubted, s.misfit_asks)
 
 
@@ -77,8 +80,11 @@ def _first(
     s: ContactShapeSettings,
     but: PressHistory | None = None,
 ) -> PressHistory | None:
-    """All families, from nothing, or from the film on a body that is not believed any more, but for
-    those that the press has left far behind; what explains no more than that body is given up."""
+    """Fit all models without a prior, or from the membrane solution on the rejected shape `but`.
+
+    With `but`, models far behind in this contact episode are skipped. Fits that explain no more
+    than `but` are stopped.
+    """
     if but is None:
         found = search(films, _ONE, hint, data, s.noise_min)
     else:
@@ -110,9 +116,11 @@ def _with_past(
     data: Data,
     s: ContactShapeSettings,
 ) -> PressHistory:
-    """What was `looked` at and what was found from nothing, `other`, with all that the press has
-    told of their families before this image; of one that was not there, that it would have
-    explained as much."""
+    """Merge the evaluation `looked` and the new search `other`, with the history of their models.
+
+    The history is that before this image. A model without history is assumed to have explained the
+    images equally well.
+    """
     known = {one.family.name: one for one in (*past.left, *past.candidates)}
     best = past.candidates[0]
     bodies = {one.family.name: one.fit for one in looked.candidates}

@@ -1,7 +1,8 @@
-"""Bodies of a few numbers each: what a film rests on, and where a fit starts.
+"""Shape primitives with few parameters: obstacles for the membrane model, and starts of a fit.
 
-Places are in mm from where the touch was felt, curvatures in 1/m, angles in rad. Frame S; a body
-comes from +z."""
+Positions are in mm relative to the estimated contact position, curvatures in 1/m, angles in rad.
+Frame S; the shape approaches from +z.
+"""
 
 from __future__ import annotations
 
@@ -16,20 +17,23 @@ from mjtactile.core.types import Array
 from mjtactile.quasistatic import Obstacle
 from mjtactile.quasistatic.obstacles import ready
 
-_FLAT = 0.2  # 1/m: what is less curved is as good as flat over a sensor
+_FLAT = 0.2  # curvature that is flat at the size of a sensor, 1/m
 _RIM_SLOPE = 2.0  # of the flank beyond a rim
 _RIM = 360  # places on an outline
-_RIM_OUT = 1.4  # roundings by which a round rim's own lies outside of what it stands for
+_RIM_OUT = 1.4  # outward offset of the rounded rim from the nominal rim, in rounding radii
 
 
 @dataclass(frozen=True, eq=False)
 class InitialGuess:
-    """Where a fit starts: `place` (2,) m in S of the touch, `height` m of the sheet's outer face
-    there, `area` m^2 and `angle` rad of the patch as the nodal estimate has it, and half sides
-    `frame` (2,) m of where a body may be, of an ellipse where it is `round`; places x, y (nx, ny) m
-    of the film's `nodes`, and the `rounding` m of what is sharp; the normal `force` N that it was
-    felt with, and, where it is touched at several places, the hint of each of the `parts`, the
-    strongest first."""
+    """Start of a fit.
+
+    `place` (2,) is the contact position, m, frame S, and `height` the height of the membrane's
+    outer face there, m. `area`, m^2, and `angle`, rad, are those of the patch from the nodal
+    estimate. `frame` (2,) holds the half-extents of the allowed region, m, an ellipse if `round`.
+    `nodes` are the positions x, y (nx, ny) of the membrane nodes, m. `rounding` is the radius of
+    sharp edges, m. `force` is the estimated normal force, N. For several contact patches, `parts`
+    holds one guess for each, the strongest first.
+    """
 
     place: Array
     height: float
@@ -49,8 +53,11 @@ class InitialGuess:
 
 
 def feasible_half_extents(frame: Frame, edge: float) -> Array:
-    """Half sides (2,) m of where a body may be that goes on: `edge` m within a rectangle, or half
-    axes of the largest ellipse in another outline."""
+    """Return the half-extents (2,) of the region that long shapes may fill, m.
+
+    For a rectangle they are `edge` m inside the frame. For another outline they are the half-axes
+    of the largest ellipse in it.
+    """
     half = np.array([frame.length, frame.width]) / 2 - edge
     if frame.outline is None:
         return half
@@ -72,7 +79,7 @@ def about(axis: int, angle: float) -> Array:
 
 
 def place_of(theta: Array, hint: InitialGuess) -> Array:
-    """The body's point that its first three numbers tell, (3,) m in S."""
+    """Return the reference point of the shape from its first three parameters (3,), m, frame S."""
     x, y, z = (1e-3 * theta[:3]).tolist()
     return np.array([hint.place[0] + x, hint.place[1] + y, hint.height + z])
 
@@ -130,10 +137,11 @@ def cylinder(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
 
 
 def _soft(off: Array, rounding: float) -> Array:
-    """What a rim's flank rises over a face, m: nothing far inside, steeply outside, round between.
+    """Return the rise of a rim's flank over its face, m: zero far inside, steep outside, rounded
+    between.
 
-    A sharp rim's film depends on where its nodes are, in steps; one that is as round as half a
-    spacing does not, and is found from any start.
+    The membrane solution on a sharp rim changes in steps with the node positions. With a rounding
+    of half a spacing it does not, and the fit converges from any start.
     """
     rise = np.sqrt(off * off + rounding**2)
     rise += off
@@ -150,8 +158,8 @@ def offset_from_center(theta: Array, hint: InitialGuess) -> tuple[Array, Array, 
 
 
 def _off_lines(thetas: Array, hint: InitialGuess) -> tuple[Array, Array, Array]:
-    """As `offset_from_center`, of bodies `thetas` (m, k): x (m, nx, 1), y (m, 1, ny), heights
-    (m, nx, ny)."""
+    """Return node offsets for shapes `thetas` (m, k), as `offset_from_center`: x (m, nx, 1), y (m,
+    1, ny), heights (m, nx, ny)."""
     place = 1e-3 * thetas[:, :3, None, None]
     x = (hint.nodes[0][:, :1] - hint.place[0]) - place[:, 0]
     y = (hint.nodes[1][:1] - hint.place[1]) - place[:, 1]
@@ -164,7 +172,7 @@ def _faces(heights: Array) -> list[tuple[Obstacle, ...]]:
 
 
 def discs(thetas: Array, hint: InitialGuess) -> list[tuple[Obstacle, ...]]:
-    """Of each of `thetas` (m, 6)."""
+    """Build the discs with parameters `thetas` (m, 6)."""
     x, y, heights = _off_lines(thetas, hint)
     off = np.sqrt(x**2 + y**2)
     off -= 1e-3 * thetas[:, 5, None, None] + _RIM_OUT * hint.rounding
@@ -177,7 +185,7 @@ def disc(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
 
 
 def blocks(thetas: Array, hint: InitialGuess) -> list[tuple[Obstacle, ...]]:
-    """Of each of `thetas` (m, 8)."""
+    """Build the blocks with parameters `thetas` (m, 8)."""
     x, y, heights = _off_lines(thetas, hint)
     c = np.cos(thetas[:, 5])[:, None, None]
     s = np.sin(thetas[:, 5])[:, None, None]
@@ -205,8 +213,8 @@ def block_starts(hint: InitialGuess) -> tuple[Array, ...]:
 
 
 def _distance_to_edge(frame: Array, place: Array, along: Array) -> tuple[float, float]:
-    """How far, m, a line through `place` goes back and forth before a rectangle of half sides
-    `frame` (2,)."""
+    """Return the backward and forward distances, m, along a line through `place` to a rectangle
+    with half-extents `frame` (2,)."""
     ways = []
     for sign in (-1.0, 1.0):
         far = [

@@ -1,4 +1,4 @@
-"""A family's body in the next image of a press: from where it was, or begun anew
+"""Refit of one shape model to the next image: from its last pose, or restarted
 (docs/theory/contact_shape.md, Eq. F19)."""
 
 from __future__ import annotations
@@ -31,16 +31,20 @@ def warm_start(
     rounds: int,
     known: float = math.inf,
 ) -> Fit | None:
-    """A family's body, believed as the looks before have it, from where it was in the newest image
-    and as much deeper as the force has grown; given up where it stays far behind `known`, what
-    another leaves."""
+    """Refit one shape model to a new image.
+
+    The prior comes from earlier images. The start is the last pose, shifted in depth by the force
+    change divided by the contact stiffness. The fit stops early when its cost stays far above
+    `known`, the cost of a competing model.
+    """
     family = one.family
     hint = _matched(newest.hint, hint)
     prior = one.common.prior(one.fit, noise, hint)
     stays = family.rebased(newest.theta, newest.hint, hint)
     theta = stays.copy()
     heights = family.heights
-    by = -newest.slopes.sums[2, heights].sum() / family.sd[heights[0]]  # N/mm, all of them
+    # total contact stiffness, N/mm
+    by = -newest.slopes.sums[2, heights].sum() / family.sd[heights[0]]
     if by < 0:
         theta[heights] += np.clip((data.force - newest.felt) / by, -1.0, 1.0)
     at = begin(films.fine, family, hint, theta, data, prior, newest.state)
@@ -73,9 +77,11 @@ def restart_fit(
     known: float,
     near: MembraneSolution,
 ) -> Fit | None:
-    """The same, or what is found anew beside the film `near` it, where that explains more: on flat
-    faces fits end before they have come to the end, and what is round has been thought sharp while
-    few nodes touched it."""
+    """Return the fit `stuck`, or a restarted fit next to the membrane solution `near` if it is
+    better.
+
+    Fits on flat faces can stop early. A round shape can look sharp while few nodes touch it.
+    """
     if one.family.name in FACES or one.family.parts:
         other = _restart_from_centroid(films, one, noise, hint, data, known, near)
     else:
@@ -94,7 +100,7 @@ def _from_nothing(
     known: float,
     near: MembraneSolution,
 ) -> Fit | None:
-    """From all its starts; believed as the looks before have it once it is there."""
+    """Search from all starts, then refine with the prior from earlier evaluations."""
     found = search(films, (one.family,), hint, data, noise, near, known)
     if not found:
         return None

@@ -1,4 +1,4 @@
-"""How a body that was found moves against the rubber: rolling, sliding and spinning, as rates over
+"""Motion of the estimated shape relative to the rubber: rolling, sliding and spinning rates over
 the last images (docs/theory/slip.md, Eq. F22)."""
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ _LEAST = 3  # images that a rate wants
 
 @dataclass(frozen=True, eq=False)
 class MembraneMotion:
-    """How the rubber under a contact has moved since the image before: `step` (2,) m, and `twist`
-    rad about z."""
+    """Motion of the rubber under a contact since the previous image: `step` (2,), m, and `twist`
+    about z, rad."""
 
     step: Array
     twist: float
 
 
 def rubber_step(weights: tuple[Array, Array], positions: tuple[Array, Array]) -> MembraneMotion:
-    """Of two images.
+    """Compute the rubber motion between two images.
 
     Args:
-        weights: (J,) share of the press at each node, in both.
-        positions: (J, 3) m of the nodes, in both.
+        weights: Fraction of the contact force at each node (J,), in both images.
+        positions: Node positions (J, 3), m, in both images.
 
     Returns:
-        Its motion.
+        The motion.
     """
     weight = (weights[0] + weights[1]) / 2
     moved = positions[1] - positions[0]
@@ -49,10 +49,13 @@ def rubber_step(weights: tuple[Array, Array], positions: tuple[Array, Array]) ->
 
 @dataclass(frozen=True, eq=False)
 class ShapePose:
-    """Where a body of `family` stands in one image: `time` s; its place over the rubber, (2,) m
-    since the track began, and the `angle` rad about z over the rubber; its `turns` (3,) rad about
-    x, y and z (NaN: the family has none); of all these the variances `var` (6,); what the rubber
-    has moved, and twisted, so far."""
+    """Pose of a shape of model `family` in the image at `time`, s.
+
+    `values` (6,) holds the position relative to the rubber since the track started (2,), m, the
+    angle about z relative to the rubber, rad, and the rotations about x, y and z (3,), rad (NaN:
+    the model has none). `var` (6,) are their variances. `dragged`, m, and `twisted`, rad, are the
+    motion of the rubber so far.
+    """
 
     family: str
     time: float
@@ -73,13 +76,13 @@ def tracked(
     scale: float,
     s: ContactShapeSettings,
 ) -> Track:
-    """A track with one image more.
+    """Return the track extended by one image.
 
     Args:
-        track: So far.
-        found: The body.
-        time: Of the image, s.
-        rubber: How it moved since the last one; None: that is not known, and the track begins anew.
+        track: Track so far.
+        found: Fitted shape.
+        time: Capture time of the image, s.
+        rubber: Motion of the rubber since the last image; None: unknown, and the track restarts.
         scale: Factor on the fit's covariance.
         s: Settings.
 
@@ -98,7 +101,7 @@ def tracked(
         assert rubber is not None
         dragged = track[-1].dragged + rubber.step
         twisted = track[-1].twisted + rubber.twist
-    # of one image alone: what a press has told of the numbers is common to all its images
+    # covariance of this image alone: information from earlier images is common to all of them
     precision = found.curvature / scale + np.eye(len(found.theta))
     cov = np.linalg.inv(precision) * np.outer(found.family.sd, found.family.sd)
     turns = np.full(3, np.nan)
@@ -116,13 +119,13 @@ def tracked(
 
 
 def motion(track: Track, found: Fit, *, slips: bool) -> RelativeMotion | None:
-    """Rates of a body over the rubber.
+    """Compute the motion rates of a shape relative to the rubber.
 
     Args:
-        track: Of the last images.
-        found: The body.
-        slips: Whether it is known to slip: what a round body does of itself, roll or slide, its
-            shape does not tell.
+        track: Track over the last images.
+        found: Fitted shape.
+        slips: True if the contact is classified as slipping. The shape alone does not separate
+            rolling from sliding for a round object.
 
     Returns:
         The rates; None: too few images.
@@ -157,8 +160,10 @@ def motion(track: Track, found: Fit, *, slips: bool) -> RelativeMotion | None:
 
 
 def _rolling(found: Fit, velocity: Array, cov: Array) -> tuple[Array, Array]:
-    """Turning, (2,) rad/s about x and y, of a body whose contact goes over the rubber and does not
-    slide: z x K v, K (2, 2) its curvatures."""
+    """Return the rotation rate (2,) about x and y, rad/s, of a shape that rolls without sliding.
+
+    It is z x K v with the curvatures K (2, 2).
+    """
     K = np.zeros((2, 2))
     name = found.family.name
     if name == "ball":
@@ -180,4 +185,5 @@ TURNS: dict[str, tuple[int | None, int | None, int | None]] = {
     "disc": (3, 4, None),
     "block": (3, 4, 5),
 }
-"""Of each family the numbers that turn it about x, y and z of S, where there are any."""
+"""Index of the rotation parameters about x, y and z of S for each model; None: no such
+parameter."""

@@ -1,10 +1,10 @@
-"""What the looks at a press have in common: a body's own numbers, which it keeps while it goes and
-turns (docs/theory/contact_shape.md, Eq. F19).
+"""Filter of a shape's constant parameters over a contact episode: those that do not change while it
+moves and rotates (docs/theory/contact_shape.md, Eq. F19).
 
-A ball's curvature is the same in each of them, and so is a face's radius; a family that needs
-another one at each depth is the wrong one. Each look tells mean and precision of these numbers with
-the place left free. What a film has wrong is about the same in all looks: it is no noise between
-them, so that numbers are compared as precisely as markers are seen.
+A ball's curvature is the same in all images, and so is a face's radius. A model that needs another
+value at each depth is the wrong one. Each evaluation gives mean and precision of these parameters,
+marginalized over the pose. Errors of the membrane model are about the same in all evaluations. They
+are not noise between them, so the parameters are compared with the precision of the markers.
 """
 
 from __future__ import annotations
@@ -22,9 +22,12 @@ from mjtactile.sensing.contact_shape.shape_models import ShapeModel
 
 @dataclass(frozen=True, eq=False)
 class ShapeFilter:
-    """What looks have told of the numbers that a body keeps (`ShapeModel.kept`), over their sd:
-    `precision` (m, m), and that times their mean, `told` (m,); and `drift`, the sum of squares by
-    which they did not stay the same."""
+    """Information on the constant parameters (`ShapeModel.kept`), in units of their standard
+    deviation.
+
+    `precision` (m, m) is their precision, `told` (m,) the precision times the mean. `drift` is the
+    sum of squares of their changes.
+    """
 
     precision: Array
     told: Array
@@ -37,13 +40,13 @@ class ShapeFilter:
         return cls(np.zeros((count, count)), np.zeros(count))
 
     def with_observation(self, fit: Fit) -> ShapeFilter:
-        """With one look more.
+        """Return the filter updated by one evaluation.
 
         Args:
-            fit: The body as the look has it.
+            fit: Fit of the evaluation.
 
         Returns:
-            What is known now.
+            The updated filter.
         """
         seen, told = _alone(fit)
         own = np.eye(len(told)) + seen @ _own_wrong(fit)
@@ -53,8 +56,11 @@ class ShapeFilter:
         return ShapeFilter(self.precision + seen, self.told + told, drift)
 
     def _off(self, seen: Array, told: Array) -> float:
-        """Square of how far a look that has `seen` (m, m) precisely what it has `told` (m,) is from
-        those before, over the covariance of that; nothing of what either does not see."""
+        """Return the squared Mahalanobis distance of an evaluation from the earlier ones.
+
+        The evaluation has precision `seen` (m, m) and information vector `told` (m,). Unobserved
+        directions do not count.
+        """
         if not self.precision.any():
             return 0.0
         tiny = _UNSEEN * np.eye(len(told))
@@ -63,16 +69,16 @@ class ShapeFilter:
         return float(off @ np.linalg.solve(seen + seen @ known @ seen + tiny, off))
 
     def prior(self, fit: Fit, noise: float, hint: InitialGuess) -> Prior:
-        """What is believed of all numbers in the next look.
+        """Return the prior of all parameters for the next evaluation.
 
         Args:
-            fit: The body as the last look has it.
-            noise: Of the markers' variances, what was left of them in it.
-            hint: What the numbers count from in the next.
+            fit: Fit of the last evaluation.
+            noise: Factor on the marker variances from that evaluation.
+            hint: Initial guess that the parameters are relative to in the next image.
 
         Returns:
-            Where it stands: about as in `fit`; what it keeps: as all looks have it, but for what
-            the film has wrong.
+            The prior. The pose is near that of `fit`. The constant parameters come from all
+            evaluations, with the membrane model error added.
         """
         family = fit.family
         kept = family.kept
@@ -89,19 +95,23 @@ class ShapeFilter:
 
 
 _UNSEEN = 1e-6  # of a family's own precision
-_BY_NODE = 1.5  # of a curvature or size, over the nodes that touch: what a film of so few has wrong
+_BY_NODE = 1.5  # relative model error of a curvature or size, times the number of touching nodes
 
 
 def _alone(fit: Fit) -> tuple[Array, Array]:
-    """Precision (m, m) of the kept numbers over their sd, by one image alone, and that times their
-    mean (m,): the fit without its prior of them, over all places where the body may stand."""
+    """Return precision (m, m) and information vector (m,) of the constant parameters from one
+    image.
+
+    They are scaled by the standard deviations, exclude the prior of these parameters, and are
+    marginalized over the pose.
+    """
     kept = fit.family.kept
     free = ~kept
     t = fit.theta / fit.family.sd
     prior = fit.prior
     noise = max(fit.misfit, 1.0)
     image = fit.curvature / noise
-    # where the fit ends, what the prior pulls is what the image does
+    # at the minimum, the gradients of prior and image balance
     told = image @ t + prior.precision @ (t - prior.mean) / noise
     stand = prior.precision[np.ix_(free, free)]
     place = np.linalg.solve(
@@ -113,13 +123,15 @@ def _alone(fit: Fit) -> tuple[Array, Array]:
 
 
 def _own_wrong(fit: Fit) -> Array:
-    """Variance (m, m) of the kept numbers over their sd, that the film has wrong in one look, and
-    otherwise in another: the more, the fewer of its nodes touch."""
+    """Return the variance (m, m) of the scaled constant parameters from membrane model errors.
+
+    It covers errors that differ between evaluations. It grows as fewer nodes touch.
+    """
     share = np.hypot(fit.family.share, _BY_NODE / touching(fit))
     return np.diag((share * fit.theta / fit.family.sd)[fit.family.kept] ** 2)
 
 
 def touching(fit: Fit) -> float:
-    """How many of the film's nodes touch a body; of several bodies, in the mean."""
+    """Return the number of membrane nodes that touch the shape; for several parts, their mean."""
     nodes = int((fit.state.contact_forces > 0).sum())
     return max(nodes / max(len(fit.family.parts), 1), 1.0)

@@ -1,7 +1,7 @@
-"""Families of bodies: few numbers each, with what is believed of them before an image is seen.
+"""Parametric shape models, each with a prior of its parameters.
 
-A family's numbers are fitted as they stand in `names`: places in mm from where the touch was felt,
-curvatures in 1/m, angles in rad. Frame S; a body comes from +z.
+The parameters of a model are fitted as listed in `names`: positions in mm relative to the estimated
+contact position, curvatures in 1/m, angles in rad. Frame S; the shape approaches from +z.
 """
 
 from __future__ import annotations
@@ -32,31 +32,31 @@ from mjtactile.sensing.contact_shape.primitives import (
 )
 
 SHARP = 240.0
-"""1/m: what is more curved where it touches is an edge, or a tip. From radii of 4 mm on down to a
-sharp edge they look alike: the sheet leaves them before the faces begin."""
+"""Curvature above which a contact is an edge or a tip, 1/m. Radii from 4 mm down to a sharp edge
+look alike, because the membrane leaves them before the flat sides start."""
 LINE = 0.25
-"""Of the larger curvature, below which the smaller one is that of a line of contact."""
+"""Ratio of the smaller to the larger curvature below which the contact is a line."""
 
 
 @dataclass(frozen=True, eq=False)
 class ShapeModel:
-    """A family of bodies, of which one may be a simpler case of another.
+    """Parametric shape model. One model may be a special case of another.
 
     Attributes:
-        names: Of its numbers; the first three are its place: x, y in mm from the hint's, z in mm
-            from the hint's height.
-        mean: What is believed of them.
-        sd: How surely; also the scale of a step.
-        steps: Over which derivatives are taken: above the film's own tolerance, and for what turns
-            or shifts an edge over a good part of the way between nodes.
-        loose: By how much they may change from one look at a press to the next, as sd.
-        share: Of what a body keeps while it goes and turns, the share that a film has wrong in one
-            look, as sd; of what it does not keep, zero.
+        names: Parameter names; the first three are the position: x, y relative to the initial
+            guess, z relative to its height, mm.
+        mean: Prior mean.
+        sd: Prior standard deviation; also the scale of a step.
+        steps: Steps of finite differences: above the solver tolerance. For parameters that rotate
+            or shift an edge, a large part of the node spacing.
+        loose: Standard deviation of the change between two evaluations of a contact episode.
+        share: Relative standard deviation of the membrane model error per evaluation, for
+            parameters that stay constant; zero for all others.
         low: Lower bounds.
         high: Upper bounds.
-        build: From numbers and hint to what the film rests on.
-        starts: From a hint to numbers to start from.
-        parts: Of several bodies at once, the family of each; else none.
+        build: Function from parameters and initial guess to obstacles.
+        starts: Function from the initial guess to start parameters.
+        parts: Model of each part of a shape with several contacts; else empty.
     """
 
     name: str
@@ -86,12 +86,12 @@ class ShapeModel:
 
     @property
     def heights(self) -> list[int]:
-        """Which numbers are heights."""
+        """Indices of the height parameters."""
         return [number for number, name in enumerate(self.names) if name == "z"]
 
     @property
     def kept(self) -> Array:
-        """Which numbers (k,) are the body's own: its curvatures and sizes."""
+        """Mask (k,) of the parameters that stay constant: curvatures and sizes."""
         return self.share > 0
 
     def split(self, numbers: Array) -> list[Array]:
@@ -110,13 +110,14 @@ class ShapeModel:
 
 
 def kinds_of(family: ShapeModel, theta: Array, cov: Array) -> dict[str, float]:
-    """What a user calls a body with numbers `theta` and covariance `cov`, with probabilities."""
+    """Return the probabilities of the reported kinds for parameters `theta` with covariance
+    `cov`."""
     from scipy.special import ndtr  # takes a while to import
 
     if family.parts:
-        return {"several": 1.0}
+        return {"multiple": 1.0}
     if family.name in ("disc", "block"):
-        return {"face": 1.0}
+        return {"flat": 1.0}
     if family.name == "smooth":
         most, least, _ = principal(theta)
         variance = max(cov[3, 3], cov[5, 5])
@@ -125,14 +126,17 @@ def kinds_of(family: ShapeModel, theta: Array, cov: Array) -> dict[str, float]:
         variance = cov[3, 3]
         least = most if family.name == "ball" else 0.0
     sharp = float(ndtr((most - SHARP) / math.sqrt(max(variance, 1.0))))
-    return {"smooth": 1 - sharp, "edge" if least < LINE * most else "tip": sharp}
+    return {"smooth": 1 - sharp, "edge" if least < LINE * most else "point": sharp}
 
 
 def face_of(
     family: ShapeModel, theta: Array, hint: InitialGuess, moved: Array
 ) -> tuple[Array, float]:
-    """Of a body with a flat face: how far, (nx, ny) m, each node that has `moved` (2, nx, ny) m is
-    beyond the face's rim, negative within; and the face's area, m^2."""
+    """Return the signed distance of each node from the rim of a flat face (nx, ny), m, and its
+    area, m^2.
+
+    The distance is negative inside the rim. `moved` (2, nx, ny) are the node displacements, m.
+    """
     x, y, _ = offset_from_center(theta, hint)
     x = x + moved[0]
     y = y + moved[1]
@@ -146,7 +150,7 @@ def face_of(
     return off, 4 * float(np.prod(halves))
 
 
-# Of derivatives, in the numbers' own units.
+# Steps of finite differences, in the parameters' units.
 _STEPS = {
     "x": 0.1,
     "y": 0.1,
@@ -161,15 +165,17 @@ _STEPS = {
     "opening": 0.02,
     "roll": 0.01,
 }
-# mm and rad from one look at a press to the next: the body is pressed on, and goes and turns with
-# what holds it; what is not named stays, but for a share of its sd.
+# Changes between two evaluations of a contact episode, mm and rad: the shape is pushed deeper, and
+# moves and rotates with its holder. Parameters not named here stay, except for a fraction of their
+# standard deviation.
 _LOOSE = {
     "x": 1.0, "y": 1.0, "z": 1.0, "tilt_x": 0.03, "tilt_y": 0.03, "lean": 0.03,
     "direction": 0.05, "angle": 0.05,
 }  # fmt: skip
 _STIFF = 0.01
-# of a curvature or a size: what the film has wrong in one look and otherwise in another; bench
-# shape's bodies of seeds 2000 to 2059: of those that a family is right for, 0.02 to 0.06 are alike
+# Relative error of a curvature or size from the membrane model that differs between evaluations.
+# Measured on the objects of bench shape, seeds 2000 to 2059: with the right model, 0.02 to 0.06
+# perform alike.
 _SHARE = {"k": 0.03, "radius": 0.05, "half": 0.05}
 
 

@@ -21,7 +21,7 @@ from mjtactile.sensing.contact_shape.stiction_factor import sticks
 from mjtactile.sensing.settings import ContactShapeSettings
 
 _FINER = 4  # of the film's nodes, for an outline
-_UNTOLD = math.pi / math.sqrt(12)  # rad, sd of a direction of which nothing is known
+_UNTOLD = math.pi / math.sqrt(12)  # standard deviation of an unknown direction, rad
 
 
 def words(
@@ -33,15 +33,15 @@ def words(
     interval: tuple[float, float],
     s: ContactShapeSettings,
 ) -> ContactShape:
-    """What is said of a body.
+    """Build the reported contact shape from a fit.
 
     Args:
-        forward: The film.
-        found: The body.
-        kind: What it is called.
-        probabilities: Of the kinds.
+        forward: Membrane model.
+        found: Fitted shape.
+        kind: Reported kind.
+        probabilities: Probabilities of the kinds.
         scale: Factor on the fit's covariance, from its misfit.
-        interval: m^2, of the area.
+        interval: Interval of the area, m^2.
         s: Settings.
 
     Returns:
@@ -57,8 +57,10 @@ def words(
 
 
 def reported_covariance(found: Fit, scale: float, s: ContactShapeSettings) -> Array:
-    """Covariance of a body's numbers, with what film and simulated sheet have wrong: all curvatures
-    or sizes too large, or too small, the more the fewer nodes touch."""
+    """Return the covariance of the parameters including the error of membrane model and simulator.
+
+    That error scales all curvatures or sizes together, and grows as fewer nodes touch.
+    """
     by_node = {"k": s.curvature_by_node, "radius": s.size_by_node, "half": s.size_by_node}
     kinds = [name.split("_")[0] for name in found.family.names]
     wrong = np.array([by_node.get(kind, 0.0) for kind in kinds]) / touching(found) * found.theta
@@ -67,8 +69,8 @@ def reported_covariance(found: Fit, scale: float, s: ContactShapeSettings) -> Ar
 
 @dataclass(frozen=True)
 class _ContactSummary:
-    """What is said of a body beside its numbers: `area` m^2 and its `interval`, `force` N, the
-    `misfit`."""
+    """Contact quantities other than the shape parameters: `area` and its `interval`, m^2, `force`,
+    N, and `misfit`."""
 
     area: float
     force: float
@@ -113,8 +115,10 @@ def _several(
     interval: tuple[float, float],
     s: ContactShapeSettings,
 ) -> ContactShape:
-    """Several bodies at once, each with the contact that is nearest to it: its share of the area is
-    that of the force, since gas presses the sheet on each."""
+    """Build the result for several contacts, each with the nodes nearest to it.
+
+    Each part gets its fraction of the area interval and of the force.
+    """
     family = found.family
     force = found.state.contact_forces
     thetas = family.split(found.theta)
@@ -149,7 +153,7 @@ def _several(
         bodies.append(body)
     bodies.sort(key=lambda body: -body.force_normal)
     return ContactShape(
-        "several",
+        "multiple",
         probabilities,
         area=sum(body.area for body in bodies),
         area_interval=interval,
@@ -220,8 +224,8 @@ def _face(theta: Array, cov: Array, s: ContactShapeSettings) -> dict[str, Any]:
 
 _MEASURES = {"ball": _ball, "cylinder": _cylinder, "smooth": _smooth, "disc": _disc, "block": _face}
 
-# Of each family the numbers that turn it about x, y and z of S (or, of an edge and a cylinder, of
-# its own axes), where there are any.
+# Index of the rotation parameters of each model about x, y and z of S (for an edge and a cylinder,
+# about their own axes), if any.
 _TURNS: dict[str, tuple[int | None, int | None, int | None]] = {
     "ball": (None, None, None),
     "cylinder": (None, 5, 4),
@@ -244,7 +248,10 @@ def _axes(
 
 
 def _pose_cov(cov: Array, turns: tuple[int | None, int | None, int | None]) -> Array:
-    """(6, 6) of place, m, and turns, rad; of what the family does not turn, nothing is known."""
+    """Return the covariance (6, 6) of position, m, and rotations, rad.
+
+    Rotations that are not parameters of the model have NaN on the diagonal (unknown).
+    """
     numbers = [0, 1, 2, *turns]
     units = np.array([1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0])
     pose = np.zeros((6, 6))
@@ -277,6 +284,6 @@ def _outline(forward: ForwardModel, found: Fit, force: Array) -> Array:
 
 @cache
 def _between(count: int) -> Array:
-    """(m, count) from values at nodes to those at places between them, linear."""
+    """Return the linear interpolation matrix (m, count) from node values to points between them."""
     places = np.linspace(0, count - 1, _FINER * (count - 1) + 1)
     return np.maximum(0.0, 1 - np.abs(places[:, None] - np.arange(count)))

@@ -1,4 +1,4 @@
-"""By what a sheet that sticks to a body bears more than the film, which slides over it
+"""Force correction for a membrane that sticks to an object, while the membrane model slides
 (docs/theory/contact_shape.md, Eq. F21)."""
 
 from __future__ import annotations
@@ -9,19 +9,19 @@ from mjtactile.sensing.settings import ContactShapeSettings
 
 
 def sticks(forward: ForwardModel, state: MembraneSolution, s: ContactShapeSettings) -> float:
-    """Force of a sheet that sticks over that of the film.
+    """Return the ratio of the force with a sticking membrane to that of the model.
 
-    Between a body and the nearer side of the frame the sheet is drawn out more than on the other
-    side, and cannot even that out by sliding over the body, as the film does.
+    Between the object and the nearer side of the frame, the membrane is stretched more than on the
+    other side. A sticking membrane cannot equalize this by sliding, as the model does.
 
     Args:
-        forward: The film.
-        state: Of it, on the body.
+        forward: Membrane model.
+        state: Membrane solution on the shape.
         s: Settings.
 
     Returns:
-        The ratio: `friction` in the middle, more with the square of how far off it presses, in
-        halves of the frame.
+        The ratio: `friction` at the center. It grows with the square of the distance of the
+        pressure center from there, relative to the frame's half-extents.
     """
     force = state.contact_forces
     total = float(force.sum())

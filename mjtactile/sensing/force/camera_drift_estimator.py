@@ -1,11 +1,10 @@
-"""The camera as fiducials show it: what has changed of it since the rest reference, and how well
-that is known (Eq. F11).
+"""Camera drift since the rest reference, with covariance, estimated from fiducials (Eq. F11).
 
-Each way in which a camera changes (`mjtactile.sensing.force.camera_drift_model`, and the picture's
-middle) moves the fiducials' centres and sizes as it moves markers. Rows of fiducials in a fit of
-tractions that they do not depend on are the same as a better prior of the camera: their normal
-equations come first, the markers are taken back by their mean, and what is left in doubt are the
-fit's unknowns.
+Each drift mode of the camera (`mjtactile.sensing.force.camera_drift_model`, and the image center)
+moves the centers and sizes of fiducials as it moves those of markers. The fiducials do not depend
+on the tractions. So their rows in the fit of the tractions are equivalent to a better prior of the
+camera. Their normal equations are solved first, and the markers are corrected by the mean. The
+remaining uncertainty enters the fit as unknowns.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from mjtactile.sensing.pose.image_transform import ImageTransform
 from mjtactile.sensing.settings import FiducialSettings, InverseSettings
 
 OBSERVED_MODES = MODES + 2
-"""Those of a camera that is not seen, and the picture's middle, u and v."""
+"""Number of modes: those of a camera without fiducials, and the image center, u and v."""
 _TURN = 5
 _ZOOM = 6
 _SIZE = 7
@@ -34,7 +33,7 @@ _LEVELS = 8
 _AROUND = 24  # points of a circle's outline
 _STEP = 1e-3  # of a mode's sd, for differences
 _ROUNDS = 4
-_BELONGS = 0.5  # of an outlier's misfit: below it nobody is one
+_BELONGS = 0.5  # fraction of the outlier limit below which no fiducial counts as an outlier
 _AS_DARK = 0.03  # of levels as above: a load changes those of markers by 0.01
 _LEVELS_MIN = 0.01  # rms, of a level inside over that outside: noise has 0.005
 _LINEAR_PX = 0.3  # of the picture's motion, beyond which one linear step is not enough
@@ -42,9 +41,12 @@ _LINEAR_PX = 0.3  # of the picture's motion, beyond which one linear step is not
 
 @dataclass(frozen=True, eq=False)
 class CameraDriftEstimate:
-    """The camera in one image: modes in their sd, `mean` (K,), and the lower factor `root` (K, K)
-    of their covariance; by how much fiducials are `darker` than they were, their mean; `change`
-    says the same in words (None: fiducials were not seen, and it is that of an image before)."""
+    """Camera drift in one image.
+
+    `mean` (K,) holds the modes in units of their standard deviation, `root` (K, K) the lower factor
+    of their covariance. `darker` is the mean darkening of the fiducials. `change` is the drift in
+    physical terms (None: no fiducials were detected, and the drift is from an earlier image).
+    """
 
     mean: Array
     root: Array
@@ -55,8 +57,8 @@ class CameraDriftEstimate:
 def observed_modes(
     design: SensorDesign, p_SM: Array, darker: Array, s: InverseSettings, own: FiducialSettings
 ) -> Array:
-    """One sd of each mode of a camera that fiducials show: (m, 3, OBSERVED_MODES) m by which
-    markers seem to move; arguments as of `camera_modes`."""
+    """Return the apparent marker motion (m, 3, OBSERVED_MODES), m, for one standard deviation of
+    each mode observed by fiducials; arguments as for `camera_modes`."""
     modes = np.zeros((len(p_SM), 3, OBSERVED_MODES))
     modes[:, :, :MODES] = camera_modes(design, p_SM, darker, s)
     depth = p_SM[:, 2] + design.camera.distance - design.apparent_glass_thickness
@@ -89,7 +91,7 @@ class CameraDriftEstimator:
         self.camera = camera
         self._s = s
         self._own = own
-        # sd (3,) px of what the image stages' covariance does not know of
+        # standard deviations (3,) not covered by the covariance of the image stages, px
         size = own.glass_size if fiducials.surface == "pane" else own.floor
         self._floor = np.array([own.floor, own.floor, size])
         self._p_CF = fiducials.p_SF(design) - design.camera.p_SC
@@ -98,19 +100,19 @@ class CameraDriftEstimator:
         self._ring = fiducials.radius * ring
         self._unmoved = self._outlines(np.eye(3), np.zeros(3))
         self._modes = self._responses()
-        # from the picture's middle, px
+        # offset from the principal point, px
         away = self._unmoved[:, :2] - [camera.cx, camera.cy]
         self._far = float(np.hypot(away[:, 0], away[:, 1]).mean())
 
     def find(self, now: FiducialDetections, rest: FiducialDetections) -> CameraDriftEstimate | None:
-        """What has changed since `rest`.
+        """Estimate the camera drift since `rest`.
 
         Args:
-            now: What an image shows.
-            rest: What the rest reference's showed.
+            now: Fiducials in the image.
+            rest: Fiducials at the rest reference.
 
         Returns:
-            The camera; None where too few fiducials are seen.
+            The drift; None if too few fiducials are detected.
         """
         if np.array_equal(now.ids, rest.ids):  # nearly always, and it costs a tenth
             ids = now.ids
@@ -147,16 +149,18 @@ class CameraDriftEstimator:
         return CameraDriftEstimate(mean, root, float(darker.mean()), change)
 
     def _grown(self, mean: Array, darker: float) -> float:
-        """By how much circles that are `darker` than they were grew, in the size's sd."""
+        """Return the growth of circles that are `darker`, in standard deviations of the size
+        mode."""
         s = self._s
         return float(mean[_SIZE]) + s.drift_levels * float(mean[_LEVELS]) * darker / s.drift_size
 
     def doubted(self, seen: CameraDriftEstimate, darker: Array) -> CameraDriftEstimate:
-        """The camera with what it leaves in doubt of markers that are `darker` (m,) than they were.
+        """Return the drift with added uncertainty for markers that became `darker` (m,).
 
-        Circles grow with the change of their level by a curve, of which fiducials show one place
-        and the slope there. How far markers are off that tangent goes with how far they are away:
-        where they clip and fiducials hardly do, their own circles have to tell.
+        Circles grow along a curve as their level changes. Fiducials show one point of this curve
+        and its slope. The deviation of markers from that tangent grows with the difference in
+        darkness. Where markers clip and fiducials hardly do, the circles of the markers must
+        provide the information.
         """
         farther = float(darker.mean()) - seen.darker
         if abs(farther) < _AS_DARK:
@@ -169,8 +173,8 @@ class CameraDriftEstimator:
         return replace(seen, root=np.linalg.cholesky(covariance))
 
     def picture(self, mean: Array, darker: float) -> ImageTransform:
-        """What of a camera's change `mean` (K,) is one of its picture, whose circles are `darker`
-        than they were."""
+        """Return the part of a camera drift `mean` (K,) that is an image transform, for circles
+        that are `darker`."""
         s = self._s
         by_levels = s.drift_levels * float(mean[_LEVELS]) * darker
         return ImageTransform(
@@ -182,15 +186,17 @@ class CameraDriftEstimator:
         )
 
     def undone(self, p_SM: Array, darker: Array, seen: CameraDriftEstimate) -> Array:
-        """Where markers (m, 3) m in S would be seen by the camera of the rest reference, whose
-        picture is already taken back; `darker` (m,) as of `camera_modes`."""
+        """Return the markers (m, 3), m, frame S, as seen by the camera of the rest reference.
+
+        The image transform is already undone. `darker` (m,) is as for `camera_modes`.
+        """
         R, aside = self._motion(seen.mean)
         design = self.design
         away = (p_SM - design.camera.p_SC - aside) @ R
         levels_px = self._s.drift_levels * float(seen.mean[_LEVELS])
         if levels_px == 0.0:
             return design.camera.p_SC + away
-        # from where the camera seems to be through its pane, distance goes with one over the radius
+        # from the camera's apparent position through the glass, distance is inverse to the radius
         apparent = away - [0.0, 0.0, design.apparent_glass_thickness]
         radius_px = design.camera.fx * design.markers.radius / apparent[:, 2]
         radius_change_px = levels_px * (darker - seen.darker)
@@ -198,14 +204,18 @@ class CameraDriftEstimator:
         return design.camera.p_SC + away + nearer[:, None] * apparent
 
     def _motion(self, mean: Array) -> tuple[Array, Array]:
-        """Turn (3, 3) and shift (3,) m of what the camera sees, but for the turn of its picture."""
+        """Return rotation (3, 3) and shift (3,), m, of the scene in the camera, without image
+        rotation."""
         s = self._s
         turn = s.knock_rotation * np.array([mean[3], mean[4], 0.0])
         return geometry.rotation_from_vector(turn), s.knock_shift * mean[:3]
 
     def _left(self, mean: Array, ids: Array, shown: Array, before: Array, rows: Array) -> Array:
-        """What `mean` leaves unexplained of circles (n, 3) px that are `shown` and were `before`,
-        without any linearisation but that of levels."""
+        """Return the residual of circles (n, 3), px, from `before` to `shown`, after the drift
+        `mean`.
+
+        Only the dependence on levels is linearized.
+        """
         picture = self.picture(mean, 0.0)
         then = before + (self._outlines(*self._motion(mean)) - self._unmoved)[ids]
         levels = rows[:, 2, _LEVELS] * mean[_LEVELS]
@@ -213,9 +223,11 @@ class CameraDriftEstimator:
         return np.column_stack([picture.undone(shown[:, :2]), radius]) - then
 
     def _likely(self, moved_px: float) -> Array:
-        """Sd (K,) of the modes, in theirs, of a camera whose picture has moved so far: as much as
-        what is seen. Planar circles do not tell all modes apart, and those that would cancel
-        there are as unlikely as a knock where nothing has moved."""
+        """Return the prior standard deviations (K,) of the modes for the observed image motion.
+
+        They scale with this motion. Planar circles do not separate all modes, and modes that cancel
+        are as unlikely as a knock without image motion.
+        """
         s = self._s
         camera = self.design.camera
         px = max(moved_px, self._own.still)
@@ -228,8 +240,12 @@ class CameraDriftEstimator:
         return sd
 
     def _responses(self) -> Array:
-        """Change of (u, v, radius) px of each fiducial for one sd of each mode, (F, 3, K); by
-        differences of the outline's projection where the camera moves or turns."""
+        """Compute the change of (u, v, radius) of each fiducial, px, per standard deviation of each
+        mode.
+
+        Shape (F, 3, K). Camera shifts and rotations use finite differences of the projected
+        outline.
+        """
         s = self._s
         size = s.drift_size
         found = np.zeros((len(self._p_CF), 3, OBSERVED_MODES))
@@ -269,7 +285,7 @@ class CameraDriftEstimator:
         s = self._s
         design = self.design
         camera = design.camera
-        # the picture's middle, at the membrane's distance
+        # shift of the image center, at the membrane's distance
         place = s.knock_shift * mean[:2] / camera.distance
         turn = s.knock_rotation * mean[3:6]
         shift = (place + [turn[1], -turn[0]]) * [camera.fx, camera.fy]
@@ -293,9 +309,11 @@ class CameraDriftEstimator:
 
 
 def _solve(rows: Array, moved: Array, likely: Array, outlier: float) -> tuple[Array, Array, float]:
-    """Mean, covariance, and misfit of modes with weighted `rows` (n, 3, K) and
-    sds `likely` (K,) that explain `moved` (n, 3), robustly: a fiducial `outlier` times farther off
-    than the others counts for little."""
+    """Return mean, covariance and misfit of the modes, fitted robustly.
+
+    `rows` (n, 3, K) are the weighted rows, `likely` (K,) the prior standard deviations, and `moved`
+    (n, 3) the data. A fiducial `outlier` times farther off than the others gets a small weight.
+    """
     n, _, K = rows.shape
     flat = rows.reshape(-1, K)
     moves = moved.ravel()
@@ -321,8 +339,11 @@ def _solve(rows: Array, moved: Array, likely: Array, outlier: float) -> tuple[Ar
 def _darker(
     now: FiducialDetections, rest: FiducialDetections, here: Array | slice, there: Array | slice
 ) -> Array:
-    """By how much (n,) the level inside over that outside has changed; none at all where that is
-    the levels' own noise, of which the slope of a curve would be made."""
+    """Return the change (n,) of the log ratio of inside to outside level.
+
+    It is set to zero where it is only noise of the levels, which would give a false slope of the
+    curve.
+    """
     then = rest.inside[there] / rest.outside[there]
     darker = np.log(now.inside[here] / now.outside[here] / then)
     # False for NaN: unknown

@@ -1,9 +1,9 @@
-"""What a camera that is not as it was at the references does to where markers seem to be (Eq. F11).
+"""Effect of camera drift since the references on the apparent marker positions (Eq. F11).
 
-A camera that was knocked has another place and direction; a lens that breathes shows all larger; a
-curve of grey levels that changed moves all edges in or out by about as much, so that every circle
-looks larger, and nearer. Each moves all markers in a way that no load on the sheet does, which is
-held along its frame.
+A knock changes position and orientation of the camera. Lens breathing scales the image. A changed
+tone curve moves all edges inward or outward by about the same amount, so every circle looks larger,
+and nearer. Each moves all markers in a pattern that no load on the membrane produces, since the
+membrane is fixed at its frame.
 """
 
 from __future__ import annotations
@@ -25,16 +25,17 @@ _STEADY = 1e-6  # of a mode's sd: none
 
 
 def camera_modes(design: SensorDesign, p_SM: Array, darker: Array, s: InverseSettings) -> Array:
-    """One sd of each mode of a camera that was knocked: place and direction may be anywhere near.
+    """Compute the apparent marker motion for one standard deviation of each mode of a knocked
+    camera.
 
     Args:
-        design: The sensor; its camera is where markers' places are counted from.
-        p_SM: Markers (m, 3) m.
-        darker: By how much each one's darkness has changed since the reference, (m,).
-        s: Has the sds.
+        design: Sensor design; marker positions are relative to its camera.
+        p_SM: Marker positions (m, 3), m.
+        darker: Change of each marker's darkness since the reference (m,).
+        s: Settings with the standard deviations.
 
     Returns:
-        (m, 3, MODES) m by which each marker seems to move.
+        Apparent motion of each marker (m, 3, MODES), m.
     """
     away = p_SM - design.camera.p_SC
     depth = away[:, 2:]
@@ -52,9 +53,12 @@ def camera_modes(design: SensorDesign, p_SM: Array, darker: Array, s: InverseSet
 
 @dataclass(frozen=True, eq=False)
 class CameraDriftFilter:
-    """What images up to `time` s have told of the camera: `mean` (MODES,) of the modes, in their
-    sd, and the lower factor `known` (MODES, MODES) of their covariance. In each image all circles
-    seem larger by another `jitter`, in sd of that mode."""
+    """Camera drift estimated from the markers of all images up to `time`, s.
+
+    `mean` (MODES,) holds the modes in units of their standard deviation, `known` (MODES, MODES) the
+    lower factor of their covariance. In each image all circles look larger by an independent
+    `jitter`, in standard deviations of the size mode.
+    """
 
     mean: Array
     known: Array
@@ -65,8 +69,10 @@ class CameraDriftFilter:
     def unseen(
         cls, s: InverseSettings, *, knocked: bool = False, steady: bool = False
     ) -> CameraDriftFilter:
-        """Of a camera that no image has shown since the references: one that may have been
-        `knocked`, or is as `steady` as it was there."""
+        """Return the prior of a camera without images since the references.
+
+        It may have been `knocked`, or be as `steady` as it was there.
+        """
         sd = np.ones(MODES)
         if not knocked:
             sd[:3] = s.drift_camera / s.knock_shift
@@ -77,8 +83,8 @@ class CameraDriftFilter:
 
     @property
     def root(self) -> Array:
-        """A factor (MODES, unknowns) of the covariance in an image: what is known, and beside it
-        what is of that image alone."""
+        """Factor (MODES, unknowns) of the covariance in an image: the filter's, and the jitter of
+        that image."""
         if not self.jitter:
             return self.known
         alone = np.zeros(MODES)
@@ -97,19 +103,19 @@ class CameraDriftFilter:
     def told(
         self, found: Array, left: Array, root: Array, time: float, weight: float = 1.0
     ) -> CameraDriftFilter:
-        """After an image at `time` s.
+        """Return the filter after an image at `time`, s.
 
         Args:
-            found: What a fit found of the modes beyond the mean, (unknowns,), in units of `root`.
-            left: What it left of their covariance (unknowns, unknowns), the same.
-            root: That of the belief the fit was made for, which knew about as much as this one.
-            time: s.
-            weight: Share of the fit's information that counts.
+            found: Modes that a fit estimated relative to the mean (unknowns,), in units of `root`.
+            left: Covariance that the fit left (unknowns, unknowns), in the same units.
+            root: Covariance factor of the prior of that fit, about as certain as this one.
+            time: Capture time of the image, s.
+            weight: Fraction of the fit's information that counts.
 
         Returns:
-            The belief after it. With J = root^-T (left^-1 - 1) root^-1 the information of the
-            image, P^-1 grows by J, and the mean moves by P root^-T left^-1 found. An image from
-            which no such numbers come tells nothing.
+            The posterior. With the information J = root^-T (left^-1 - 1) root^-1 of the image, P^-1
+            grows by J, and the mean moves by P root^-T left^-1 found. If these cannot be computed,
+            the image has no effect.
         """
         nothing = CameraDriftFilter(self.mean, self.known, time)
         try:
@@ -127,8 +133,10 @@ class CameraDriftFilter:
 
 
 def drift_of(found: Array, seen: Array) -> float:
-    """How large the drift `found` is, in sd (gas, then the camera's modes), over what estimates of
-    it have, the share `seen` of their variances: 1 is as believed. Gas counts as one mode of four.
+    """Return the mean square drift relative to its expected value; 1 means as assumed.
+
+    `found` is the estimated drift in standard deviations (gas, then the camera's modes), `seen` the
+    fraction of their variance that estimates have. Gas counts as one mode of four.
     """
     share = found**2 / seen
     return float((share[0] + 3 * share[1:].mean()) / 4)

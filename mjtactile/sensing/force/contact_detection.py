@@ -1,9 +1,9 @@
-"""Is there a touch at all, and the zero that follows the weather while there is none (Eq. F15).
+"""Contact detection, and a zero that tracks temperature and weather without contact (Eq. F15).
 
-A tenth of a kelvin of the chamber's gas, or 0.3 hPa of weather, moves the felt force by as much as
-a light touch. While nothing touches, the amount of gas and the markers' offsets are followed
-slowly; in contact they are frozen. A touch that comes slowly is none yet by its force, but it is
-local, which weather is not.
+A change of 0.1 K in the gas or 0.3 hPa in the ambient pressure changes the estimated force as much
+as a light touch. Without contact, the gas amount and the marker offsets are tracked slowly; in
+contact they are frozen. The force does not detect a contact that grows slowly. But such a contact
+is local, while weather is not.
 """
 
 from __future__ import annotations
@@ -21,10 +21,13 @@ from mjtactile.sensing.settings import DEFAULTS, ContactDetectionSettings
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """Whether something touches, and what the next image needs: `time` s, `touching`, since when
-    all is quiet, `noise` N: the sd of the normal force from image to image, the number of `images`
-    it was learnt from, the last `force`, N, and its `level`, a mean over the last few images that
-    is as light a touch as can be told from noise."""
+    """Contact detection result, with the values for the next image.
+
+    `time`, s, and `touching`; `quiet_since`, s, the start of the phase without contact. `noise` is
+    the standard deviation of the normal force between images, N, from `images` images. `force` is
+    the last force, N. `level` is its mean over the last few images, N, which detects lighter
+    contacts.
+    """
 
     time: float
     touching: bool
@@ -68,9 +71,11 @@ def detect_touch(
 
 @dataclass(frozen=True, eq=False)
 class RestTracker:
-    """The rest state that is followed, and by how much all markers stand apart from it, `apart` (N,
-    3) m, a mean over about `ContactDetectionSettings.smooth` s; `share` is by how much more of its
-    gas it has just been followed."""
+    """Tracked rest state.
+
+    `apart` (N, 3), m, is the deviation of all markers from it, averaged over about
+    `ContactDetectionSettings.smooth` s. `share` is the last relative correction of its gas.
+    """
 
     rest: InverseRest
     apart: Array
@@ -89,12 +94,12 @@ def follow(
     step: float,
     s: ContactDetectionSettings = DEFAULTS.zero,
 ) -> RestTracker:
-    """The zero after `step` s more without touch: gas and offsets move a little towards what the
-    markers show.
+    """Track the zero over `step` s without contact: gas and offsets move slightly toward the
+    markers.
 
-    The gas takes the part of the markers' motion that a change of its amount would make; the
-    offsets take what is left. What neither gas nor a camera that has moved would make is a touch
-    too light to be felt yet: then they move hardly at all.
+    The gas takes the part of the marker motion that a change of its amount would cause. The offsets
+    take the remainder. Motion that neither gas nor camera drift explains is a touch too light to
+    detect. Then gas and offsets hardly move.
     """
     rest = zero.rest
     ids = markers.ids
@@ -129,7 +134,7 @@ def _of_gas(estimator: InverseMembrane, rest: InverseRest, shape: Shape) -> Arra
     chamber = estimator.design.chamber
     if rest.gas.constant is None:
         return shape.gain.stiffness.solve((chamber.ambient + rest.gas.gauge) * state.gradient)
-    # Pa
+    # pressure per relative change of the gas amount, Pa
     per_fraction = (
         rest.gas.constant
         / (estimator.design.chamber_volume_flat + state.volume) ** chamber.polytropic_exponent
@@ -138,8 +143,12 @@ def _of_gas(estimator: InverseMembrane, rest: InverseRest, shape: Shape) -> Arra
 
 
 def _explain(apart: Array, moved: Array, cov: Array) -> tuple[float, float]:
-    """The share of the gas's motion `moved` (m, 3) in `apart` (m, 3), and the mean square, over the
-    markers' variance `cov` (m, 3, 3), of what is left of it by gas and a moved camera."""
+    """Return the fraction of the gas motion `moved` (m, 3) in `apart` (m, 3), and the remaining
+    misfit.
+
+    The misfit is the mean square of the remainder after gas and camera motion, relative to the
+    markers' covariance `cov` (m, 3, 3).
+    """
     whiten = np.linalg.inv(np.linalg.cholesky(cov))
     camera = np.broadcast_to(np.eye(3), (len(apart), 3, 3))
     columns = np.concatenate([moved[:, :, None], camera], axis=2) if moved.any() else camera

@@ -1,13 +1,13 @@
-"""Force on an inflated membrane from its measured surface and its pressure alone: for bubbles whose
-inside is seen by a depth camera, without markers (docs/theory/membrane_inverse.md, Eq. F24).
+"""Force on an inflated membrane from its measured surface and pressure only.
 
-With a surface z(x, y) over the gas, outward along z, gauge pressure p and tension T,
+For bubble sensors with a depth camera inside and without markers (docs/theory/membrane_inverse.md,
+Eq. F24). With a surface z(x, y) over the gas, outward along z, gauge pressure p and tension T,
 
     q = p + T div(grad z / sqrt(1 + |grad z|^2))
 
-is the pressure with which the outside presses. Where nothing touches it vanishes, and so the
-surface at rest tells T, which changes little from place to place; how much it has grown since then
-is told by what is still free. Friction along the sheet does not bend it, and is not seen.
+is the contact pressure from outside. It vanishes without contact. So the surface at rest gives T,
+which varies little over the membrane. The free part of the surface gives its increase since then.
+Friction along the membrane does not bend it and is not measured.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 
 _PRESSED = 0.35  # of the gas's pressure: more is contact
-_AROUND = 1.5  # smoothing lengths, that are counted with it: what smoothing has smeared
+_AROUND = 1.5  # contact margin, in smoothing lengths: counts pressure smeared by smoothing
 _AWAY = 3.0  # smoothing lengths from contact, beyond which the sheet is free
-_ROUNDS = 3  # of looking for what is free, and of leaving out points that fit no surface
+_ROUNDS = 3  # iterations of the free-surface search and of the outlier rejection
 _OUTLIER = 3.0  # sd, at which a point counts half
 _FEWEST = 40  # points
 _MIN_SEEN = 0.25  # of a cell's usual number of points: less is a hole
-_FREE_MIN = 0.2  # of the surface, from which its tension is told
+_FREE_MIN = 0.2  # minimum free fraction of the surface for a tension estimate
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,17 +47,17 @@ class RestSurface:
 
 @dataclass(frozen=True, eq=False)
 class SurfaceForce:
-    """What presses on a surface.
+    """Contact force on a surface.
 
     Attributes:
-        force: (3,) N on the membrane, in the points' frame: a press has a negative z.
-        place: (2,) m, its centre of pressure; NaN: nothing touches.
-        area: m^2 of contact.
-        x: (nx,) m of the grid.
-        y: (ny,) m.
-        heights: (nx, ny) m of the surface.
-        pressing: (nx, ny) Pa, q; NaN where the surface was not seen.
-        tension: N/m, the middle of it.
+        force: Force on the membrane (3,), N, frame of the points; z is negative in contact.
+        place: Center of pressure (2,), m; NaN: no contact.
+        area: Contact area, m^2.
+        x: Grid coordinates (nx,), m.
+        y: Grid coordinates (ny,), m.
+        heights: Surface heights (nx, ny), m.
+        pressing: Contact pressure q (nx, ny), Pa; NaN where the surface was not measured.
+        tension: Median tension, N/m.
     """
 
     force: Array
@@ -78,23 +78,23 @@ def estimate_force_from_surface(
     *,
     smoothing: float = 4e-3,
 ) -> SurfaceForce:
-    """Find the force on an inflated membrane from its surface and pressure, by statics.
+    """Estimate the force on an inflated membrane from its surface and pressure, by statics.
 
     Args:
-        points: (n, 3) m on the membrane, in any order; z is outward, away from the gas, and there
-            is one height over each place. Points that are not finite are left out.
-        pressure: Of the gas above ambient, Pa.
-        outline: (k, 2) m, the polygon in which the surface is known: the frame, or what the camera
-            sees.
-        membrane: The same membrane with nothing touching, measured alike: what tension it has.
-        smoothing: m, over which depths are averaged: a few times the points' distance, and less
-            than what touches is wide.
+        points: Points on the membrane (n, 3), m, in any order; z is outward, away from the gas, and
+            each position has one height. Non-finite points are ignored.
+        pressure: Gauge pressure of the gas, Pa.
+        outline: Polygon in which the surface is measured (k, 2), m: the frame, or the camera's
+            field of view.
+        membrane: The same membrane without contact, measured in the same way; it gives the tension.
+        smoothing: Averaging length of the depths, m: a few times the point distance, and less than
+            the width of the contact.
 
     Returns:
-        The force, with the field of pressure that it is the sum of. Friction is not in it.
+        The force, with the pressure field that it sums up. Friction is not included.
 
     Raises:
-        InputError: Too few points, a polygon that is none, or a pressure that is not above ambient.
+        InputError: Too few points, an invalid polygon, or a pressure not above ambient.
     """
     corners = np.asarray(outline, float)
     if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3:
@@ -112,7 +112,7 @@ def estimate_force_from_surface(
     seen &= rest_observed
     rest_bent = grid.curvature(rest_heights)
     tension = _tension_of_rest(grid, rest_bent, seen, membrane.pressure)
-    # what its smooth tension leaves at rest is the camera's, or a stretch that differs by direction
+    # residual of the smooth tension at rest: camera error, or stretch that differs by direction
     held = tension * (bent - rest_bent) + membrane.pressure
     factor = _grown(grid, held, seen, pressure)
     tension = factor * tension
@@ -135,8 +135,8 @@ def _tension_of_rest(grid: _Grid, bent: Array, seen: NDArray[np.bool_], pressure
 
 
 def _grown(grid: _Grid, held: Array, seen: NDArray[np.bool_], pressure: float) -> float:
-    """Factor on the pressure `held` (nx, ny) Pa by the sheet's curvature, with which nothing
-    presses where the surface is free."""
+    """Return the factor on the curvature pressure `held` (nx, ny), Pa, that makes the contact
+    pressure zero on the free surface."""
     factor = 1.0
     for _ in range(_ROUNDS):
         contact = seen & (np.abs(pressure - factor * held) > _PRESSED * pressure)
@@ -158,7 +158,7 @@ def _summed(
     contact = np.zeros(known.shape, bool)
     if count:
         sums = np.bincount(numbered.ravel(), known.ravel())[1:]
-        # a spot as small as what is smoothed is the camera's
+        # spots as small as the smoothing length are camera noise
         sizes = np.bincount(numbered.ravel())[1:]
         large = sizes * grid.spacing**2 > grid.smoothing**2
         contact = np.isin(numbered, 1 + np.flatnonzero(large & (sums > 0)))
@@ -189,9 +189,11 @@ class _Grid:
         self.inside = _within(places, outline)
 
     def fit(self, points: ArrayLike, field: str) -> tuple[Array, NDArray[np.bool_]]:
-        """Heights (nx, ny) m, and where (nx, ny) they were seen: the surface of least bending
-        that goes through the points as `smoothing` lets it, by least squares that leave out what
-        fits no surface."""
+        """Return heights (nx, ny), m, and a mask (nx, ny) of where they were measured.
+
+        The surface has minimum bending and fits the points within `smoothing`. Robust least squares
+        rejects outliers.
+        """
         from scipy import sparse
         from scipy.sparse.linalg import splu
 
@@ -266,7 +268,7 @@ class _Grid:
         return -bent
 
     def grown(self, marked: NDArray[np.bool_], lengths: float) -> NDArray[np.bool_]:
-        """`marked` (nx, ny) and what is within so many smoothing lengths of it."""
+        """Return `marked` (nx, ny) dilated by a number of smoothing lengths."""
         from scipy.ndimage import binary_dilation
 
         times = round(lengths * self.smoothing / self.spacing)
@@ -274,8 +276,10 @@ class _Grid:
 
 
 def _within(places: Array, outline: Array) -> NDArray[np.bool_]:
-    """Which places (..., 2) lie within a polygon (k, 2): a ray to +x crosses it an odd number of
-    times."""
+    """Return a mask of the positions (..., 2) inside a polygon (k, 2).
+
+    A ray toward +x crosses the polygon an odd number of times from there.
+    """
     odd = np.zeros(places.shape[:-1], bool)
     for a, b in zip(outline, np.roll(outline, -1, axis=0), strict=True):
         if a[1] == b[1]:

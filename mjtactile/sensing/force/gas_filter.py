@@ -1,9 +1,10 @@
-"""How much gas is in the chamber, from its pressure gauge (docs/theory/gas.md, Eq. F17).
+"""Filter for the amount of gas in the chamber, from its pressure sensor (docs/theory/gas.md, Eq.
+F17).
 
-Sealed, the gas law says how pressure follows volume, and what the gauge shows beyond that is a
-change of the amount: a leak, warmth, a hole. Open, the valve keeps a pressure of its own, and the
-gauge says which. A Kalman filter follows either, with its rate; readings that it does not expect
-make it doubt itself first, and believe them at once (a hole, a valve that moved).
+In a sealed chamber the gas law gives pressure from volume. Further pressure changes are changes of
+the amount: a leak, warming, a hole. With an open valve the valve sets the pressure, which the
+sensor measures. A Kalman filter tracks either value and its rate. An unexpected reading (a hole, a
+moved valve) first inflates the covariance and is then accepted at once.
 """
 
 from __future__ import annotations
@@ -18,19 +19,23 @@ from mjtactile.core.types import Array, PressureReading
 from mjtactile.sensing.force.spline_fem import Gas
 from mjtactile.sensing.settings import DEFAULTS, GasFilterSettings
 
-# sd of the pressure when a valve has just moved, of the ambient one: so wide that the first reading
-# decides; half and twice of it change nothing (`bench gauge`)
+# Standard deviation of the pressure after a valve has moved, relative to ambient. It is so wide
+# that the first reading decides. Half and twice the value make no difference (`bench
+# gas-filter-sensitivity`).
 _MOVED = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class GasState:
-    """What is known of the gas at `time` s: while `is_open`, `value` is the gauge pressure over the
-    absolute ambient one; sealed, the logarithm of its amount over `amount` (p V^gamma). `rate` 1/s
-    is its change and `cov` (2, 2) the covariance of both; `surprise` a mean of the last readings'
-    deviations over their sd. `seen` are (time s, volume m^3) of the last images, the newest last;
-    `zero` is how much more gas the membrane at rest shows than the gauge, a share; `rest` Pa the
-    pressure at which that was seen."""
+    """Estimated state of the gas at `time`, s.
+
+    While `is_open`, `value` is the gauge pressure relative to the absolute ambient pressure. While
+    sealed, it is the logarithm of the amount relative to `amount` (p V^gamma). `rate`, 1/s, is its
+    derivative and `cov` (2, 2) the covariance of both. `surprise` is the mean of the last readings'
+    deviations over their standard deviation. `seen` holds (time s, volume m^3) of the last images,
+    the newest last. `zero` is the relative excess of gas that the membrane at rest shows over the
+    pressure sensor. `rest` is the gauge pressure where the zero was observed, Pa.
+    """
 
     time: float
     is_open: bool
@@ -44,8 +49,10 @@ class GasState:
     rest: float = math.nan
 
     def corrected(self, share: float) -> GasState:
-        """The same when the membrane at rest says that there is more gas by a `share`: the gauge's
-        zero has moved, or the weather."""
+        """Return the state with `zero` raised by `share`, as observed on the membrane at rest.
+
+        The cause is a drift of the pressure sensor's zero, or the weather.
+        """
         return replace(self, zero=self.zero + share)
 
     def refine_estimate(self, volume: float) -> GasState:
@@ -53,7 +60,7 @@ class GasState:
         return replace(self, seen=(*self.seen[:-1], (self.seen[-1][0], volume)))
 
     def volume_at(self, time: float) -> tuple[float, float]:
-        """Gas volume, m^3, at `time` s, and what of it is only extrapolated."""
+        """Return the gas volume at `time` s, m^3, and the extrapolated part of it."""
         t0, v0 = self.seen[0]
         t1, v1 = self.seen[-1]
         if t1 <= t0:
@@ -113,7 +120,7 @@ class GasFilter:
         return replace(state, seen=(*state.seen[-1:], (time, volume)), cov=cov)
 
     def switched(self, state: GasState, reading: PressureReading) -> GasState:
-        """The same gas when the valve was opened or closed, as the `reading` says."""
+        """Return the state after the valve was opened or closed, as stated in the `reading`."""
         if reading.is_open == state.is_open:
             return state
         s = self.settings
@@ -130,8 +137,10 @@ class GasFilter:
         )
 
     def read(self, state: GasState, reading: PressureReading) -> tuple[GasState, bool]:
-        """After a reading, and whether it says much that was not known. One that is known
-        already changes nothing."""
+        """Return the state after a reading, and True if it carries much new information.
+
+        A reading that was already used changes nothing.
+        """
         ahead = reading.time - state.time
         if not math.isfinite(reading.gauge_pressure) or ahead <= 0:
             return state, False
@@ -169,7 +178,7 @@ class GasFilter:
         )
 
     def _noise(self, state: GasState, seconds: float) -> Array:
-        """What may have changed within `seconds` besides the rate."""
+        """Return the process noise over `seconds`, in addition to the rate."""
         s = self.settings
         walk, rate = (s.open_walk, s.open_rate) if state.is_open else (s.walk, s.rate_walk)
         rate = math.hypot(

@@ -1,18 +1,17 @@
 """Traction on the membrane from its markers by inverse finite elements (level 3;
 docs/theory/membrane_inverse.md, Eq. F9-F12).
 
-Unknown are the tractions at the nodes of a grid. They deform the sheet of
-`mjtactile.sensing.force.spline_fem` from its forward-solved rest shape, so the bulge is not
-interpolated but computed; markers see the deformation at their places and, where they stand far
-apart, its slopes too. Nothing touches almost everywhere: the prior of
-`mjtactile.sensing.force.prior` follows the tractions found before, so that contacts become compact.
-The amount of gas and the camera's place may have drifted a little since they were measured; they
-are unknowns, too. And next to a sharp edge markers move in ways that the sheet's splines cannot
-follow: a marker counts the less, the worse it was explained.
+The unknowns are the tractions at the nodes of a grid. They deform the membrane model of
+`mjtactile.sensing.force.spline_fem` from its computed rest shape, so the bulge is not interpolated.
+Markers measure the deformation at their positions and, if they are far apart, its slopes. Contacts
+cover a small area: the prior of `mjtactile.sensing.force.prior` follows the earlier tractions, so
+that contacts become compact. The gas amount and the camera pose may have drifted slightly since
+they were measured. They are unknowns, too. Next to a sharp edge, markers move in patterns that the
+splines cannot follow. So a marker gets a smaller weight the worse it was explained.
 
-A frame is one Gauss-Newton step, or a few after a sudden change. Stiffness and gains are kept as
-long as the shape stays near where they were computed; then the step is back-substitutions only. The
-arithmetic is in mjtactile/kernels/inverse.c.
+A frame takes one Gauss-Newton step, or a few after a sudden change. Stiffness and gains are kept
+while the shape stays near their linearization point. Then a step consists of back-substitutions
+only. The arithmetic is in mjtactile/kernels/inverse.c.
 """
 
 from __future__ import annotations
@@ -42,21 +41,22 @@ from mjtactile.sensing.settings import (
     PriorSettings,
 )
 
-REWEIGHTED = 4  # from a cold start: before, loads and a camera that drifted share what is seen
+# iterations after a cold start; before, loads and camera drift share the marker motion
+REWEIGHTED = 4
 STEPS_MAX = 8
-STEP_LIMIT = 2e-3  # m
-SETTLED = 1e-4  # m: a step that ends the iteration
+STEP_LIMIT = 2e-3  # maximum change of a coefficient per step, m
+SETTLED = 1e-4  # step size that ends the iteration, m
 
 
 class InverseMembrane(LoadedMembrane):
     """Traction estimator of one sensor.
 
     Args:
-        design: The sensor's values.
-        settings: Of the fit.
-        prior: What is believed of tractions.
-        doubt: What is added to the wrench's covariance.
-        fiducials: Of a camera that fiducials show.
+        design: Sensor design.
+        settings: Settings of the fit.
+        prior: Settings of the traction prior.
+        doubt: Settings of the model error added to the wrench covariance.
+        fiducials: Settings for a camera observed by fiducials.
     """
 
     def __init__(
@@ -95,10 +95,13 @@ class InverseMembrane(LoadedMembrane):
         camera: CameraDriftFilter | CameraDriftEstimate | None = None,
         lost: bool = False,
     ) -> Shape:
-        """Tractions and deformation that explain the markers, starting from the last frame's where
-        there is one, with what is known of the `camera` (None: that nobody knocked it since
-        `rest`). Where fiducials show it, markers are as they would be without its change. Some of a
-        gas that no gauge measures may have been `lost`."""
+        """Estimate tractions and deformation from the markers, starting from the last frame if
+        given.
+
+        `camera` is the prior of the camera drift (None: not knocked since `rest`). With fiducials,
+        the markers are already corrected for it. `lost`: True if some gas without a pressure sensor
+        may have been lost.
+        """
         camera = camera or CameraDriftFilter.unseen(self.settings)
         c, before = (rest.c, None) if start is None else (start.c, start)
         gain = None if start is None else start.gain
@@ -129,8 +132,11 @@ class InverseMembrane(LoadedMembrane):
         gain: Linearization,
         count: int,
     ) -> Shape:
-        """One Gauss-Newton step from `c`: the sheet relaxes, tractions and drift explain what
-        markers, `seen` (m, 3) m by a camera as is believed, show beyond that."""
+        """Do one Gauss-Newton step from `c`.
+
+        The membrane relaxes to equilibrium; tractions and drift explain the remaining motion of the
+        markers. `seen` (m, 3), m, are the positions seen by the camera as assumed.
+        """
         ids = markers.ids
         m = len(markers)
         slopes_off = None
@@ -188,7 +194,7 @@ class InverseMembrane(LoadedMembrane):
     def _sight(
         self, stiffness: Stiffness, ids: NDArray[np.int64], weights: Array, tilts: Array | None
     ) -> tuple[object, ...]:
-        """What both kernels are told of the sheet and of the markers that see it."""
+        """Return the kernel arguments for the membrane and the detected markers."""
         return (
             *self.sheet.shape,
             self.sheet.numbers,
@@ -211,7 +217,7 @@ class InverseMembrane(LoadedMembrane):
         camera: CameraDriftFilter | CameraDriftEstimate,
         lost: bool,
     ) -> Linearization:
-        """The linearisation at `c` for these markers; `before` is what was found last."""
+        """Linearize at `c` for these markers; `before` is the last estimate."""
         state = self._state(c, rest)
         ids = markers.ids
         _, stiffness = self.sheet.linearise(state, rest.gas)
@@ -264,8 +270,12 @@ class InverseMembrane(LoadedMembrane):
     def _weights(
         self, c: Array, markers: Markers, distrust: Array
     ) -> tuple[Array, Array, Array | None]:
-        """One over the sd of each marker's place (n, 3, 3) and slope (n,), and what the slopes tell
-        of the sheet, so weighted; None: they are not looked at."""
+        """Return the whitening of each marker's position (n, 3, 3) and slope (n,), and the slope
+        rows.
+
+        The slope rows are the whitened derivatives of the slopes by the membrane's tangents; None:
+        slopes are not used.
+        """
         noise = markers.cov_p + self.settings.marker_floor**2 * np.eye(3)
         weights = np.linalg.inv(np.linalg.cholesky(noise)) / distrust[0, :, None, None]
         if self._slopes is None:
@@ -275,8 +285,10 @@ class InverseMembrane(LoadedMembrane):
         return weights, slope_weights, rows * slope_weights[:, None, None]
 
     def _distrust(self, ids: NDArray[np.int64], before: Shape | None) -> Array:
-        """By how much the sd of each marker's place and slope is raised (2, n), where the image
-        before did not explain them."""
+        """Return the factor (2, n) on the standard deviation of each marker's position and slope.
+
+        It exceeds 1 if the previous image did not explain the marker.
+        """
         excess = np.zeros((2, len(ids))) if before is None else before.excess[:, ids]
         usual = [[self.settings.excess], [self.settings.slope_excess]]
         return np.sqrt(np.maximum(1.0, excess / usual))
@@ -284,7 +296,8 @@ class InverseMembrane(LoadedMembrane):
     def _camera_modes(
         self, p_SM: Array, changed: Array, camera: CameraDriftFilter | CameraDriftEstimate
     ) -> Array:
-        """How (m, 3, modes) m markers at `p_SM` (m, 3) move with one sd of the camera's modes."""
+        """Return the motion (m, 3, modes), m, of markers at `p_SM` (m, 3) for one standard
+        deviation of each camera mode."""
         if isinstance(camera, CameraDriftFilter):
             return camera_modes(self.design, p_SM, changed, self.settings)
         return observed_modes(self.design, p_SM, changed, self.settings, self._known)
@@ -307,7 +320,7 @@ class InverseMembrane(LoadedMembrane):
         pressure *= share if rest.gas.constant is not None else 0.0
         return pressure, pressure * state.gradient
 
-    # -- what it means
+    # -- forces and covariance
 
     def traction(
         self,
@@ -317,9 +330,12 @@ class InverseMembrane(LoadedMembrane):
         air_moved: float = 0.0,
         lag: float = 0.0,
     ) -> Traction:
-        """Nodal forces on the grid, net wrench and its covariance, which grows with the motion
-        since `before`, `seconds` ago, and with the gas's own change of pressure since then,
-        `air_moved` Pa, and with the `lag`, images, of a camera that blends them."""
+        """Return nodal forces on the grid, the net wrench and its covariance.
+
+        The covariance grows with the motion since `before`, `seconds` ago. It also grows with the
+        gas's own pressure change since then, `air_moved`, Pa, and with the `lag`, images, of a
+        camera that blends images.
+        """
         force = shape.traction * self.node_area
         positions = self.node_positions(shape.c)
         wrench = _net(force, positions)
@@ -342,14 +358,16 @@ class InverseMembrane(LoadedMembrane):
         return Traction(self.x, self.y, nodal, wrench, cov, shape.gauge_pressure, method="inverse")
 
     def sharpness(self, shape: Shape) -> Array:
-        """The part of the wrench's variance, (6,), that is there since the sheet's splines do not
-        follow what is sharp."""
+        """Return the part of the wrench variance (6,) due to sharp features that the splines cannot
+        follow."""
         force = shape.traction * self.node_area
         return self._doubt.of_sharpness(force, float(shape.excess[0].mean()))
 
     def _posterior(self, shape: Shape, positions: Array) -> Array:
-        """Posterior covariance (6, 6) of the wrench of tractions on nodes at `positions` (J, 3) m:
-        what the prior leaves open between markers, and their noise."""
+        """Return the posterior covariance (6, 6) of the wrench, for nodes at `positions` (J, 3), m.
+
+        It covers the prior's uncertainty between markers, and the marker noise.
+        """
         gain = shape.gain
         cov = np.empty((6, 6))
         jx, jy, _, _, *roots = self._nodes

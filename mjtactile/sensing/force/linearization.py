@@ -1,5 +1,5 @@
-"""What an inverse step is made with, `Linearization`, and what it finds, `Shape`: values that the
-next image begins from."""
+"""Linearization of an inverse step (`Linearization`) and its result (`Shape`): start values of the
+next image."""
 
 from __future__ import annotations
 
@@ -14,25 +14,35 @@ from mjtactile.sensing.force.camera_drift_model import CameraDriftFilter
 from mjtactile.sensing.force.rest_equilibrium import InverseRest, darker
 from mjtactile.sensing.force.spline_fem import Stiffness
 
-NEAR = 2e-4  # m: a distance over which stiffness and gains are kept
+NEAR = 2e-4  # maximum change of the shape for which stiffness and gains are kept, m
 _SD_RATIO = 1.3  # by which the gas's pressure may become better or worse known meanwhile
-_CAMERA_RATIO = 1.5  # the same of what fiducials leave in doubt of the camera
+_CAMERA_RATIO = 1.5  # the same for the camera drift uncertainty
 _DARKER_NEAR = 0.03  # of darkness, over which the camera's modes are kept
 
 
 @dataclass(frozen=True, eq=False)
 class Linearization:
-    """One linearisation, at `c` (3, n), for markers `ids`: the `stiffness`, the whitened markers'
-    `half` covariance (r, 3 J) by the tractions' prior (r = 3 m positions, and 2 m slopes where they
-    count); `weights` (m, 3, 3) that whiten positions, `slope_weights` (m,) and `tilts` (2, m, 2,
-    3), the whitened slopes' derivatives by the sheet's tangents, or None, and the factors
-    `distrust` (2, m) on the sd of both that they contain; the response (r, 1 + modes) to one sd of
-    `drift` (gas, the camera's modes), the gas's part of it as pressure, Pa, and as a load (3, n),
-    and the share `observed_drift` (1 + modes,) of their variances that estimates have; prior sd (3
-    J,) of the tractions; the lower factor of the predicted covariance of the whitened markers; and
-    how often it was `reweighted`: tractions had been found before it was made; by how much markers
-    were `darker` than at rest (m,), what was known of the `camera` before, how (m, 3, modes) m
-    markers move with its modes, and the share (modes, modes) of its covariance that is `left`."""
+    """Linearization at `c` (3, n) for markers `ids`.
+
+    - `stiffness`: factorized stiffness of the membrane.
+    - `half` (r, 3 J): whitened markers' covariance by the prior of the tractions (r = 3 m
+      positions, and 2 m slopes if used).
+    - `weights` (m, 3, 3): whitening of the positions.
+    - `slope_weights` (m,), `tilts` (2, m, 2, 3): whitening of the slopes, and whitened derivatives
+      of the slopes by the membrane's tangents, or None.
+    - `distrust` (2, m): factors on the standard deviations contained in both.
+    - `drift` (r, 1 + modes): response to one standard deviation of drift (gas, the camera's modes).
+    - `drift_gas`: the gas drift as pressure, Pa, and as a load (3, n).
+    - `observed_drift` (1 + modes,): fraction of the drift variances that estimates have.
+    - `prior` (3 J,): prior standard deviations of the tractions.
+    - `innovation`: lower factor of the predicted covariance of the whitened markers.
+    - `reweighted`: number of linearizations with tractions estimated before.
+    - `gas`: type of the gas (measured, open) and its standard deviation.
+    - `darker` (m,): darkening of the markers since the rest reference.
+    - `camera`: prior of the camera drift; `lost`: True if gas may have been lost.
+    - `modes` (m, 3, modes): marker motion per camera mode, m.
+    - `left` (modes, modes): fraction of the camera covariance that is left.
+    """
 
     c: Array
     ids: NDArray[np.int64]
@@ -63,8 +73,8 @@ class Linearization:
         camera: CameraDriftFilter | CameraDriftEstimate,
         lost: bool,
     ) -> bool:
-        """Whether it can be used near `c`, for these markers, with what is known of the gas and of
-        the camera."""
+        """Return True if it is valid near `c`, for these markers and this knowledge of gas and
+        camera."""
         if lost != self.lost or not _equally_certain(camera, self.camera):
             return False
         if not np.array_equal(self.ids, markers.ids) or np.abs(c - self.c).max() >= NEAR:
@@ -79,12 +89,15 @@ class Linearization:
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """An estimate: coefficients `c` (3, n) m of the deformation, nodal tractions (3, J) Pa, gauge
-    pressure Pa, the mean square `misfit` of the markers over their predicted sd, the gain it came
-    from, and the mean square noise over its sd, `excess` (2, N), of each marker's position and
-    slopes, the mean square `drift` found, over what is to be expected (`drift_of`), and the
-    camera's modes (modes,) beyond what was known of them, `camera`, in units of what was left
-    open. Hand it to the next frame."""
+    """Membrane estimate, to be passed to the next frame.
+
+    `c` (3, n), m, are the coefficients of the deformation, `traction` (3, J), Pa, the nodal
+    tractions, and `gauge_pressure`, Pa, the pressure. `misfit` is the mean square of the markers
+    over their predicted standard deviation, and `gain` the linearization used. `excess` (2, N) is
+    the mean square noise of each marker's position and slopes over its standard deviation. `drift`
+    is the mean square drift relative to its expected value (`drift_of`). `camera` (modes,) are the
+    camera's modes relative to their prior, in units of the remaining uncertainty.
+    """
 
     c: Array
     traction: Array
@@ -100,7 +113,7 @@ class Shape:
 def _equally_certain(
     one: CameraDriftFilter | CameraDriftEstimate, other: CameraDriftFilter | CameraDriftEstimate
 ) -> bool:
-    """Whether about as much is known of the camera."""
+    """Return True if the camera drift has about the same uncertainty in both."""
     if type(one) is not type(other) or one.root.shape != other.root.shape:
         return False
     ratio = np.diagonal(one.root) / np.diagonal(other.root)

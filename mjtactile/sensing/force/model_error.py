@@ -1,9 +1,9 @@
-"""What the posterior covariance of the wrench cannot know of, since the sheet's model leaves it out
-(docs/theory/membrane_inverse.md, Eq. F12).
+"""Variance of the wrench due to errors of the membrane model, which the posterior covariance does
+not contain (docs/theory/membrane_inverse.md, Eq. F12).
 
-Standard deviations of shear, normal force, tilting and spinning torque, the torques over a lever:
-shares of what was felt, and the drag of a sheet that moves. What they are was measured on simulated
-presses, taps, drags and holds (`bench bars`).
+Standard deviations of shear, normal force, tilting and spinning torque; torques are divided by a
+lever. They are fractions of the estimated load, plus the drag of a moving membrane. Their values
+were measured on simulated indentations, taps, drags and holds (`bench uncertainty`).
 """
 
 from __future__ import annotations
@@ -28,10 +28,13 @@ _TILTS = AXES == 2
 
 @dataclass(frozen=True, eq=False)
 class FitDiagnostics:
-    """What a shape says: nodal `force` (3, J) N, by how much the wrench has changed since the last
-    image, `change` (6,), the mean `velocity` (3,) m/s of the sheet since then, and the mean over
-    all markers of their squared noise over its sd, `excess`; by how much the pressure has changed
-    by itself, `air_moved` Pa; by how many images the camera's pictures `lag`."""
+    """Inputs of the model error from an estimate.
+
+    `force` (3, J), N, are the nodal forces, and `change` (6,) the change of the wrench since the
+    last image. `velocity` (3,), m/s, is the mean velocity of the membrane since then. `excess` is
+    the mean over all markers of their squared noise over its standard deviation. `air_moved`, Pa,
+    is the gas's own pressure change, and `lag` the delay of the camera, images.
+    """
 
     force: Array
     change: Array
@@ -63,7 +66,7 @@ class ModelErrorVariance:
         self._unit = np.array([1.0, 1.0, 1.0, *np.full(3, settings.lever)])
 
     def variance(self, felt: FitDiagnostics) -> Array:
-        """Of force, N^2, and torque, (N m)^2, about the origin of S, (6,)."""
+        """Return the variance of force, N^2, and torque, (N m)^2, about the origin of S (6,)."""
         size = float(np.linalg.norm(felt.force.sum(axis=1)))
         sums = np.abs(felt.force)
         loads = np.array(
@@ -84,15 +87,17 @@ class ModelErrorVariance:
         return self._unit**2 * variance
 
     def of_sharpness(self, force: Array, excess: float) -> Array:
-        """The part of `variance` that is there since the splines do not follow what is sharp, and,
-        of shear and spin, since what is drawn towards each contact from all sides may not cancel.
+        """Return the part of `variance` due to sharp features that the splines cannot follow.
+
+        For shear and spin it includes the part due to lateral forces toward each contact, which may
+        not cancel.
 
         Args:
-            force: (3, J) N of the nodes.
-            excess: As `FitDiagnostics` has it.
+            force: Nodal forces (3, J), N.
+            excess: Marker noise, as in `FitDiagnostics`.
 
         Returns:
-            Of force, N^2, and torque, (N m)^2, about the origin of S, (6,).
+            Variance of force, N^2, and torque, (N m)^2, about the origin of S (6,).
         """
         loads = np.array(self._sharp_loads(force, excess))
         variance = np.square(self._shares[_SHARP] * loads).sum(axis=0)
@@ -107,8 +112,11 @@ class ModelErrorVariance:
 
 
 def _outside(layout: MarkerLayout, nodes: Array) -> Array:
-    """How far (J,) nodes are beyond the outermost markers: 1 from half their distance on, 0 from as
-    far within, where markers see all around."""
+    """Return the degree (J,) to which nodes lie outside the outermost markers.
+
+    It is 1 from half a marker pitch outside, and 0 from half a pitch inside, where markers surround
+    the node.
+    """
     most = np.abs(layout.p_SM[:, :2]).max(axis=0)
     beyond = (np.abs(nodes) - most) / [layout.pitch_x, layout.pitch_y]
     return np.square(np.clip(beyond + 0.5, 0.0, 1.0).max(axis=1))

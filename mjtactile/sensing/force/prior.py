@@ -1,10 +1,10 @@
-"""What is believed of the tractions on a grid of nodes before a frame is looked at
+"""Prior of the tractions on a grid of nodes before a frame is evaluated
 (docs/theory/membrane_inverse.md, Eq. F11).
 
-Contacts are compact: a node's variance follows the pressure found there before, softened over part
-of the grid's step and limited to what a sheet can carry; what presses on a node presses on its
-neighbours, too. Shear goes with pressure by friction. Tractions are (3, J) Pa, component by
-component, J = jx * jy nodes with y fastest.
+Contacts are compact: the variance of a node follows the last estimated pressure there. The pressure
+is smoothed over part of the grid spacing and limited to the load capacity of a membrane. Pressures
+of neighboring nodes are correlated. Shear is proportional to pressure by friction. Tractions are
+(3, J) Pa, component by component, J = jx * jy nodes with y fastest.
 """
 
 from __future__ import annotations
@@ -18,9 +18,12 @@ _JITTER = 1e-6  # keeps the correlation's factor finite
 
 
 class LoadPrior:
-    """Prior covariance S C S of nodal tractions: S the nodes' standard deviations, C Gaussian
-    correlation over the grid lines `x` (jx,), `y` (jy,) m, the same for each component. `root`: the
-    lower factors of C along x and along y."""
+    """Prior covariance S C S of nodal tractions.
+
+    S holds the standard deviations of the nodes. C is a Gaussian correlation over the grid lines
+    `x` (jx,) and `y` (jy,), m, the same for each component. `root` are the lower factors of C along
+    x and along y.
+    """
 
     def __init__(self, x: Array, y: Array, settings: PriorSettings = DEFAULTS.prior):
         self.settings = settings
@@ -42,8 +45,8 @@ class LoadPrior:
         )
 
     def after(self, traction: Array) -> Array:
-        """Standard deviations (3 J,) Pa after `traction` (3, J) was found; pulling counts as
-        nothing found."""
+        """Return the standard deviations (3 J,), Pa, after the estimate `traction` (3, J); tension
+        counts as zero."""
         by_x, by_y = self._soften
         pressing = (by_x @ np.maximum(-traction[2], 0.0).reshape(self._shape) @ by_y.T).ravel()
         pressing /= np.hypot(1.0, pressing / self.settings.pressure_limit)

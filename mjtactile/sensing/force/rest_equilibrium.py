@@ -1,8 +1,8 @@
-"""A sensor's sheet with its markers and with nothing touching (docs/theory/membrane_inverse.md, Eq.
+"""Membrane of a sensor with its markers, without contact (docs/theory/membrane_inverse.md, Eq.
 F25).
 
-The bulge is not interpolated but computed: the sheet of `mjtactile.sensing.force.spline_fem`,
-forward solved, as stiff as the markers at rest show it to be.
+The bulge is computed by the membrane model of `mjtactile.sensing.force.spline_fem`, not
+interpolated. The stiffness is fitted to the markers at rest.
 """
 
 from __future__ import annotations
@@ -18,21 +18,25 @@ from mjtactile.sensing.force.spline_fem import FEWEST_SPANS, Gas, Sheet, State
 from mjtactile.sensing.force.stress_relaxation import RelaxingMembrane
 from mjtactile.sensing.settings import InverseSettings
 
-_GAS_NEAR = 3.0  # Pa, over which the sheet at rest is kept
+_GAS_NEAR = 3.0  # pressure difference for which the rest shape is kept, Pa
 _REST_STEPS = 6  # the bulge goes with the stiffness to a power between -1 and -1/3
 
 
 @dataclass(frozen=True, eq=False)
 class InverseRest:
-    """What the sensor measured of itself with nothing touching: the `gas`; how many times as stiff
-    as the sensor file's the sheet bulges, `stiffness_scale`, and the factors on Young's modulus,
-    `young`, and on the pre-stretch, `stretch`, that this is put down to (Eq. F25); coefficients
-    `c` (3, n) m of the model that bulges as far as the markers do, and what then remains, `offset`
-    (N, 3) m, measured less modelled marker positions. Where a gauge measures the gas: the sd of its
-    pressure, `gas_sd` Pa, in a chamber of `gas_volume` m^3, and the pressure at rest,
-    `gauge_pressure` Pa. `darkness` (N,) is that of the markers then; NaN, or None: unknown. Of
-    rubber that relaxes the scale is that of its lasting modulus, and `faded` (3, qx, qy) N/m what
-    is lost by now of the stress that a quick deformation meets; None: it does not relax."""
+    """Rest state that the sensor measured without contact.
+
+    `gas` is the gas. `stiffness_scale` is the apparent stiffness of the bulge relative to the
+    sensor file. It is attributed to the factors `young` on Young's modulus and `stretch` on the
+    pre-stretch (Eq. F25). `c` (3, n), m, are the coefficients of the model that bulges as far as
+    the markers. `offset` (N, 3), m, is the remainder, measured minus modeled marker positions.
+
+    With a pressure sensor, `gas_sd`, Pa, is the standard deviation of the pressure in a chamber of
+    `gas_volume`, m^3. `gauge_pressure`, Pa, is the pressure at rest. `darkness` (N,) is that of the
+    markers at rest; NaN, or None: unknown. For rubber with relaxation, the scale refers to the
+    long-term modulus. `faded` (3, qx, qy), N/m, is the relaxed part of the instantaneous stress;
+    None: no relaxation.
+    """
 
     gas: Gas
     stiffness_scale: float
@@ -103,9 +107,12 @@ class MarkedMembrane:
         )
 
     def _apart(self, scale: float, c: Array) -> tuple[float, float]:
-        """The factors on Young's modulus and pre-stretch that a sheet has which bulges, at `c`, as
-        if it were `scale` times as stiff as its file's (Eq. F25): each is off by a share that goes
-        with its variance, and the pre-stretch by three sd at most."""
+        """Return the factors on Young's modulus and pre-stretch for an apparent stiffness `scale`
+        (Eq. F25).
+
+        The membrane bulges at `c`. Each factor deviates in proportion to its variance, and the
+        pre-stretch by at most three standard deviations.
+        """
         s = self.settings
         nominal = self.design.membrane.pre_stretch
         strain = nominal - 1 + self.sheet.mean_strain(c)
@@ -126,11 +133,10 @@ class MarkedMembrane:
         return replace(rest, gas_sd=sd, gas_volume=volume)
 
     def at_rest(self, rest: InverseRest) -> InverseRest:
-        """The same sensor with the shape and the pressure that it has at rest, now that its gas, or
-        what has faded of its stress, is another."""
+        """Return the rest state with shape and pressure updated to its gas and relaxed stress."""
         c = rest.c
         state = self._state(c, rest)
-        # what holds this bulge, as far as a pressure does
+        # pressure that best balances the elastic forces of this bulge
         held = float((state.elastic * state.gradient).sum() / (state.gradient**2).sum())
         if abs(self.sheet.gas_pressure(state, rest.gas)[0] - held) > _GAS_NEAR:
             scale = rest.young * self._quick
@@ -145,7 +151,7 @@ class MarkedMembrane:
         return self.sheet.state(c, rest.young * self._quick, rest.faded, rest.stretch)
 
     def _faded(self, c: Array, scale: float, inflated_s: float) -> Array | None:
-        """What has faded (3, qx, qy) N/m of a sheet that has been at `c` for `inflated_s` s."""
+        """Return the relaxed stress (3, qx, qy), N/m, of a membrane at `c` since `inflated_s` s."""
         return None if self.rubber is None else self.rubber.begin(c, scale, inflated_s, 0.0).total
 
     def positions(self, c: Array) -> Array:
@@ -165,7 +171,7 @@ def _spans(design: SensorDesign, settings: InverseSettings) -> tuple[int, int]:
 
 
 def darker(markers: Markers, rest: InverseRest) -> Array:
-    """By how much the darkness (m,) of each marker has changed since `rest`; 0 where unknown."""
+    """Return the change of each marker's darkness since `rest` (m,); 0 if unknown."""
     if markers.darkness is None or rest.darkness is None:
         return np.zeros(len(markers))
     changed = markers.darkness - rest.darkness[markers.ids]

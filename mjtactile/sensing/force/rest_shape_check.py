@@ -1,11 +1,11 @@
-"""Is the membrane at rest the bulge that the sensor file predicts, or does something touch it?
-(docs/theory/membrane_inverse.md, Eq. F16)
+"""Check that the membrane at rest has the predicted bulge, or detect a contact
+(docs/theory/membrane_inverse.md, Eq. F16).
 
-Whatever touches makes the membrane look stiffer, which a fit of the stiffness would swallow; but it
-also changes the bulge's shape. What the markers' heights leave of the best-fitting bulge is weighed
-with all that may be wrong of them while nothing touches: noise, the model's own discretisation, and
-the lens. A lens that was not measured makes heights wrong by a share that varies smoothly over the
-picture; and the worse it is, the more the flat membrane's markers were off their layout.
+A contact makes the membrane look stiffer, which a stiffness fit would absorb. But it also changes
+the shape of the bulge. The residual heights relative to the best-fitting bulge are compared with
+all errors possible without contact: noise, discretization of the model, and the lens. An
+uncalibrated lens scales heights by an error that varies smoothly over the image. This error is
+larger, the more the flat membrane's markers deviated from their layout.
 """
 
 from __future__ import annotations
@@ -52,19 +52,19 @@ def require_bulge(
     lens_measured: bool,
     settings: Settings = DEFAULTS,
 ) -> None:
-    """Refuse a rest that is no bulge of the sensor file's, in height or in shape.
+    """Raise an error if the rest state is not the bulge of the sensor file, in height or shape.
 
     Args:
-        design: The sensor's values.
-        markers: At rest.
-        z: Their heights (n,) m by the best-fitting bulge.
-        rest: What was made of them.
-        flat_px: The rms residual of the flat reference.
-        lens_measured: Whether the lens was calibrated.
-        settings: The stages' chosen numbers.
+        design: Sensor design.
+        markers: Markers at rest.
+        z: Marker heights of the best-fitting bulge (n,), m.
+        rest: Rest state estimated from them.
+        flat_px: Rms residual of the flat reference, px.
+        lens_measured: True if the lens was calibrated.
+        settings: Settings of the stages.
 
     Raises:
-        DeviceError: It is none.
+        DeviceError: The rest state is not that bulge.
     """
     gauge_pressure = rest.gas.gauge
     most = settings.reference.stiffness_off_max

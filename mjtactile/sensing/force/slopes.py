@@ -1,9 +1,9 @@
-"""How the sheet is tilted at its markers, as data for the inverse (docs/theory/membrane_inverse.md,
+"""Slopes of the membrane at its markers, as data for the inverse (docs/theory/membrane_inverse.md,
 Eq. F11).
 
-A marker is a circle that lies in the sheet, so that its ellipse tells the sheet's slopes there.
-Between markers that stand far apart that is what tells a flat face, which they see from its rim,
-from a ball that dents deeper.
+A marker is a circle in the membrane surface, so its ellipse gives the slopes there. Markers far
+apart see a flat face only from its rim. Their slopes distinguish it from a ball that indents
+deeper.
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ class MarkerSlopes:
         return geometry.slope_from_normal(markers.n_S) - slopes
 
     def weights(self, markers: Markers, c: Array) -> Array:
-        """One over the sd (m,) of measured slopes; 0 for those that say nothing."""
+        """Return the inverse standard deviation of the measured slopes (m,); 0 for unusable
+        ones."""
         outward = geometry.cross(*self._tangents(c, markers.ids))
         n = outward / np.linalg.norm(outward, axis=1)[:, None]
         p_CM = markers.p_SM + self._behind
@@ -52,8 +53,11 @@ class MarkerSlopes:
         return np.where(is_used, 1 / sd, 0.0)
 
     def rows(self, c: Array, ids: NDArray[np.int64]) -> Array:
-        """Derivatives (2, m, 2, 3) of the slopes by the sheet's derivatives by its own coordinates
-        at the markers, through the tangents g1 = dx/dX and g2 = dx/dY.
+        """Return the derivatives (2, m, 2, 3) of the slopes by the membrane's derivatives at the
+        markers.
+
+        These are derivatives by the parametric coordinates, through the tangents g1 = dx/dX and g2
+        = dx/dY.
 
         s_k = -N_k / N_z with N = g1 x g2: ds_k = q_k . dN = dg1 . (g2 x q_k) + dg2 . (q_k x g1),
         q_k = -(e_k + s_k e_z) / N_z.

@@ -1,17 +1,18 @@
-"""The membrane as a spline finite element: forces, tangent stiffness and equilibrium of the sensor
-file's rubber and gas.
+"""Spline finite element model of the membrane: forces, tangent stiffness and equilibrium with the
+rubber and gas of the sensor file.
 
-The displacement u(X) of the mounted flat sheet is a tensor-product cubic B-spline, zero on the
-frame. Its generalised forces are those of membrane stress, of gas at gauge pressure p, and of loads
+The displacement u(X) of the mounted flat membrane is a tensor-product cubic B-spline, zero on the
+frame. Its generalized forces are those of membrane stress, of gas at gauge pressure p, and of loads
 on the surface (docs/theory/membrane_inverse.md, Eq. F3-F5, F9). Coefficients are stored as (3, n):
-component by component, n = kx * ky splines with y fastest. Splines overlap only their neighbours,
-so that the stiffness is a band, but for the gas's term of rank one, which Sherman and Morrison's
-formula keeps apart. The arithmetic is in mjtactile/kernels/spline_fem.c.
+component by component, n = kx * ky splines with y fastest. Splines overlap only their neighbors, so
+the stiffness is banded, except for the rank-one term of the gas. The Sherman-Morrison formula
+handles that term separately. The arithmetic is in mjtactile/kernels/spline_fem.c.
 
-The splines are functions of the sheet's own coordinates, which fill a rectangle. Of a rectangular
-frame they are the places X themselves; another outline is the rectangle's image by the smooth map
-of `mjtactile.core.outline`, and the equations stay as they are with derivatives by X from the
-chain rule and areas from its determinant (the isogeometric way: Hughes, Cottrell & Bazilevs, 2005).
+The splines are functions of the membrane's parametric coordinates, which fill a rectangle. For a
+rectangular frame they are the positions X. Another outline is the image of the rectangle under the
+smooth map of `mjtactile.core.outline`. The equations then stay the same, with derivatives by X from
+the chain rule and areas from the determinant of the map (isogeometric analysis: Hughes, Cottrell &
+Bazilevs, 2005).
 """
 
 from __future__ import annotations
@@ -27,18 +28,18 @@ from mjtactile.core.types import Array
 from mjtactile.kernels import band_stride, kernel
 from mjtactile.sensing.constitutive_law import ConstitutiveLaw
 
-# nodes in each interval of the spline: what is integrated varies over markers, several intervals
+# Gauss points per spline interval: the integrands vary over the marker spacing, several intervals
 # wide
 _GAUSS = 2
 FEWEST_SPANS = 3  # four splines do not vanish in an interval
 _NEWTON_STEPS = 80
-_STEP_MAX = 1e-3  # m
-_CONVERGED = 1e-9  # m
+_STEP_MAX = 1e-3  # maximum change of a coefficient per Newton step, m
+_CONVERGED = 1e-9  # convergence tolerance of a step, m
 
 
 @dataclass(frozen=True, eq=False)
 class Gas:
-    """What fills the chamber: a sealed amount, p V^gamma = `constant`, or, with None, a valve that
+    """Gas in the chamber: a sealed amount, p V^gamma = `constant`, or, with None, a valve that
     keeps `gauge` Pa."""
 
     gauge: float
@@ -65,9 +66,12 @@ class Gas:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """A deformation: its coefficients `c` (3, n) m, the factor `scale` on Young's modulus, the
-    bulge's `volume` m^3 and its `gradient` (3, n) m^2 by the coefficients, the `elastic`
-    generalised forces (3, n) N, and the factor `stretch` on the sheet's pre-stretch."""
+    """Deformation state: coefficients `c` (3, n), m, and the factor `scale` on Young's modulus.
+
+    `volume`, m^3, is that of the bulge, and `gradient` (3, n), m^2, its derivative by the
+    coefficients. `elastic` (3, n), N, are the elastic generalized forces, and `stretch` the factor
+    on the pre-stretch.
+    """
 
     c: Array
     scale: float
@@ -79,8 +83,8 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Stiffness:
-    """A factorised tangent of `sheet`: the band's Cholesky `factor` at constant pressure, and what
-    the gas changes of the inverse, -`share` w w^T with w = `softened` (3 n,)."""
+    """Factorized tangent of `sheet`: the Cholesky `factor` of the band at constant pressure, and
+    the gas's change of the inverse, -`share` w w^T with w = `softened` (3 n,)."""
 
     sheet: Sheet
     factor: Array
@@ -180,7 +184,7 @@ class Sheet:
         return np.array([axis.length for axis in self.axes]) / 2
 
     def _turned(self, own: Array) -> Array:
-        """As kernels take it: (N, 5)."""
+        """Return the map's derivatives and area ratio (N, 5) in the kernels' layout."""
         return np.column_stack([self.turns(own).reshape(-1, 4), self.density(own)])
 
     # -- one state
@@ -188,8 +192,8 @@ class Sheet:
     def state(
         self, c: Array, scale: float = 1.0, faded: Array | None = None, stretch: float = 1.0
     ) -> State:
-        """What coefficients `c` (3, n) m make of the sheet, of whose stress (3, qx, qy) N/m has
-        `faded`."""
+        """Compute the state of the membrane at coefficients `c` (3, n), m, less its relaxed stress
+        `faded` (3, qx, qy), N/m."""
         elastic = np.empty_like(c)
         gradient = np.empty_like(c)
         volume = np.empty(1)
@@ -200,7 +204,7 @@ class Sheet:
         return State(c, scale, float(volume[0]), gradient, elastic, stretch)
 
     def _law(self, stretch: float) -> tuple[Array, int, Array, Array | None]:
-        """As kernels take it."""
+        """Return the constitutive law as kernel arguments."""
         numbers = self.numbers.copy()
         numbers[2] *= stretch**2
         return (numbers, *self._table)
@@ -249,7 +253,7 @@ class Sheet:
         return g1, g2
 
     def mean_strain(self, c: Array) -> float:
-        """By how much the mounted sheet is stretched, in the mean over its area and both ways."""
+        """Return the strain of the mounted membrane, averaged over its area and both directions."""
         g1, g2 = self._tangents(c)
         longer = sum(float((np.linalg.norm(g, axis=0) * self.weights).sum()) for g in (g1, g2))
         return longer / (2 * float(self.weights.sum())) - 1

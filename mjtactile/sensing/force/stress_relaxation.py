@@ -1,9 +1,9 @@
-"""Rubber that relaxes, as sensing knows it: what `mjtactile.core.relaxation` says, at the Gauss
-points of the inverse's sheet. For sensing; the simulator has code of its own.
+"""Stress relaxation of the rubber in sensing: the model of `mjtactile.core.relaxation` at the Gauss
+points of the membrane model. For sensing only; the simulator has separate code.
 
-The shape that was found tells the stress S at every point, and from one image to the next each term
-gives up what that stress makes it give up (Eq. F23). What has faded is a load on the sheet like any
-other; without it, it would be felt as force.
+The estimated shape gives the stress S at every point. From one image to the next, each term relaxes
+as this stress determines (Eq. F23). The relaxed stress is a load on the membrane like any other.
+Without it, it would be estimated as contact force.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from mjtactile.sensing.force.spline_fem import Sheet
 
 @dataclass(frozen=True, eq=False)
 class RelaxationState:
-    """What each term has given up, `faded` (terms, 3, qx, qy) N/m, with the lasting `stress` (3,
-    qx, qy) N/m at `time` s."""
+    """Relaxed stress of each term, `faded` (terms, 3, qx, qy), N/m, with the long-term `stress` (3,
+    qx, qy), N/m, at `time`, s."""
 
     faded: Array
     stress: Array
@@ -28,13 +28,13 @@ class RelaxationState:
 
     @property
     def total(self) -> Array:
-        """(3, qx, qy) N/m that all terms together have given up."""
+        """Total relaxed stress of all terms (3, qx, qy), N/m."""
         return self.faded.sum(axis=0)
 
 
 class RelaxingMembrane:
-    """Follows what the rubber of one sensor's sheet gives up; `scale` is that of its lasting
-    modulus, as in `InverseRest`."""
+    """Stress relaxation of one sensor's membrane; `scale` is the factor on its long-term modulus,
+    as in `InverseRest`."""
 
     def __init__(self, sheet: Sheet, relaxation: Relaxation):
         self._sheet = sheet
@@ -42,8 +42,8 @@ class RelaxingMembrane:
         self._shares = relaxation.shares[:, None, None, None]
 
     def begin(self, c: Array, scale: float, inflated_s: float, time: float) -> RelaxationState:
-        """Of a sheet that was flat for ever and then at `c` (3, n) m for `inflated_s` s, up to
-        `time` s."""
+        """Return the state at `time` s of a membrane that was always flat, then at `c` (3, n), m,
+        for `inflated_s` s."""
         flat = scale * self._sheet.stress(np.zeros_like(c))
         stress = scale * self._sheet.stress(c)
         kept = self._kept(inflated_s)
@@ -52,7 +52,7 @@ class RelaxingMembrane:
     def after(
         self, memory: RelaxationState, c: Array, scale: float, time: float
     ) -> RelaxationState:
-        """What it remembers at `time` s, when it is at `c` (3, n) m."""
+        """Return the relaxation state at `time` s, with the membrane at `c` (3, n), m."""
         stress = scale * self._sheet.stress(c)
         kept = self._kept(max(time - memory.time, 0.0))
         towards = self._shares * (memory.stress + stress) / 2

@@ -1,12 +1,12 @@
-"""Whether a camera's pictures are blends of several: temporal noise reduction, a rolling shutter.
+"""Detection of cameras that blend several images: temporal noise reduction, a rolling shutter.
 
-What was in the last picture is still in this one then, and what moves is felt late. It shows while
-nothing moves, in the markers' noise: that of one picture has nothing to do with that of the next,
-unless a share `a` of the next is the last. Differences of successive pictures then have, in place
-of -1/2, the correlation -(1 - a) / 2 with the next ones. Motion is smooth over the sheet and noise
-is not: a polynomial takes it out, and where it has taken out more than noise has, something moves.
+Then each image still contains the previous one, and motion is measured with a delay. Blending shows
+in the marker noise while nothing moves. The noise of two images is independent, unless a fraction
+`a` of the next image is the last one. Successive image differences then have the correlation -(1 -
+a) / 2 instead of -1/2. Motion is smooth over the membrane and noise is not. A polynomial removes
+the motion. If it removes more than noise would contribute, something moves.
 
-Rounding to whole grey levels is noise of its own, which makes a large `a` look smaller.
+Rounding to whole gray levels adds noise, which makes a large `a` look smaller.
 """
 
 from __future__ import annotations
@@ -21,17 +21,19 @@ from mjtactile.core.types import Array, Markers
 _DEGREE_MAX = 5
 _MARKERS_TO_A_TERM = 3
 _STILL = 1.5  # of the noise's mean square, which the polynomial may have taken out
-_KEPT = 0.95  # of what was seen, from still picture to still picture: 20 of them count
+_KEPT = 0.95  # memory factor per still image: 20 of them count
 _ENOUGH = 6.0  # still pictures, by weight
 _SURE = 0.15  # of a share: three of its sd with 16 markers, ten with 81
 
 
 @dataclass(frozen=True, eq=False)
 class Blend:
-    """What pictures up to the last one have told: places `p` (m, 3) m of the markers `ids` in it,
-    by how much they had moved, `moved` (m, 3) in sd, without what is smooth (None: something
-    moved), and sums over still pictures: of products of successive moves, of their squares, and of
-    the pictures."""
+    """Blending information from the images so far.
+
+    `p` (m, 3), m, are the positions of the markers `ids` in the last image. `moved` (m, 3) is their
+    motion in standard deviations, without its smooth part (None: something moved). The others are
+    sums over still images: of products of successive motions, of their squares, and of images.
+    """
 
     ids: NDArray[np.int64]
     p: Array
@@ -42,7 +44,7 @@ class Blend:
 
     @property
     def share(self) -> float:
-        """Of the last picture in each; 0 where it is not known, or none for sure."""
+        """Fraction of the previous image in each image; 0 if unknown or not significant."""
         if self.count < _ENOUGH or self.squares <= 0:
             return 0.0
         share = 1 + 2 * self.products / self.squares
@@ -50,7 +52,7 @@ class Blend:
 
     @property
     def images(self) -> float:
-        """By how many pictures what is seen lags behind."""
+        """Delay of the measured motion, in images."""
         return self.share / (1 - self.share)
 
 
@@ -69,14 +71,15 @@ class BlendEstimator:
         self._smooth = np.linalg.qr(self._terms)[0]
 
     def after(self, before: Blend | None, markers: Markers) -> Blend:
-        """What is known after a picture with these markers.
+        """Return the blending information after an image with these markers.
 
         Args:
-            before: After the last picture; None: there was none.
-            markers: Seen in this one.
+            before: Information after the previous image; None: no previous image.
+            markers: Markers detected in this image.
 
         Returns:
-            The same after it. A picture with other markers than the last tells nothing.
+            The updated information. It gains nothing from an image with other markers than the
+            last.
         """
         seen = Blend(markers.ids, markers.p_SM)
         if before is None:
@@ -93,8 +96,11 @@ class BlendEstimator:
         )
 
     def _moved(self, before: Blend, markers: Markers) -> Array | None:
-        """By how much the markers have moved since, (m, 3) in sd, without what is smooth; None
-        where they are others, or really move."""
+        """Return the marker motion since `before` (m, 3), in standard deviations, without its
+        smooth part.
+
+        Return None if the markers are others, or really move.
+        """
         if not np.array_equal(before.ids, markers.ids) or not len(markers.ids):
             return None
         sd = np.sqrt(np.diagonal(markers.cov_p, axis1=1, axis2=2))
@@ -111,7 +117,7 @@ class BlendEstimator:
 
 
 def _degree(markers: int) -> int:
-    """Of the polynomial: as high as so many markers carry."""
+    """Return the degree of the polynomial: the highest that this number of markers supports."""
     for degree in range(_DEGREE_MAX, 0, -1):
         terms = (degree + 1) * (degree + 2) // 2
         if _MARKERS_TO_A_TERM * terms <= markers:

@@ -1,5 +1,5 @@
-"""How a camera makes grey levels of light now, by circles whose levels were known before: exposure,
-gamma, and a level that no light has."""
+"""Tone curve of the camera relative to the reference, from circles with known reference levels:
+exposure, gamma, and black level."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ _UNKNOWN = Tone(math.nan, math.nan, math.nan)
 
 
 def tone_of(inside: Array, outside: Array, inside_then: Array, outside_then: Array) -> Tone:
-    """The curve from levels at the reference to levels now, by least squares.
+    """Fit the curve from reference levels to current levels by least squares.
 
-    Black and white give two of its three numbers; light that falls off towards the corners makes
-    either of them a range, whose slope gives the third.
+    Black and white determine two of its three parameters. Light that falls off toward the corners
+    spreads either level over a range, whose slope gives the third.
 
     Args:
-        inside: (n,) Levels of circles now.
-        outside: (n,) Of the ground around them.
-        inside_then: (n,) At the reference.
-        outside_then: (n,) At the reference.
+        inside: Levels inside the circles now (n,).
+        outside: Levels of the background around them now (n,).
+        inside_then: Levels inside at the reference (n,).
+        outside_then: Levels of the background at the reference (n,).
 
     Returns:
         The curve.

@@ -1,5 +1,5 @@
-"""A sensor's sheet with the nodes that carry tractions, and where these are: on the inner lines of
-a regular grid, in the sheet's own coordinates."""
+"""Membrane of a sensor with the nodes that carry tractions. The nodes lie on the inner lines of a
+regular grid in the membrane's parametric coordinates."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class LoadedMembrane(MarkedMembrane):
         hat_y = hats(self.y, ay.points)[0][:, 1:-1]
         self._hats = (hat_x, hat_y)
         own = product(self.x[1:-1], self.y[1:-1])
-        # (J,) m^2 of the sheet's own coordinates, and of the mounted sheet to one of these:
-        # kernels have tractions by the former, so that their integrals are products
+        # Areas (J,), m^2, in parametric coordinates, and the ratio of mounted to parametric area.
+        # Kernels take tractions per parametric area, so that their integrals are products.
         self._cells = np.outer(ax.weights @ hat_x, ay.weights @ hat_y).ravel()
         self._density = self.sheet.density(own)
         self.node_area = self._cells * self._density  # (J,) m^2
@@ -63,11 +63,11 @@ class LoadedMembrane(MarkedMembrane):
         return shape.traction @ self.node_area
 
     def node_positions(self, c: Array) -> Array:
-        """Where the nodes are now, (J, 3) m in S."""
+        """Return the current node positions (J, 3), m, frame S."""
         return self._flat_nodes + self._at_nodes @ c.T
 
     def fine_positions(self, c: Array) -> Array:
-        """Where the points of the fine grid are now, (3, a, b) m in S."""
+        """Return the current positions of the fine grid points (3, a, b), m, frame S."""
         moved = self._at_fine[0] @ c.reshape(3, *self.sheet.shape) @ self._at_fine[1].T
         moved[:2] += self._fine
         return moved
@@ -81,8 +81,10 @@ class LoadedMembrane(MarkedMembrane):
         return self.sheet.cells * (hat_x @ pressure @ hat_y.T)
 
     def _on_grid(self, force: Array) -> Array:
-        """Forces (3, J) N of the nodes on the regular grid of `Traction`, (ny, nx, 3): those of a
-        node that stands between its lines are shared so that sum and place stay."""
+        """Return the nodal forces (3, J), N, on the regular grid of `Traction`, (ny, nx, 3).
+
+        The force of a node between grid lines is distributed so that sum and position are kept.
+        """
         nodal = np.zeros((len(self.y), len(self.x), 3))
         if self._shared is None:
             inner = force.reshape(3, len(self.x) - 2, len(self.y) - 2)

@@ -1,7 +1,6 @@
-"""Where markers may be: Suzuki-Abe borders on a local threshold, and the area moments of each
-border.
+"""Marker candidates: Suzuki-Abe borders on a local threshold, and the area moments of each border.
 
-Nothing here is more precise than about half a pixel, on purpose.
+The accuracy is deliberately only about half a pixel.
 """
 
 from __future__ import annotations
@@ -19,9 +18,11 @@ from mjtactile.sensing.settings import DEFAULTS, CandidateSettings
 
 @dataclass(frozen=True)
 class Candidates:
-    """N borders: `center` (N, 2), `shape` (N, 3) of the ellipse with the same moments, `misfit`
-    (N,) the largest distance of the border from that ellipse in px, `cut` (N,) whether it touches
-    the image's edge."""
+    """N borders: `center` (N, 2), and `shape` (N, 3) of the ellipse with the same moments.
+
+    `misfit` (N,) is the maximum distance of the border from that ellipse, px. `cut` (N,) is True if
+    it touches the image border.
+    """
 
     center: Array
     shape: Array
@@ -70,8 +71,8 @@ def outlines(binary: NDArray[np.uint8], min_radius_px: float, s: CandidateSettin
     borders, tree = cv2.findContours(binary, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
     if not borders:
         return _NONE
-    # Outer borders only (no parent): a disc larger than the threshold's neighbourhood comes out
-    # hollow. Straight runs are given by their ends; less than six corners are no disc.
+    # Outer borders only (no parent): a disc larger than the threshold's neighborhood becomes
+    # hollow. Straight runs are stored by their ends; fewer than six corners are not a disc.
     counts = np.fromiter(map(len, borders), np.int64, len(borders))
     keep = (tree[0, :, 3] < 0) & (counts > 5)
     if not keep.any():
@@ -87,10 +88,10 @@ def outlines(binary: NDArray[np.uint8], min_radius_px: float, s: CandidateSettin
 def threshold(
     dark: NDArray[np.uint8], s: CandidateSettings = DEFAULTS.candidates
 ) -> NDArray[np.uint8]:
-    """Binary image: what is darker than the mean of its neighbourhood, by a margin."""
+    """Return a binary image of the pixels darker than their neighborhood mean by a margin."""
     height, width = dark.shape
     small = dark
-    while min(small.shape) >= 1.5 * s.cells:  # halving is what cv2 does fastest
+    while min(small.shape) >= 1.5 * s.cells:  # halving is the fastest resize in cv2
         small = cv2.resize(
             small, (small.shape[1] // 2, small.shape[0] // 2), interpolation=cv2.INTER_AREA
         )

@@ -1,5 +1,7 @@
-"""The pixels that a marker's fit looks at: a band along its edge, less what other markers darken.
-All in ragged arrays."""
+"""Pixels used by a marker's fit: a band along its edge, without pixels darkened by other markers.
+
+All in ragged arrays.
+"""
 
 from __future__ import annotations
 
@@ -54,8 +56,10 @@ def band(
 
 
 def _chord(shape: Array, dy: Array, u0: Array) -> tuple[Array, Array]:
-    """Where rows at `dy` (N, R) from the centre cut the ellipses; an empty interval where they do
-    not."""
+    """Return the intersections of rows at `dy` (N, R) from the center with the ellipses.
+
+    The interval is empty if there is no intersection.
+    """
     p, q, s = ellipse.inverse_shape(shape).T[..., None]
     A = p * p + q * q
     B = q * (p + s)
@@ -97,9 +101,11 @@ class Pixels:
 
 @dataclass(frozen=True)
 class Around:
-    """Markers of `center` (M, 2) and `shape` (M, 3) that may darken the band of another: `near` (N,
-    k) indices for each of N, -1 where there are fewer than k; `margin` px beside their edges darken
-    it, too."""
+    """Markers with `center` (M, 2) and `shape` (M, 3) that may darken the band of another one.
+
+    `near` (N, k) holds their indices for each of N markers, padded with -1. `margin`, px, is the
+    darkened zone next to their edges.
+    """
 
     center: Array
     shape: Array
@@ -122,7 +128,7 @@ class Around:
         i, j = np.concatenate([pairs, pairs[:, ::-1]]).T
         apart = np.hypot(*(center[i] - center[j]).T)
         close = (i < count) & (apart < reach[i] + reach[j] + width + s.neighbour_margin)
-        # no candidate that is the marker itself, or what it lies on, such as a sheet of paper
+        # exclude the marker itself, and objects it lies on, such as a sheet of paper
         close &= (apart > np.maximum(reach[i], s.min_distance_fraction * reach[j])) & (
             reach[j] < s.max_size_ratio * reach[i]
         )
@@ -138,7 +144,7 @@ class Around:
         return Around(self.center, self.shape, self.near[first:last], self.margin)
 
     def clear(self, u: NDArray, v: NDArray, counts: NDArray) -> NDArray[np.bool_]:
-        """Which of the bands' pixels (P,) are `margin` px and more from every neighbour's edge."""
+        """Return a mask of the band pixels (P,) at least `margin` px from every neighbor's edge."""
         clear = np.ones(len(u), dtype=bool)
         grown = ellipse.inverse_shape(self.shape + [self.margin, 0.0, self.margin])
         for column in self.near.T:

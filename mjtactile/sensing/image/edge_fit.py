@@ -1,16 +1,16 @@
-"""Sub-pixel ellipses by least squares on the image itself, for all markers at once (no per-marker
-call).
+"""Sub-pixel ellipses by least squares on the image, for all markers together (no per-marker call).
 
-The estimator for small or much blurred markers; `profiles` is ten times faster where there is room
-for it. Model of the pixels near one marker's edge, (dx, dy) from its centre:
+Estimator for small or strongly blurred markers; `profiles` is ten times faster for larger ones.
+Model of the pixels near one marker's edge, (dx, dy) from its center:
 
     I = (1 + g . (dx, dy)) (outside + (inside - outside) F)
 
-F is the filled ellipse blurred by a Gaussian of sd sigma (lens, pixel and the softening below
-together). For large markers F = Phi(-(n + kappa sigma^2/2)/sigma), with n the outward distance and
-kappa the edge's curvature: blurred, a curved edge has its 50 % level further in (41 um of depth in
-the paper's geometry). For small ones F is integrated. Ten parameters a marker: centre, shape,
-inside, outside, gradient g of the light, sigma. Gauss-Newton, robust weights.
+F is the filled ellipse blurred by a Gaussian of standard deviation sigma (lens, pixel and the
+softening below together). For large markers F = Phi(-(n + kappa sigma^2/2)/sigma), with the outward
+distance n and the edge curvature kappa. The blurred curved edge has its 50 % level further inward
+(41 um of depth in the paper's geometry). For small markers F is integrated. Ten parameters per
+marker: center, shape, inside, outside, gradient g of the light, sigma. Gauss-Newton, robust
+weights.
 """
 
 from __future__ import annotations
@@ -28,22 +28,24 @@ from mjtactile.sensing.image.edge_model import model
 from mjtactile.sensing.settings import DEFAULTS, EdgeSettings
 
 PARAMETERS = 10
-# A light softening first: what a camera does to single pixels (sharpening, demosaicing,
-# compression) matters less then.
+# Light softening first: it reduces the effect of processing of single pixels in the camera
+# (sharpening, demosaicing, compression).
 SOFTEN = np.array([0.2, 0.6, 0.2])
 SOFTEN_VARIANCE = 0.4  # px^2 per axis
 _PIXELS_AT_ONCE = 30_000  # a working set that stays in the processor's cache
 _PIXELS_FIRST = 170  # pixels per marker for the first steps and for the normal matrix
 _SETTLED = 0.05  # px: the largest last step of a fit that has converged
-UNSETTLED = 1e3  # grey levels added to the residual of any other, so that nobody trusts it
+UNSETTLED = 1e3  # gray levels added to the residual of unconverged fits, so that they are rejected
 
 
 @dataclass(frozen=True)
 class EdgeFit:
-    """N fits: `center` (N, 2), `shape` (N, 3) px, `cov` (N, 5, 5) of (u, v, p, q, s), `inside`,
-    `outside` levels (N,), `blur` (N,) px, `residual` (N,) rms in grey levels, `pixels` (N,) used,
-    `lost` (N,) share of robust weight lost, `motion` (N,) px: how much of the correction for blur
-    is owed to motion."""
+    """N fits: `center` (N, 2), `shape` (N, 3), px, and `cov` (N, 5, 5) of (u, v, p, q, s).
+
+    `inside` and `outside` are levels (N,), and `blur` (N,) is in px. `residual` (N,) is the rms in
+    gray levels, `pixels` (N,) the number of pixels used, and `lost` (N,) the lost fraction of
+    robust weight. `motion` (N,), px, is the part of the blur correction due to motion.
+    """
 
     center: Array
     shape: Array
@@ -169,14 +171,16 @@ def _fit_some(
     iterations: int,
     s: EdgeSettings,
 ) -> EdgeFit:
-    """Gauss-Newton for markers of similar size. The first steps look at some of the pixels only;
-    the last two at all, with one normal matrix between them (the fixed point does not depend on
-    it)."""
+    """Fit markers of similar size by Gauss-Newton.
+
+    The first steps use a subset of the pixels. The last two use all, with one normal matrix between
+    them (the fixed point does not depend on it).
+    """
     small = bool(
         (shape[:, 0] * shape[:, 2] - shape[:, 1] ** 2).min()
         < (s.small_radius * max(blur.sigma, 1)) ** 2
     )
-    iterations += 8 if small else 0  # blur, radius and level are harder to tell apart
+    iterations += 8 if small else 0  # blur, radius and level are harder to separate
     pixels, used, origin = gather(image, center, shape, around, width)
     theta = np.zeros((len(center), PARAMETERS))
     theta[:, :2] = center - origin
@@ -212,8 +216,8 @@ def _fit_some(
 def gather(
     image: NDArray, center: Array, shape: Array, around: Around, width: float
 ) -> tuple[Pixels, NDArray, Array]:
-    """The band's pixels, less what neighbours darken; how many are real, per marker; each marker's
-    origin (whole px)."""
+    """Return the band pixels without those darkened by neighbors, their true count per marker, and
+    each marker's origin (whole px)."""
     u, v, used = band((image.shape[0], image.shape[1]), center, shape, width)
     if around.near.size:
         clear = around.clear(u, v, used)
@@ -249,11 +253,11 @@ def normal_matrix(pixels: Pixels, J: NDArray, weight: NDArray) -> Array:
 
 
 def _robust(pixels: Pixels, residual: NDArray, theta: Array, s: EdgeSettings) -> NDArray:
-    """Weights 1/(1 + (r/c)^4): one for the bulk of the pixels, falling fast for glare, specks and
-    neighbours.
+    """Return weights 1/(1 + (r/c)^4): one for most pixels, falling fast for glare, specks and
+    neighbors.
 
-    c is `outlier` times the marker's rms residual, and no less than a share of its contrast: a lens
-    or a camera's sharpening that the model does not know is no outlier.
+    c is `outlier` times the marker's rms residual, but at least a fraction of its contrast. Effects
+    of lens or camera sharpening that the model does not contain are not outliers.
     """
     scale = np.maximum(
         s.outlier_residuals * np.sqrt(pixels.sums(residual * residual) / pixels.counts),

@@ -1,4 +1,4 @@
-"""How the edge of a blurred ellipse looks: a model image and its derivatives, for `edges`."""
+"""Image model of a blurred ellipse edge, with derivatives, for `edges`."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ _HERMITE = (
 
 
 def model(pixels: Pixels, theta: Array, J: NDArray, small: bool) -> NDArray:
-    """Model image (P,) for parameters `theta` (n, 10); fills J (10, P) with its derivatives.
+    """Return the model image (P,) for parameters `theta` (n, 10), and fill J (10, P) with
+    derivatives.
 
-    `small`: markers whose curvature is felt beyond the first order, see `_blurred_disc`. To first
-    order, the blur along a curved edge shifts it by kappa sigma^2/2.
+    `small`: True for markers whose curvature matters beyond first order, see `_blurred_disc`. To
+    first order, blur shifts a curved edge by kappa sigma^2/2.
     """
     cu, cv, ip, iq, js, det2, step, outside, gx, gy, sharp, sigma = pixels.spread(_numbers(theta))
     dx = pixels.x - cu
@@ -64,8 +65,11 @@ def model(pixels: Pixels, theta: Array, J: NDArray, small: bool) -> NDArray:
 
 
 def _numbers(theta: Array) -> Array:
-    """What the pixels of a marker share (12, n): centre, inverse shape, its determinant's square,
-    the edge's height, the level outside, the light's gradient, one over the blur, the blur."""
+    """Return the values common to all pixels of a marker (12, n).
+
+    Center, inverse shape, squared determinant of it, step height of the edge, outside level,
+    gradient of the light, inverse blur, blur.
+    """
     cu, cv, p, q, s, inside, outside, gx, gy, sigma = theta.T
     det = 1 / (p * s - q * q)
     shape = (s * det, -q * det, p * det, det * det)
@@ -83,8 +87,10 @@ def _fill(
     d: tuple[NDArray, NDArray],
     tail: NDArray,
 ) -> None:
-    """The derivatives J (10, P) of the image, in the order of the parameters: the edge's place and
-    shape, the two levels, the light's gradient, the blur."""
+    """Fill the derivatives J (10, P) of the image in the order of the parameters.
+
+    Position and shape of the edge, the two levels, gradient of the light, blur.
+    """
     np.multiply(slope, m[0], out=J[0])
     np.multiply(slope, m[1], out=J[1])
     np.multiply(J[0], e[0], out=J[2])

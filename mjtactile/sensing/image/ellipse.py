@@ -1,10 +1,9 @@
-"""Ellipses as (centre, symmetric shape matrix S): the points c + S (cos t, sin t). Batched; no
-singularity at circles.
+"""Ellipses as (center, symmetric shape matrix S): the points c + S (cos t, sin t).
 
-`shape` is (N, 3): the entries p, q, s of S = [[p, q], [q, s]], positive definite, in pixels. The
-five parameters (u, v, p, q, s) move the boundary along its outward normal m by m . dc + m . dS e,
-with e = (cos t, sin t), which is smooth everywhere; semi-axes and angle are not (the angle of a
-circle is undefined), so they appear at the edges only.
+Batched; not singular for circles. `shape` is (N, 3): the entries p, q, s of S = [[p, q], [q, s]],
+positive definite, in pixels. The five parameters (u, v, p, q, s) move the boundary along its
+outward normal m by m . dc + m . dS e, with e = (cos t, sin t). This is smooth everywhere. Semi-axes
+and angle are not (the angle of a circle is undefined), so they are used only at the interfaces.
 """
 
 from __future__ import annotations
@@ -108,8 +107,11 @@ def boundary(center: Array, shape: Array, count: int) -> tuple[Array, Array]:
 
 
 def moved(center: Array, shape: Array, move: Array) -> tuple[Array, Array]:
-    """Ellipses after a `move` (N, 5) = (w, V) with V = [[V0, V1], [V1, V2]], in units of the local
-    radius (cut at 0.4): centre c + S w, and the shape whose square is that of S (I + V)."""
+    """Return the ellipses after a `move` (N, 5) = (w, V) with V = [[V0, V1], [V1, V2]].
+
+    It is in units of the local radius (clipped at 0.4): center c + S w, and the shape whose square
+    is that of S (I + V).
+    """
     w0, w1, v0, v1, v2 = np.minimum(np.maximum(move.T.astype(float), -0.4), 0.4)
     p, q, s = shape.T
     a = 1 + v0

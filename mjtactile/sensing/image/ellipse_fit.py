@@ -1,5 +1,5 @@
-"""An ellipse for each candidate: by profiles across its edge where they have room, by all its
-pixels, which costs ten times more, where they have none."""
+"""Ellipse fit of each candidate: by edge profiles if it is large enough, else by all its pixels, at
+ten times the cost."""
 
 from __future__ import annotations
 
@@ -17,8 +17,10 @@ from mjtactile.sensing.settings import Settings
 
 
 def fit_candidates(grey: NDArray, found: Candidates, settings: Settings) -> EdgeFit:
-    """An ellipse for each candidate in a grey image (H, W), with a covariance that can be believed
-    or is as large as the marker."""
+    """Fit an ellipse to each candidate in a gray image (H, W).
+
+    The covariance is either reliable, or as large as the marker.
+    """
     axes, _ = ellipse.axes_from_shape(found.shape)
     large = axes[:, 1] >= settings.markers.profile_min_radius
     if not large.any():

@@ -1,12 +1,12 @@
-"""Every circle of a photograph, and an account of every candidate: what `locate` does beyond
-`markers.detect`.
+"""Detection of every circle in a photograph, with a status for every candidate. `locate` adds this
+to `markers.detect`.
 
-Touch sensing knows its markers: as large as the sensor file says, dark on an evenly lit membrane. A
-photograph has a bright window beside the board, dots of three pixels, drawn images without a grey
-edge. So candidates are looked for a second time by what is darker than a closing of the image (a
-"black hat", which sees blobs of one size whatever lies beside them), at several scales; a fit that
-failed is tried once more with the blur that the image's others agree on; and what is rejected is
-listed with the reason.
+Touch sensing knows its markers in advance: their size is in the sensor file, and they are dark on
+an evenly lit membrane. A photograph may have a bright window next to the board, dots of three
+pixels, or synthetic images without gray edges. So a second search takes pixels darker than a
+closing of the image. This "black hat" finds blobs of one size independent of their surroundings,
+and runs at several scales. A failed fit is repeated with the blur common to the others in the
+image. Rejected candidates are listed with the reason.
 """
 
 from __future__ import annotations
@@ -83,10 +83,12 @@ def detect_thoroughly(
 
 
 def _with_grey_edges(grey: NDArray, s: ExhaustiveDetectionSettings) -> NDArray:
-    """`grey`; blurred a little where it is black and white only (drawn, or a threshold's), so that
-    nothing between two pixels shows where an edge is. Blur of any size leaves as much of the
-    staircase's error, 0.05 px of radius at 13-20 px; with some, the fit sees it and its error bars
-    are right."""
+    """Return `grey`, slightly blurred if it is only black and white (synthetic or thresholded).
+
+    Without gray levels, nothing shows the edge position between two pixels. Blur of any size leaves
+    the same staircase error, 0.05 px of radius at 13-20 px. But with blur the fit detects it, and
+    its uncertainty is right.
+    """
     cross = cv2.getStructuringElement(cv2.MORPH_RECT, (3, 3))
     low = cv2.erode(grey, cross).astype(np.float32)
     high = cv2.dilate(grey, cross).astype(np.float32)
@@ -106,7 +108,7 @@ def _with_grey_edges(grey: NDArray, s: ExhaustiveDetectionSettings) -> NDArray:
 def _with_more(
     found: Candidates, dark: NDArray[np.uint8], min_radius_px: float, settings: Settings
 ) -> Candidates:
-    """`found`, and what only a black hat shows."""
+    """Return `found` and the additional candidates of the black hat."""
     scale = 1
     more = found
     s = settings.thorough
@@ -134,8 +136,11 @@ def _with_more(
 def _new(
     all_of_them: Candidates, s: ExhaustiveDetectionSettings, larger: float
 ) -> NDArray[np.bool_]:
-    """Which (N,) are neither one that came before them, seen again, nor a part of a larger one (up
-    to `larger` times)."""
+    """Return a mask (N,) of the new candidates.
+
+    A candidate is not new if it repeats an earlier one, or is part of one up to `larger` times
+    larger.
+    """
     center = all_of_them.center
     xx, xy, yy = ellipse.inverse_shape(all_of_them.shape).T
     size = np.sqrt(all_of_them.shape[:, 0] * all_of_them.shape[:, 2])
@@ -152,8 +157,10 @@ def _new(
 
 
 def _black_hat(dark: NDArray[np.uint8], settings: Settings) -> NDArray[np.uint8]:
-    """Binary image: what is darker than the closing of the image by more than half as much as the
-    darkest place nearby."""
+    """Return a binary image of the pixels darker than the closing of the image.
+
+    The threshold is half the maximum difference nearby.
+    """
     s = settings.thorough
     soft = cv2.GaussianBlur(dark, (3, 3), 0)
     kernel = cv2.getStructuringElement(cv2.MORPH_RECT, (s.closing_size, s.closing_size))
@@ -172,8 +179,8 @@ def _second_try(
     min_radius_px: float,
     settings: Settings,
 ) -> edge_fit.EdgeFit:
-    """`fit` with what was no marker fitted again, the blur being held near that of the markers that
-    are trusted."""
+    """Return `fit` with the rejected candidates refitted, at a blur near that of the trusted
+    markers."""
     status, keep = judge(fit, found, polarity, grey.shape, min_radius_px, settings.markers)
     if keep.all():
         return fit

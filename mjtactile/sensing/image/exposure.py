@@ -1,4 +1,4 @@
-"""Whether a picture says nothing of where edges are: it is white around its circles."""
+"""Detection of overexposed images, where clipping around the circles hides the edge positions."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from mjtactile.sensing.settings import LocateSettings
 def is_overexposed(
     grey: NDArray, ellipses: Ellipses, polarity: Polarity, s: LocateSettings
 ) -> bool:
-    """Whether the bright side of most edges is at the end of the camera's range (8, 10, 12, 14 or
-    16 bits)."""
+    """Return True if the bright side of most edges is at the end of the camera's range (8, 10, 12,
+    14 or 16 bits)."""
     top = int(grey.max(initial=0))
     good = ellipses.status == "ok"
     if not good.any() or top + 1 not in (2**8, 2**10, 2**12, 2**14, 2**16):

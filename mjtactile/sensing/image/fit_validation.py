@@ -1,4 +1,4 @@
-"""Which candidates and fits are markers, and which of these are to be trusted: a status for each.
+"""Classification of candidates and fits: markers or not, trusted or not, with a status for each.
 The arithmetic is in mjtactile/kernels/candidates.c."""
 
 from __future__ import annotations
@@ -60,13 +60,12 @@ def judge(
     min_radius_px: float,
     s: MarkerSettings,
 ) -> tuple[NDArray[np.str_], NDArray[np.bool_]]:
-    """Status (N,) of each fit, and whether (N,) it is likely a marker at all, be it to be trusted
-    or not.
+    """Return the status (N,) of each fit, and a mask (N,) of likely markers, trusted or not.
 
-    An edge is weak, an outline no ellipse, or part of it covered, by the fit's own numbers and by
-    what is usual in this image; blur is the image's, so that a marker much sharper or more blurred
-    than the others was not understood; and a fit that left its candidate behind found something
-    else.
+    Weak edges, non-elliptic outlines and partly covered edges are detected from the fit itself,
+    relative to typical values in this image. Blur is common to the image, so a marker much sharper
+    or more blurred than the others is rejected. A fit that moved away from its candidate fitted
+    something else.
     """
     n = len(fit.center)
     levels = np.stack([fit.inside, fit.outside])

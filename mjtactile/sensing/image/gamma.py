@@ -1,12 +1,12 @@
-"""Grey levels to light: undoing a camera's gamma curve, and telling from the circles themselves
-what it is.
+"""Conversion of gray levels to light: inversion of a camera's gamma curve, and estimation of gamma
+from the circles.
 
-A gamma curve E = c L^(1/gamma) makes a blurred edge lopsided: its half-way level is no longer where
-half of the light is, which moves dark circles' edges inwards by 0.2 px and more at 2.2. That
-lopsidedness is what tells gamma: one common gamma and every circle's ten parameters (`edges`) are
-fitted to the grey levels as they are, with gamma eliminated by its Schur complement. What it takes
-is blur of about half a pixel and more, a dark level well below the bright one, and nothing that is
-lopsided by itself: no clipping, no sharpening. How well circles agree on it is its error bar.
+A gamma curve E = c L^(1/gamma) makes a blurred edge asymmetric. Its half-way level is no longer at
+half of the light, which moves the edges of dark circles inward by 0.2 px and more at 2.2. This
+asymmetry determines gamma. One common gamma and every circle's ten parameters (`edges`) are fitted
+to the original gray levels. Gamma is eliminated by its Schur complement. This requires blur of at
+least half a pixel, a dark level well below the bright one, and no other asymmetry: no clipping, no
+sharpening. The scatter between circles gives the uncertainty.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ _WHITE = 65535
 
 @dataclass(frozen=True)
 class Gamma:
-    """An estimate of a camera's gamma, with its sd, from `circles` circles; NaN where there is too
-    little to tell."""
+    """Estimate of a camera's gamma with standard deviation, from `circles` circles; NaN without
+    enough data."""
 
     value: float
     sd: float
     circles: int
 
     def contradicts(self, assumed: float, s: GammaSettings) -> bool:
-        """Whether the image plainly has another gamma than `assumed`."""
+        """Return True if the image clearly has another gamma than `assumed`."""
         off = abs(np.log(self.value / assumed))
         # never, where it is unknown
         return bool(off > s.min_sds * self.sd / self.value and off > s.min_log_change)

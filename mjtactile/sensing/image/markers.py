@@ -31,13 +31,13 @@ def detect(
     """Find circular markers in `image` ((H, W) or (H, W, 3) uint8 or uint16, or an `Image`).
 
     `polarity`: markers "dark" on bright or "bright" on dark. `camera` is accepted so that all
-    stages look alike; ellipses are in distorted pixels, as in the image. `min_radius_px`: smallest
-    semi-minor axis looked for; from 4 px on, the search runs at half the resolution (the fit does
-    not).
+    stages have the same interface; ellipses are in distorted pixels, as in the image.
+    `min_radius_px` is the minimum semi-minor axis. From 4 px on, the search runs at half the
+    resolution (the fit does not).
 
-    Returns `Ellipses` in reading order of detection; those whose status is not "ok" are likely
-    markers that should not be trusted. No marker gives an empty result. Raises InputError for a
-    wrong shape, type or option.
+    Returns `Ellipses` in order of detection. Those whose status is not "ok" are likely markers that
+    should not be trusted. Without markers the result is empty. Raises InputError for a wrong shape,
+    type or option.
     """
     check_polarity(polarity)
     return as_ellipses(
@@ -53,8 +53,10 @@ def search(
     max_radius_px: float = math.inf,
     settings: Settings = DEFAULTS,
 ) -> tuple[EdgeFit, NDArray[np.str_]]:
-    """`detect` in a grey image (H, W): the fits, and the status of each; what is larger than
-    `max_radius_px` is left out, as is a round frame's own edge."""
+    """Run `detect` on a gray image (H, W) and return the fits with a status for each.
+
+    Candidates larger than `max_radius_px` are skipped, as is a round frame's own edge.
+    """
     eight = eight_bit(grey)
     s = settings.markers
     found = candidates.find(
@@ -101,7 +103,7 @@ def grey_image(image: NDArray | Image) -> NDArray:
 
 
 def eight_bit(grey: NDArray) -> NDArray[np.uint8]:
-    """Candidates need contrast, not depth: stretch what is really used of 16 bits to 8."""
+    """Stretch the used range of 16 bits to 8, since candidates need contrast, not depth."""
     if grey.dtype == np.uint8:
         return grey
     low, high = np.percentile(grey[::4, ::4], [0.1, 99.9])

@@ -1,13 +1,13 @@
-"""Sub-pixel ellipses from edge profiles, for all markers in one go: what runs at camera rate.
+"""Sub-pixel ellipses from edge profiles, for all markers together, at camera rate.
 
-K profiles cross each ellipse along its normals. Filters turn each into a few numbers (levels, area,
-offset of the edge by a matched filter, width), and robust least squares move the ellipses. Offsets
-are first found by area (right even two pixels away), then by the matched filter (near the
+K profiles cross each ellipse along its normals. Filters reduce each to a few numbers (levels, area,
+offset of the edge by a matched filter, width). Robust least squares then move the ellipses. Offsets
+first come from the area (correct even two pixels away), then from the matched filter (near the
 Cramer-Rao bound close to the edge).
 
-A disc blurred by a Gaussian of sd sigma has its 50 % level further in by kappa sigma^2/2 (kappa:
-curvature of the edge); sigma is measured from the profiles themselves and the bias removed. To
-first order in kappa sigma: `edges` is for the small markers where that is not enough. The
+A disc blurred by a Gaussian of standard deviation sigma has its 50 % level further inward by kappa
+sigma^2/2 (kappa: curvature of the edge). Sigma is measured from the profiles and the bias is
+removed. This is first order in kappa sigma; `edges` is for small markers that need more. The
 arithmetic is in mjtactile/kernels/ellipse_profiles.c.
 """
 
@@ -28,8 +28,8 @@ def fit(
 ) -> EdgeFit:
     """Fit N ellipses starting from `center` (N, 2), `shape` (N, 3) px, right to about two
     pixels."""
-    # Softening before bilinear interpolation makes the image smooth enough for it: without, offsets
-    # depend on where the edge lies within a pixel, by 2 um of depth in the paper's geometry.
+    # Softening makes the image smooth enough for bilinear interpolation. Without it, offsets depend
+    # on the edge position within a pixel, by 2 um of depth in the paper's geometry.
     source = cv2.sepFilter2D(image, cv2.CV_32F, SOFTEN, SOFTEN, borderType=cv2.BORDER_REPLICATE)
     n = len(center)
     # moved in place

@@ -1,11 +1,10 @@
-"""Markers of a sequence of images: fits begin where the markers were going, and the whole image is
-searched only now and then.
+"""Marker tracking in a sequence of images: fits start at predicted positions, with occasional
+searches of the whole image.
 
-A fit finds its edge from two pixels away, and between images markers move by less. It is believed
-when it ended near where it was expected, with the shape and contrast that the marker had before,
-and with a residual like the others'. When one is not, the whole image is searched; as it is after a
-gap, every so often, every other time while markers are missing, and always after an image in which
-something looked odd.
+A fit finds its edge from two pixels away, and between images markers move less. A fit is accepted
+if it ended near its prediction, with the marker's earlier shape and contrast, and with a residual
+like the others'. Otherwise the whole image is searched. It is also searched after a gap, at regular
+intervals, every other time while markers are missing, and after any suspicious image.
 """
 
 from __future__ import annotations
@@ -27,9 +26,11 @@ from mjtactile.sensing.settings import DEFAULTS, Settings, TrackingSettings
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """Trusted fits of the image at `time` s, how fast their centres move, `velocity` (N, 2) px/s,
-    how many markers there should be, and for how many images to come that may do without a
-    search."""
+    """Trusted fits of the image at `time`, s, and the velocity of their centers (N, 2), px/s.
+
+    `count` is the expected number of markers. `left` is the number of following images that need no
+    search.
+    """
 
     time: float
     fit: edge_fit.EdgeFit
@@ -47,8 +48,10 @@ def follow(
     max_radius_px: float = math.inf,
     settings: Settings = DEFAULTS,
 ) -> tuple[Ellipses, Tracks | None]:
-    """Dark markers in `image`, of which there are `count`, as `markers.detect` finds them, and what
-    to hand over with the next image. `before`: what the last image left, None if there was none."""
+    """Detect `count` dark markers in `image`, as `markers.detect` does, and return the next tracks.
+
+    `before`: tracks from the last image, None for the first.
+    """
     grey = markers.grey_image(image)
     s = settings.tracking
     fit = None if before is None else _tracked(grey, image.time, before, min_radius_px, settings)
@@ -76,8 +79,8 @@ def follow(
 def _tracked(
     grey: NDArray, time: float, before: Tracks, min_radius_px: float, settings: Settings
 ) -> edge_fit.EdgeFit | None:
-    """The fits of `before`, moved on; None where a search is due or one of them is not to be
-    believed."""
+    """Return the fits of `before` tracked to this image; None if a search is due or a fit is
+    rejected."""
     s = settings.tracking
     step = time - before.time
     if before.left < 1 or not 0 <= step <= s.max_gap:
@@ -95,7 +98,7 @@ def _tracked(
 def _believable(
     fit: edge_fit.EdgeFit, start: Candidates, before: edge_fit.EdgeFit, s: TrackingSettings
 ) -> bool:
-    """Whether all fits are where and as they were expected."""
+    """Return True if all fits have the expected position and appearance."""
     contrast = fit.outside - fit.inside
     was = before.outside - before.inside
     return _calm(fit, s) and bool(
@@ -106,7 +109,8 @@ def _believable(
 
 
 def _calm(fit: edge_fit.EdgeFit, s: TrackingSettings) -> bool:
-    """Whether no fit leaves more than its neighbours do: nothing lies on a marker's edge."""
+    """Return True if no fit has a larger residual than the others: no object lies on a marker's
+    edge."""
     return bool(
         fit.residual.max() < s.max_residual * statistics.median(fit.residual.tolist())
         and fit.lost.max() < s.max_lost_weight
@@ -114,8 +118,8 @@ def _calm(fit: edge_fit.EdgeFit, s: TrackingSettings) -> bool:
 
 
 def _velocity(center: Array, time: float, before: Tracks | None) -> Array:
-    """How fast (N, 2) px/s the circles at `center` (N, 2) move, from the nearest of those `before`;
-    0 where it is not known."""
+    """Return the velocity (N, 2), px/s, of the circles at `center` (N, 2), from the nearest of
+    those `before`; 0 if unknown."""
     unknown = np.zeros_like(center)
     if before is None or not before.time < time:
         return unknown

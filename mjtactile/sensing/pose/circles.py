@@ -1,18 +1,18 @@
-"""From ellipses to circle poses: the corrected closed form of the paper's Eq. 3-5, both solutions,
+"""Circle poses from ellipses: the corrected closed form of the paper's Eq. 3-5, both solutions,
 with covariance.
 
-With Q the circle's cone in ideal normalised coordinates (x^T Q x = 0 on the boundary), eigenvalues
+With Q the circle's cone in ideal normalized coordinates (x^T Q x = 0 on the boundary), eigenvalues
 l1 >= l2 > 0 > l3, eigenvectors v1, v3 (v3 away from the camera), sin psi = sqrt((l1 - l2)/(l1 -
 l3)), cos psi = sqrt((l2 - l3)/(l1 - l3)):
 
     C = r ( s sqrt(-l3/l1) sin psi v1 + sqrt(-l1/l3) cos psi v3 ),
     n = s sin psi v1 - cos psi v3,   s = +1 or -1
 
-Departures from the paper (docs/theory/circle_pose.md): Q = K^T M K instead of the pixel conic M;
-the sign belongs to the sine term alone; C is the centre in space, not only its image, so that no
-sine rule is needed; n faces the camera.
+Differences from the paper (docs/theory/circle_pose.md): Q = K^T M K instead of the pixel conic M.
+The sign applies to the sine term only. C is the center in space, not only its image, so no sine
+rule is needed. n faces the camera.
 
-The arithmetic is in mjtactile/kernels/circles.c: the closed form, the pane's rescaling of the
+The arithmetic is in mjtactile/kernels/circles.c: the closed form, the glass's rescaling of the
 boundary, and the derivative.
 """
 
@@ -33,10 +33,12 @@ _MIN_TILT = 1e-3  # rad; below it the normal's derivative vanishes and only its 
 def estimate_poses(
     ellipses: Ellipses, camera: optics.Camera | CameraDesign, radius: ArrayLike
 ) -> CirclePoses:
-    """Poses of N circles of `radius` (scalar or (N,)) m from their ellipses in distorted pixels.
+    """Estimate the poses of N circles of `radius` (scalar or (N,)) m from their ellipses in
+    distorted pixels.
 
-    Of the two solutions, `n_C` is the one more face-on to the camera's axis. Lens and pane are
-    those of `camera`. Raises InputError for a radius that is not positive or not one per ellipse.
+    Of the two solutions, `n_C` is the one more face-on to the camera's axis. Lens and glass are
+    those of `camera`. Raises InputError for a radius that is not positive or not one per
+    ellipse.
     """
     camera = camera if isinstance(camera, optics.Camera) else optics.Camera.from_design(camera)
     n = len(ellipses)
@@ -52,18 +54,19 @@ def estimate_poses(
 def pose_covariances(
     ellipses: Ellipses, camera: optics.Camera, p_CM: Array, n_C: Array
 ) -> tuple[Array, Array]:
-    """Covariances (N, 3, 3) of the centres `p_CM` (N, 3), m^2, and of the unit normals `n_C` (N, 3)
-    that `ellipses` have been found to have: of either of a circle's two poses.
+    """Return the covariances (N, 3, 3) of centers, m^2, and of unit normals, of either of the two
+    poses.
 
-    The derivative of the pose by the ellipse is that of the ellipse by the pose, inverted: with e
-    the unit circle's points, a change of either moves the boundary, in units of the local radius,
-    by e . w + e^T V e.
+    `p_CM` (N, 3) and `n_C` (N, 3) are the poses estimated from `ellipses`. The derivative of the
+    pose by the ellipse is that of the ellipse by the pose, inverted. With e the unit circle's
+    points, a change of either moves the boundary, in units of the local radius, by e . w + e^T V
+    e.
     """
     n = len(ellipses)
     cov = np.empty((len(ellipses), 5, 5))
     kernel("circle_covariances")(n, *_arrays(ellipses), p_CM, n_C, camera.numbers, cov)
     normals = _tilted(n_C, p_CM)
-    # (n_x, n_y) move at fixed n_z; what lies along n is no turn
+    # (n_x, n_y) move at fixed n_z; the component along n is not a rotation
     turn = (np.eye(3) - normals[:, :, None] * normals[:, None])[:, :, :2]
     return cov[:, :3, :3], turn @ cov[:, 3:, 3:] @ turn.transpose(0, 2, 1)
 
@@ -81,8 +84,8 @@ def circles_from_cones(Q: Array, radius: Array) -> tuple[Array, Array]:
 
 
 def cones(camera: optics.Camera, center_px: Array, shape: Array) -> Array:
-    """Cones Q (N, 3, 3) in ideal normalised coordinates of ellipses in distorted pixels, without
-    the pane."""
+    """Return the cones Q (N, 3, 3) of ellipses in distorted pixels, in ideal normalized
+    coordinates, without the glass."""
     Q = np.empty((len(shape), 3, 3))
     kernel("cones")(len(shape), center_px, shape, camera.numbers, Q)
     return Q

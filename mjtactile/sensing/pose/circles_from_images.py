@@ -1,5 +1,4 @@
-"""Circles in image files: read a file, find the circles, say where each is. The pure part of
-`mjtactile detect-circles`."""
+"""Circle poses from image files: the part of `mjtactile detect-circles` without side effects."""
 
 from __future__ import annotations
 
@@ -56,13 +55,18 @@ def load_image(path: str | Path) -> NDArray:
 
 @dataclass(frozen=True)
 class DetectedCircles:
-    """The circles of one image: their `ellipses` and `poses`, the likelier of the two of each
-    circle first, with the covariance `cov_p_alt` (N, 3, 3) m^2 of the other's centre and the
-    probability `sure` (N,) that the first is right; what they `shared` with neighbours (of
-    "elongation", "depth"; empty: every circle on its own); candidates that are no circles,
-    `rejected` each with a reason; whether the circles' bright side is `overexposed`; the camera's
-    gamma that was `assumed`, what the circles say of it, and whether they plainly say another
-    (`nonlinear`)."""
+    """Circles of one image.
+
+    - `ellipses` and `poses`: of the two poses of each circle, the more likely is first.
+    - `cov_p_alt` (N, 3, 3): covariance of the other pose's center, m^2.
+    - `sure` (N,): probability that the first pose is right.
+    - `shared`: quantities smoothed over neighbors ("elongation", "depth"; empty: each circle
+      alone).
+    - `rejected`: candidates that are not circles, each with a reason.
+    - `overexposed`: True if the circles' bright side is clipped.
+    - `assumed`: assumed gamma of the camera; `gamma`: its estimate from the circles; `nonlinear`:
+      True if they clearly differ.
+    """
 
     ellipses: Ellipses
     poses: CirclePoses
@@ -77,7 +81,7 @@ class DetectedCircles:
 
     @property
     def status(self) -> str:
-        """ "ok", or why the image tells nothing."""
+        """ "ok", or the reason why the image has no usable circle."""
         if (self.poses.status == "ok").any():
             return "ok"
         if len(self.poses):
@@ -98,30 +102,30 @@ def detect_circles(
 ) -> DetectedCircles:
     """Find circles of a known radius in one image, and their poses.
 
-    Where the bright side of the edges is clipped, all dark circles look smaller by tenths of a
-    pixel that nothing in the image tells; the covariance then allows for it.
+    If the bright side of the edges is clipped, all dark circles look smaller by tenths of a pixel.
+    The image does not show this error, so the covariance includes it.
 
     Args:
-        image: (H, W) or (H, W, 3) grey levels or colours, or an `Image`.
-        camera: Lens and pane.
-        radius: m, one for all or one for each circle.
-        polarity: Whether the circles are "dark" on bright ground, or "bright".
-        min_radius_px: The smallest that is looked for.
-        neighbours: Whether 40 and more circles that plainly lie on one smooth surface may help each
-            other: "auto" shares elongation, and depth where the circles are small and all of one
-            radius; "always" shares depth at any size; "never" estimates each on its own. Circles
-            that do not agree are never made to.
-        gamma: Of a camera whose grey levels are light to the power of 1/gamma; "auto" uses what the
-            circles plainly say. The covariance allows for its error bar then, and for the
-            difference where they plainly say another than was given.
-        settings: The chain's numbers.
+        image: Gray levels or colors (H, W) or (H, W, 3), or an `Image`.
+        camera: Lens and glass.
+        radius: Circle radius, m, one for all or one for each circle.
+        polarity: Circles "dark" on a bright background, or "bright".
+        min_radius_px: Minimum radius to search for.
+        neighbours: Smoothing over 40 or more circles that clearly lie on one smooth surface. "auto"
+            shares elongation, and depth if the circles are small and all of one radius. "always"
+            shares depth at any size; "never" estimates each alone. Circles that disagree are not
+            smoothed.
+        gamma: Gamma of a camera whose gray levels are light to the power of 1/gamma; "auto" uses a
+            clear estimate from the circles. The covariance then includes its uncertainty. If the
+            estimate clearly differs from the given value, it includes the difference.
+        settings: Settings of the stages.
 
     Returns:
         Ellipses and both poses of each circle with covariances, and every other candidate with the
-            reason why it was rejected.
+        reason for its rejection.
 
     Raises:
-        InputError: The image, the radius, or an option is none.
+        InputError: The image, the radius, or an option is invalid.
     """
     _check_options(neighbours, gamma)
     grey = grey_image(plain_grey(image))
@@ -167,8 +171,7 @@ def _check_options(neighbours: str, gamma: object) -> None:
 
 
 def _with_size_uncertainty(found: DetectedCircles, settings: Settings) -> DetectedCircles:
-    """What was found, with the covariance of a size that clipping or an unknown gamma may have
-    changed."""
+    """Return `found` with the covariance of a size error from clipping or an unknown gamma."""
     size_sd = settings.locate.size_sd if found.overexposed else 0.0
     if found.nonlinear or found.assumed == found.gamma.value:
         size_sd = np.hypot(size_sd, found.gamma.size_uncertainty(found.assumed, settings.gamma))
@@ -231,8 +234,8 @@ def _preferred(
 
 
 def _doubtful_size(poses: CirclePoses, ellipses: Ellipses, size_sd: float) -> Array:
-    """What `size_sd` px of unknown size, as depth, adds to the covariances (N, 3, 3) m^2 of the
-    centres."""
+    """Return the covariance of the centers (N, 3, 3), m^2, due to a size error of `size_sd` px as
+    depth."""
     along = poses.p_CM * (size_sd / ellipses.semi_axes_px[:, :1])
     return along[:, :, None] * along[:, None]
 
@@ -267,16 +270,16 @@ def plain_grey(image: NDArray | Image) -> NDArray | Image:
 
 
 def circles_to_records(found: DetectedCircles) -> list[dict[str, Any]]:
-    """Make plain records of the circles that were found, for JSON.
+    """Make plain records of the circles, for JSON.
 
     Args:
-        found: What `detect_circles` returned.
+        found: Result of `detect_circles`.
 
     Returns:
-        One record a marker: `uv_px`, `ellipse_px`; `center_mm`, `cov_center_mm2`, `normal` of the
-            preferred pose with its `preferred_probability`; `center_alt_mm`, `cov_center_alt_mm2`,
-            `normal_alt` of the other; `status`. Lengths are mm, angles degrees; what is not finite
-            is None.
+        One record per marker: `uv_px`, `ellipse_px`; `center_mm`, `cov_center_mm2`, `normal` of the
+        preferred pose with its `preferred_probability`; `center_alt_mm`, `cov_center_alt_mm2`,
+        `normal_alt` of the other; `status`. Lengths are in mm, angles in degrees; non-finite values
+        are None.
     """
     ellipses = found.ellipses
     poses = found.poses

@@ -20,7 +20,7 @@ from mjtactile.sensing.settings import DEFAULTS, Settings
 
 NOBODY = -1  # of a circle that is not followed
 CUT = "cut by image border"
-_GATE = 0.45  # of the circles' distance, by which one may have moved beside the others
+_GATE = 0.45  # maximum motion relative to the others, as a fraction of the circle distance
 _NEW = 0.7  # of it, from all that are followed: another circle
 _SMALL = 0.6  # of the middle size: less is a speck
 _FEWEST = 2  # circles that are not cut by the border, to begin with
@@ -28,13 +28,13 @@ _FEWEST = 2  # circles that are not cut by the border, to begin with
 
 @dataclass(frozen=True, eq=False)
 class TrackedCircles:
-    """The circles of one image.
+    """Tracked circles of one image.
 
     Attributes:
-        ids: (N,) which of those that are followed each is; -1: none, a speck or one that is cut by
-            the image's border.
-        ellipses: Of the N circles, with their status.
-        poses: In space; None: camera or radius were not given.
+        ids: Index of the track of each circle (N,); -1: not tracked, a speck or a circle cut by the
+            image border.
+        ellipses: Ellipses of the N circles, with their status.
+        poses: Poses in space; None: camera or radius were not given.
     """
 
     ids: NDArray[np.int64]
@@ -44,8 +44,8 @@ class TrackedCircles:
 
 @dataclass(frozen=True, eq=False)
 class _Skin:
-    """Where the followed circles were last seen, or must be since then, (M, 2) px, their usual
-    distance and size, px."""
+    """Last or predicted positions of the tracked circles (M, 2), px, their usual distance and size,
+    px."""
 
     places: Array
     pitch: float
@@ -61,24 +61,25 @@ def track_circles(
     min_radius_px: float = 2.0,
     settings: Settings = DEFAULTS,
 ) -> Iterator[TrackedCircles]:
-    """Find the circles of a marked skin in a sequence of images, and follow each.
+    """Find the circles of a marked skin in a sequence of images, and track each.
 
-    Every image is searched whole, so that none is lost for good. Between images all circles may
-    move together by any way; beside that, each by less than half of their distance.
+    Every image is searched completely, so that lost circles are found again. Between images, all
+    circles may move together by any amount. In addition, each may move by less than half of their
+    distance.
 
     Args:
-        images: (H, W) or (H, W, 3) grey levels or colours, or `Image`s.
-        camera: Lens and pane; None: pixels alone.
-        radius: m, of the circles; None: pixels alone.
-        polarity: Whether they are "dark" on bright ground, or "bright".
-        min_radius_px: The smallest that is looked for.
-        settings: The chain's numbers.
+        images: Gray levels or colors (H, W) or (H, W, 3), or `Image`s.
+        camera: Lens and glass; None: pixels only.
+        radius: Radius of the circles, m; None: pixels only.
+        polarity: Circles "dark" on a bright background, or "bright".
+        min_radius_px: Minimum radius to search for.
+        settings: Settings of the stages.
 
     Yields:
         The circles of each image.
 
     Raises:
-        InputError: An image, a radius or an option is none; or only one of camera and radius is
+        InputError: An image, a radius or an option is invalid; or only one of camera and radius is
             given.
     """
     if (camera is None) != (radius is None):
@@ -107,7 +108,7 @@ def track_circles(
 
 
 def _followed(skin: _Skin | None, ellipses: Ellipses) -> tuple[NDArray[np.int64], _Skin | None]:
-    """Which of the followed each circle is, and what is followed from here on."""
+    """Return the track index of each circle, and the updated tracks."""
     ids = np.full(len(ellipses), NOBODY)
     whole = np.flatnonzero(ellipses.status != CUT)
     size = skin.size if skin is not None else _middle(ellipses.semi_axes_px[whole, 1])

@@ -1,5 +1,4 @@
-"""Fiducials among the circles of an image: told from markers by where they are, since they do not
-move."""
+"""Identification of fiducials among the circles of an image, by their fixed positions."""
 
 from __future__ import annotations
 
@@ -15,13 +14,15 @@ from mjtactile.core.types import Array, Ellipses, FiducialDetections
 
 
 class FiducialFinder:
-    """Finds the fiducials of one sensor: each is the good circle nearest to where it was, within
-    half the way to the next one, or to the nearest marker.
+    """Fiducial finder of one sensor.
+
+    Each fiducial is the good circle nearest to its last position, within half the distance to the
+    next one, or to the nearest marker.
 
     Args:
-        design: The sensor's values.
-        camera: Its camera.
-        fiducials: Those of the sensor.
+        design: Sensor design.
+        camera: Camera of the sensor.
+        fiducials: Fiducials of the sensor.
     """
 
     def __init__(self, design: SensorDesign, camera: Camera, fiducials: Fiducials):
@@ -37,14 +38,14 @@ class FiducialFinder:
     def split(
         self, ellipses: Ellipses, before: FiducialDetections | None
     ) -> tuple[Array, FiducialDetections]:
-        """Tell fiducials from markers.
+        """Separate fiducials from markers.
 
         Args:
             ellipses: All circles of an image.
-            before: Where fiducials were; None: where the sensor file has them.
+            before: Previous positions of the fiducials; None: those of the sensor file.
 
         Returns:
-            Which circles are no fiducials, and the fiducials that were seen well.
+            Indices of the circles that are not fiducials, and the well detected fiducials.
         """
         places = self.places_px
         if before is not None and len(before) == self.count:

@@ -1,9 +1,10 @@
-"""The sensor's reference, measured with the valve open: where the camera sits, and how large each
-marker really is.
+"""Flat reference of the sensor, measured with the valve open: camera pose, and true size of each
+marker.
 
-The flat membrane is a target of known layout. Its marker *centres* in the image fix the camera's
-pose against the frame, whatever the radii; with the pose known, each marker's apparent depth tells
-its radius, to which depth is proportional (the paper takes the frame's pose the same way, II-B.3).
+The flat membrane is a target of known layout. Its marker *centers* in the image determine the
+camera's pose relative to the frame, independent of the radii. With the pose known, each marker's
+apparent depth gives its radius, to which depth is proportional (the paper determines the frame's
+pose in the same way, II-B.3).
 """
 
 from __future__ import annotations
@@ -28,9 +29,12 @@ _FEWEST_MARKERS = 3  # that give a camera's pose
 
 @dataclass(frozen=True, eq=False)
 class FlatReference:
-    """Camera pose `R_SC` (3, 3), `p_SC` (3,) m; `scale` (N,) true over nominal radius of each
-    marker (1 where unseen); `residual_px` rms of the marker centres, `scale_sd` rms scatter of
-    `scale` over the images."""
+    """Camera pose `R_SC` (3, 3), `p_SC` (3,), m, and marker sizes from the flat membrane.
+
+    `scale` (N,) is the true over the nominal radius of each marker (1 if not detected).
+    `residual_px` is the rms of the marker centers, and `scale_sd` the rms scatter of `scale` over
+    the images.
+    """
 
     R_SC: Array
     p_SC: Array
@@ -40,7 +44,7 @@ class FlatReference:
 
     @classmethod
     def nominal(cls, design: SensorDesign) -> FlatReference:
-        """What the sensor file says, before anything was measured."""
+        """Return the reference of the sensor file, before any measurement."""
         return cls(np.eye(3), design.camera.p_SC, np.ones(design.markers.count), 0.0, 0.0)
 
     def to_nominal(self, design: SensorDesign, poses: CirclePoses) -> CirclePoses:
@@ -106,9 +110,11 @@ def measure_flat(
 def fit_camera_pose(
     design: SensorDesign, camera: Camera, p_SP: Array, uv_px: Array
 ) -> tuple[Array, Array, float]:
-    """Camera pose R_SC (3, 3), p_SC (3,) m that projects points `p_SP` (n, 3) m in S to `uv_px` (n,
-    2), and the rms residual in px. Gauss-Newton from the sensor file's pose, through lens and
-    pane."""
+    """Fit the camera pose R_SC (3, 3), p_SC (3,), m, and return it with the rms residual, px.
+
+    It projects points `p_SP` (n, 3), m, frame S, to `uv_px` (n, 2) through lens and glass.
+    Gauss-Newton from the sensor file's pose.
+    """
     R = np.eye(3)
     p = design.camera.p_SC.copy()
     step = 1e-6
@@ -133,7 +139,8 @@ def fit_camera_pose(
 
 
 def _apparent_depth(camera: Camera, p_CM: Array) -> Array:
-    """Depth that a circle's size shows: from the camera's centre, less the pane's shift."""
+    """Return the depth that a circle's size shows: from the camera's center, less the shift by the
+    glass."""
     return p_CM[:, 2] - optics.glass_shift(camera, p_CM)
 
 

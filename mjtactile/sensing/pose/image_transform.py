@@ -1,5 +1,5 @@
-"""A picture taken back to where it was: shift, turn and scale about its middle, and circles that
-have grown alike. Done to ellipses, it holds whatever lens and pane are."""
+"""Inverse of an image transform: shift, rotation and scale about the image center, and a common
+change of radius. Applied to ellipses, it is valid for any lens and glass."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from mjtactile.core.types import Array, Ellipses
 
 @dataclass(frozen=True, eq=False)
 class ImageTransform:
-    """By how much a picture is shifted, `shift` (2,) px, turned (from u to v, rad) and larger
-    (`scale`) about its `middle` (2,) px, and by how much radii are `grown` px beside that."""
+    """Image transform about `middle` (2,), px: `shift` (2,), px, rotation `turn` (from u to v),
+    rad, and relative enlargement `scale`. Radii grow by `grown` px in addition."""
 
     middle: Array
     shift: Array
@@ -23,14 +23,14 @@ class ImageTransform:
     grown: float
 
     def undone(self, uv: Array) -> Array:
-        """Where places (n, 2) px were before."""
+        """Return the positions (n, 2), px, before the transform."""
         cos = math.cos(self.turn)
         sin = math.sin(self.turn)
         away = (uv - self.middle - self.shift) / (1 + self.scale)
         return self.middle + away @ np.array([[cos, -sin], [sin, cos]])
 
     def undone_ellipses(self, ellipses: Ellipses, at: Array) -> Ellipses:
-        """What the ellipses with the numbers `at` were before."""
+        """Return the ellipses with indices `at` before the transform."""
         axes = (ellipses.semi_axes_px[at] - self.grown) / (1 + self.scale)
         dark = ellipses.darkness
         return Ellipses(

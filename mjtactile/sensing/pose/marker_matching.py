@@ -1,10 +1,11 @@
-"""Which detected circle is which marker, and which of its two normals is the right one.
+"""Assignment of detected circles to marker ids, and choice between the two normals of each circle.
 
-Matching is by lateral position in S: markers keep a pitch from each other, while depth changes fast
-under a press. At start-up the expected positions are those of the flat membrane, from which a
-common offset (a camera mounted a little off) is taken out first; in a sequence they are those of
-the image before. Wrong matches are found because a membrane moves together: a marker's displacement
-is compared with the median of its neighbours'.
+Matching uses the lateral position in S: markers keep their distance from each other, while depth
+changes fast under a contact load. At start-up the expected positions are those of the flat
+membrane. A common offset (a slightly misaligned camera) is removed first. In a sequence the
+expected positions are those of the previous image. Wrong matches are detected because neighboring
+markers move together: the displacement of each marker is compared with the median of its neighbors'
+displacements.
 """
 
 from __future__ import annotations
@@ -33,13 +34,13 @@ def identify(
     *,
     darkness: Array | None = None,
 ) -> Markers:
-    """Identified markers in S from circle poses in C, with the circles' `darkness` (N,).
+    """Return identified markers in S from circle poses in C and the circles' `darkness` (N,).
 
-    `expected` (M, 3) m are the positions in S to look near, by default those of the flat membrane;
-    `scale` (M,) is each marker's true radius over the nominal one that the poses were computed
-    with, to which its apparent depth is proportional. Circles whose status is not "ok", that match
-    no marker or do not move with their neighbours are left out. Of the two poses of a circle the
-    one is kept whose normal fits the surface through all centres.
+    `expected` (M, 3) m are the expected positions in S, by default those of the flat membrane.
+    `scale` (M,) is each marker's true radius divided by the nominal radius used for the poses; the
+    apparent depth is proportional to it. Circles are left out if their status is not "ok", if they
+    match no marker, or if they do not move with their neighbors. Of the two poses of a circle, the
+    one whose normal fits the surface through all centers is kept.
     """
     layout = design.markers.p_SM
     p_SM = poses.p_CM + design.camera.p_SC
@@ -75,11 +76,11 @@ def identify(
 def match(
     p_SM: ArrayLike, expected: ArrayLike, layout: ArrayLike, s: IdentitySettings = DEFAULTS.identity
 ) -> Ids:
-    """Marker ids (N,) of circles at `p_SM` (N, 3) m, -1 where there is none.
+    """Return marker ids (N,) of circles at `p_SM` (N, 3) m, -1 for no match.
 
-    `expected` (M, 3) m positions to look near (NaN: unknown, then from its neighbours), `layout`
-    (M, 3) m the flat membrane's, which says who is whose neighbour. No id is given twice. NaN rows
-    of `p_SM` match nothing.
+    `expected` (M, 3) m are the expected positions (NaN: unknown, then predicted from the
+    neighbors). `layout` (M, 3) m is the flat membrane's layout, which defines the neighbors. Each
+    id is assigned at most once. NaN rows of `p_SM` match nothing.
     """
     found, expected, layout = (np.asarray(p, dtype=float)[:, :2] for p in (p_SM, expected, layout))
     pitch, order = _neighbourhood(layout.tobytes(), s.neighbours)
@@ -92,12 +93,12 @@ def match(
 
 @lru_cache(maxsize=32)
 def _slope_operators(design: SensorDesign, present: bytes, weight: float) -> Array:
-    """Matrices (2, n, n) that make slopes by x and y at the n markers present, in order of id, of
-    the surface through their heights, which are known to `weight` 1/m^2, and which is smooth.
+    """Return matrices (2, n, n) that map marker heights to surface slopes along x and y.
 
-    The surface is a function of the *flat* membrane's coordinates, so that its design matrix is
-    always the same; the lateral stretch that this neglects changes a slope's size, not its
-    direction.
+    The n markers are those present, in order of id. The smooth surface is fitted to the heights,
+    whose weight is `weight` 1/m^2. The surface is a function of the *flat* membrane's coordinates,
+    so that its design matrix stays constant. This neglects the lateral stretch, which changes the
+    size of a slope but not its direction.
     """
     fitter = SurfaceFitter(design)
     x, y = design.markers.p_SM[np.frombuffer(present, bool), :2].T

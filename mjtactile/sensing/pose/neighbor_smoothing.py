@@ -1,14 +1,14 @@
-"""Neighbours help each other: on one smooth surface, how elongated the ellipses are changes
-smoothly over the image.
+"""Joint smoothing of ellipse elongation over neighboring circles on one smooth surface.
 
-A circle's distance hangs on its longest axis, half of whose error is in the ellipse's elongation;
-knowing the tilt would make it a third of the variance (the factor 3 in the Cramer-Rao bound). A
-board's or a smooth sheet's many circles do know it together. Only the elongation is shared, never
-the size: each distance stays the marker's own.
+On a smooth surface the elongation of the ellipses changes smoothly over the image. The estimated
+distance of a circle depends on its longest axis. Half of the error of that axis comes from the
+ellipse's elongation. With known tilt the variance would be a third (the factor 3 in the Cramer-Rao
+bound). The many circles of a board or of a smooth membrane together determine the tilt. Only the
+elongation is shared, never the size: each distance still depends on its own marker only.
 
-It is shared only where the markers say so themselves: if what is left about a second-order field is
-no more than a few times the ellipses' own error bars. Circles that tilt each its own way stay
-untouched.
+The elongation is shared only if the data support it: the residuals about a second-order field must
+not exceed a few times the standard deviations of the ellipses. Circles with independent tilts stay
+unchanged.
 """
 
 from __future__ import annotations
@@ -25,12 +25,11 @@ _ROUNDS = 8
 def smooth_aspect_ratio(
     ellipses: Ellipses, s: NeighborSmoothingSettings = DEFAULTS.consensus
 ) -> Ellipses:
-    """Ellipses with their elongation replaced by the field that they agree on; the same object if
-    they do not agree.
+    """Return ellipses with their elongation replaced by a smooth common field.
 
-    With S = exp(m I + D), D traceless: m (log of the mean radius) is kept; both entries of D are
-    fitted by polynomials of second order in the image, robustly. Covariances are rescaled to the
-    scatter really found.
+    The same object is returned if the ellipses do not agree with such a field. With S = exp(m I +
+    D), D traceless, m (log of the mean radius) is kept. Both entries of D are fitted robustly by
+    second-order polynomials in the image. Covariances are rescaled to the observed scatter.
     """
     ok = np.flatnonzero(ellipses.status == "ok")
     if len(ok) < s.min_circles:
@@ -45,10 +44,10 @@ def smooth_aspect_ratio(
     variance = (cov[:, 2, 2] + cov[:, 4, 4] - 2 * cov[:, 2, 4]) / 4 + cov[:, 3, 3]
     sd = np.sqrt(variance / 2) / radius
     field, leverage, weight, scatter = _field(ellipses.center_px[ok], D, sd, s.outlier_scatters)
-    # most must agree, and by no more than what a camera may add
+    # the majority must agree, within the error that a camera may add
     if scatter > s.max_scatter or np.median(weight) < s.min_median_weight:
         return ellipses
-    agree = weight > s.min_weight  # what does not belong to the surface keeps its own
+    agree = weight > s.min_weight  # circles off the surface keep their own elongation
     return _replaced(
         ellipses,
         ok[agree],

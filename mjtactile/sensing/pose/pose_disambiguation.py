@@ -1,24 +1,23 @@
-"""Which of a circle's two poses is the right one, and how sure that is.
+"""Choice between the two poses of a circle, with the probability of the choice.
 
-One image of one circle allows two poses, and shows both exactly alike; what prefers one is
-knowledge from elsewhere:
+One image of one circle allows two poses that fit the image equally. The preference comes from other
+information:
 
-- how people hold targets: tilts from 0 to 90 degrees are taken to be equally likely (per solid
-  angle 1/sin of the tilt against the camera's axis), so that the less tilted one is a little
-  likelier;
-- the circles around it: where their centres lie on a smooth surface, its normal is one of the two.
+- typical target orientation: tilts from 0 to 90 degrees are assumed equally likely (per solid angle
+  1/sin of the tilt against the camera's axis), so that the less tilted pose is slightly likelier;
+- the neighboring circles: if their centers lie on a smooth surface, its normal is one of the two.
 
-Circles need not lie on a surface, and how many do is found from the image itself: their share w is
-that of a mixture, whose other part is the prior of tilts, by expectation-maximisation. With q_i the
-two densities of a circle's normals,
+Circles need not lie on a surface. The fraction that does, w, is estimated from the image itself. It
+is the weight of a mixture whose other component is the prior of tilts. The fit uses
+expectation-maximization. With q_i the two densities of a circle's normals,
 
     q_i = w N(n_i - n_surface; cov_i + cov_surface) + (1 - w) prior(n_i),
     P(first) = q_1/(q_1 + q_2).
 
 The surface's normal is that of a plane (inverse depth linear in the image) through the circle and
-its nearest neighbours, with the covariance that its scatter about them gives; circles each at a
-depth of their own scatter so much that it says nothing. Touch sensing knows its membrane and does
-not use this (`identity.identify`).
+its nearest neighbors. Its covariance follows from their scatter about the plane. Circles at
+independent depths scatter so much that the plane carries no information. Touch sensing has a known
+membrane and does not use this module (`identity.identify`).
 """
 
 from __future__ import annotations
@@ -41,11 +40,11 @@ def prefer(
     cov_n: Array,
     s: PoseDisambiguationSettings = DEFAULTS.preference,
 ) -> tuple[CirclePoses, Array, Array]:
-    """`poses` with the likelier of each circle's two as the first, the covariance (N, 3, 3) m^2 of
-    the other's centre, and the probability (N,) that the first is right.
+    """Return `poses` with the likelier pose of each circle first, and its probability.
 
-    `cov_p_alt` (N, 3, 3) m^2 belongs to the second centres of `poses`, `cov_n` (2, N, 3, 3) to both
-    normals.
+    The second result is the covariance (N, 3, 3) m^2 of the other pose's center. The third is the
+    probability (N,) that the first pose is right. `cov_p_alt` (N, 3, 3) m^2 belongs to the second
+    centers of `poses`, `cov_n` (2, N, 3, 3) to both normals.
     """
     if not len(poses):
         return poses, cov_p_alt, np.zeros(0)
@@ -97,8 +96,8 @@ def _tilt_prior(n: Array, cov_n: Array, s: PoseDisambiguationSettings) -> Array:
 
 
 def _bounded(cov_n: Array, s: PoseDisambiguationSettings) -> Array:
-    """Covariances (2, N, 3, 3) of normals, scaled down where they are more than a linear model may
-    say."""
+    """Return covariances (2, N, 3, 3) of normals, limited to the validity range of a linear
+    model."""
     return (
         cov_n
         * np.minimum(1, 2 * s.max_normal_sd**2 / np.trace(cov_n, axis1=2, axis2=3))[..., None, None]
@@ -108,7 +107,7 @@ def _bounded(cov_n: Array, s: PoseDisambiguationSettings) -> Array:
 def _density(n: Array, mean: Array, cov: Array, least: float) -> Array:
     """Normal density (2, N) per steradian of unit vectors `n` (2, N, 3) about `mean` (N, 3), by
     `cov` (2, N, 3, 3) and `least` rad more."""
-    T = np.stack(geometry.tangents(mean), axis=1)  # (N, 2, 3)
+    T = np.stack(geometry.tangents(mean), axis=1)  # shape (N, 2, 3)
     d = np.einsum("nij,knj->kni", T, n - mean)
     S = T @ cov @ T.transpose(0, 2, 1)
     S += least**2 * np.eye(2)
@@ -120,12 +119,12 @@ def _density(n: Array, mean: Array, cov: Array, least: float) -> Array:
 def _surface_normals(
     poses: CirclePoses, s: PoseDisambiguationSettings
 ) -> tuple[Array, Array, Array] | None:
-    """Normals (N, 3) of the planes through each circle's surroundings, their covariance (N, 3, 3),
-    and where (N,) they are of any use; None where there are too few circles.
+    """Return normals (N, 3) of local planes, their covariance (N, 3, 3), and a validity mask (N,).
 
-    A plane's inverse depth w = (n/d) . (x, y, 1) is linear in the image: least squares over the
-    nearest circles, its covariance from their scatter, which is taken for no less than the depths'
-    own error bars.
+    The result is None if there are too few circles. The inverse depth of a plane, w = (n/d) . (x,
+    y, 1), is linear in the image. It is fitted by least squares to the nearest circles. The
+    covariance comes from their scatter, which is assumed to be at least the standard deviation of
+    the depths.
     """
     ok = np.flatnonzero((poses.status == "ok") & (poses.p_CM[:, 2] > 0))
     if len(ok) < s.min_circles:
@@ -134,7 +133,8 @@ def _surface_normals(
     ray = np.nan_to_num(poses.p_CM / poses.p_CM[:, 2:])
     w = 1 / poses.p_CM[ok, 2]
     sd = np.sqrt(poses.cov_p[ok, 2, 2]) / poses.p_CM[ok, 2] ** 2
-    near = KDTree(ray[ok, :2]).query(ray[:, :2], min(s.plane_circles, len(ok)))[1]  # (N, k) of ok
+    # indices (N, k) into `ok`
+    near = KDTree(ray[ok, :2]).query(ray[:, :2], min(s.plane_circles, len(ok)))[1]
     A = ray[ok][near]
     b = w[near]
     normal = A.transpose(0, 2, 1) @ A

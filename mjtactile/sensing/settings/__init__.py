@@ -1,15 +1,15 @@
-"""The numbers of the sensing chain that were fitted or judged, not derived: what each is, and where
-it comes from.
+"""Tuned parameters of the sensing chain, each with its meaning and source.
 
-One frozen class a stage, one module a room; `Settings` holds one of each, `DEFAULTS` is what
-everything uses that is not told otherwise:
+There is one frozen class per stage and one module per subpackage. `Settings` holds one of each;
+`DEFAULTS` is used wherever no other settings are given:
 
-    Chain(design, settings=DEFAULTS.override({"zero.touch_min": 0.03}))
+    SensingPipeline(design, settings=DEFAULTS.override({"zero.touch_min": 0.03}))
 
-A number's `source` names the benchmark that it was fitted with (`bench touch`: presses with seeds
-below 1000, which its own table leaves out), what bounds it, or TRIED: it was chosen by
-trying, and docs/reference/parameters.md has what half and twice of it do. Recordings keep the
-settings in their header. Numbers of the numerics alone (steps, tolerances) stay with their code.
+The `source` of a parameter names the benchmark used to fit it, the quantity that bounds it, or
+TRIED. The benchmark `bench touch` fits on indentations with seeds below 1000, which are excluded
+from its own table. TRIED means tuned by hand; docs/reference/parameters.md lists the effect of half
+and twice the value. Recordings keep the settings in their header. Purely numerical parameters
+(steps, tolerances) stay with their code.
 """
 
 from __future__ import annotations

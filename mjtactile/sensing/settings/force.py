@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 from mjtactile.sensing.settings.tunable_parameter import GAUGED, SEEN, TRIED, number
 
-_BARS = "bench bars: fitted to scenes of seeds below 1000, which its table leaves out"
+_BARS = "bench uncertainty: fitted to scenes of seeds below 1000, which its table leaves out"
 
 
 @dataclass(frozen=True)
 class PriorSettings:
-    """What is believed of tractions before an image is seen (sensing/force/prior.py)."""
+    """Settings of the traction prior, before any image is processed (sensing/force/prior.py)."""
 
     pressure_sd: float = number(4e3, "Pa, of contact before anything is known", TRIED)
     background: float = number(
@@ -66,32 +66,34 @@ class InverseSettings:
         3e-6, "m, sd of the camera's place since then", "10 K in 10 mm of a plastic housing"
     )
     drift_rotation: float = number(3e-5, "rad, sd of its direction", "a 50th of a pixel")
-    drift_zoom: float = number(0.01, "sd of the picture's scale", "a lens warmed; bench trust")
+    drift_zoom: float = number(
+        0.01, "sd of the picture's scale", "a lens warmed; bench camera-faults"
+    )
     drift_size: float = number(
-        0.2, "px, sd of circles' radii", "gamma, clipping: 0.1 px and more; bench trust"
+        0.2, "px, sd of circles' radii", "gamma, clipping: 0.1 px and more; bench camera-faults"
     )
     drift_levels: float = number(
         0.5,
         "px, sd of that for a level inside over that outside that is e times what it was",
-        "clipped blacks: 0.1 px for a fifth; bench trust",
+        "clipped blacks: 0.1 px for a fifth; bench camera-faults",
         low=0.0,
     )
     drift_walk: float = number(
         1e-3,
         "1/sqrt(s), of all these sds, that a camera changes while it is watched",
-        "a lens that warms by 1 % in ten minutes; bench trust",
+        "a lens that warms by 1 % in ten minutes; bench camera-faults",
         low=0.0,
     )
     drift_jitter: float = number(
         0.003,
         "px, sd of circles' radii, alike for all, from image to image",
-        "a tenth of one circle's noise: flicker, JPEG; bench trust",
+        "a tenth of one circle's noise: flicker, JPEG; bench camera-faults",
         low=0.0,
     )
     changed_min: float = number(
         4.0,
         "sd of a mode beyond what images before have told, from which on the camera has changed",
-        "bench trust: zoom, gamma",
+        "bench camera-faults: zoom, gamma",
     )
     same_bulge: float = number(
         250.0,
@@ -105,13 +107,15 @@ class InverseSettings:
         "a hold of 20 s at 0.9 N, let go: 0.016 N otherwise",
     )
     knock_shift: float = number(
-        3e-4, "m, sd of the camera's place once it was knocked", "some pixels; bench trust"
+        3e-4, "m, sd of the camera's place once it was knocked", "some pixels; bench camera-faults"
     )
-    knock_rotation: float = number(0.01, "rad, sd of its direction then", "the same; bench trust")
+    knock_rotation: float = number(
+        0.01, "rad, sd of its direction then", "the same; bench camera-faults"
+    )
     knock_min: float = number(
         6.0,
         "mean square of the drift found over its variance, from which on it was knocked",
-        "bench trust: knocks of 0.5 px and more have 9, grasps 3",
+        "bench camera-faults: knocks of 0.5 px and more have 9, grasps 3",
     )
     dent_fraction: float = number(
         0.03, "sd of the volume of a dent between the markers, of that volume", "bench touch"
@@ -120,7 +124,7 @@ class InverseSettings:
         (0.006, 0.3, 0.25, 0.006),
         "of the predicted variance of shear, normal force, tilt and spin: contacts are smoother "
         "than the prior says, and nearly all markers see shear",
-        "bench bars, while nothing touches; " + _BARS,
+        "bench uncertainty, while nothing touches; " + _BARS,
     )
     informative_pressure: float = number(
         100.0, "Pa; below, the bulge is too small to tell the stiffness", TRIED
@@ -144,20 +148,20 @@ class InverseSettings:
     cold_load: float = number(
         0.3,
         "N found without a history, from which on the camera is taken to be as at the references",
-        "bench bars: bodies held from before; a camera that changed then costs accuracy",
+        "bench uncertainty: bodies held from before; a camera that changed then costs accuracy",
     )
     overlooked_load: float = number(
-        0.05, "N found, up to which a light touch may have been overlooked", "bench bars"
+        0.05, "N found, up to which a light touch may have been overlooked", "bench uncertainty"
     )
     overlooked_misfit: float = number(
         0.5,
         "mean square of the markers' misfit over their sd, from which on one is looked for",
-        "bench bars: 0.44 in 99 % of images while nothing touches, 0.6 and more in such touches",
+        "bench uncertainty: 99 % of images without contact are below 0.44, such touches above 0.6",
     )
     overlooked_rise: float = number(
         1.7,
         "times that of the image before, and of what is then found",
-        "bench bars: 2 to 5 in such touches",
+        "bench uncertainty: 2 to 5 in such touches",
         low=1.0,
     )
     overlooked_excess: float = number(
@@ -172,7 +176,7 @@ class InverseSettings:
     excess_max: float = number(
         80.0,
         "mean `excess` of all markers above which nothing smooth explains them",
-        "bench bars: a cube's corner has up to 71",
+        "bench uncertainty: a cube's corner has up to 71",
     )
     misfit_max: float = number(
         50.0,
@@ -193,7 +197,7 @@ class FiducialSettings:
     floor: float = number(
         0.002,
         "px, sd of a fiducial's place and radius that the image stages do not know of",
-        "bench trust: fiducials at rest",
+        "bench camera-faults: fiducials at rest",
     )
     glass_size: float = number(
         0.2,
@@ -208,12 +212,12 @@ class FiducialSettings:
         "a leak; bench fiducials",
     )
     still: float = number(
-        0.02, "px of a fiducial's motion that are none", "bench trust: 0.005 px of noise"
+        0.02, "px of a fiducial's motion that are none", "bench camera-faults: 0.005 px of noise"
     )
     axial: float = number(
         0.25,
         "of a camera's motion aside, that it moves along its axis: what shows all larger is a lens",
-        "bench trust: zoom",
+        "bench camera-faults: zoom",
     )
     curve_fraction: float = number(
         0.3,
@@ -236,8 +240,11 @@ class FiducialSettings:
 
 @dataclass(frozen=True)
 class ModelErrorSettings:
-    """What the wrench's posterior leaves out (sensing/force/model_error.py), each for shear, normal
-    force, tilt and spin."""
+    """Settings of the model error that the wrench's posterior leaves out
+    (sensing/force/model_error.py).
+
+    Each has values for shear, normal force, tilt and spin.
+    """
 
     share: tuple[float, float, float, float] = number(
         (0.001, 0.0125, 0.0, 0.0), "of the force, for each `cell` to a marker", _BARS, low=0.0
@@ -255,8 +262,8 @@ class ModelErrorSettings:
         (0.025, 0.0, 0.06, 0.05),
         "of all nodes' shear, times the root of that excess beyond one: edges and corners that "
         "catch the sheet",
-        "bench bars, on scenes of its table: 64 of 5556 touches beyond five sd where 111 were, and "
-        "the same bars in the median",
+        "bench uncertainty: 64 instead of 111 of 5556 touches beyond five sd, with the same median "
+        "standard deviation",
         low=0.0,
     )
     sharp_max: float = number(20.0, "that excess at most", _BARS)
@@ -276,7 +283,7 @@ class ModelErrorSettings:
         2.5,
         "of the change since the last image, times the images by which the camera's pictures lag: "
         "rounding hides most of a long lag",
-        "bench trust: noise reduction of 30 to 80 % on eggs of other seeds",
+        "bench camera-faults: noise reduction of 30 to 80 % on eggs of other seeds",
         low=0.0,
     )
     burst: tuple[float, float, float, float] = number(
@@ -300,8 +307,10 @@ class ModelErrorSettings:
 
 @dataclass(frozen=True)
 class GasFilterSettings:
-    """The gas that a pressure gauge tells of (sensing/force/gas_filter.py). Pressures and amounts
-    are shares of the absolute ambient pressure: 1e-5 is a pascal."""
+    """Settings of the gas filter that uses a pressure sensor (sensing/force/gas_filter.py).
+
+    Pressures and amounts are fractions of the absolute ambient pressure: 1e-5 is one pascal.
+    """
 
     floor: float = number(1.5, "Pa, sd of a gauge's mean, however many readings", GAUGED)
     scale: float = number(
@@ -309,8 +318,12 @@ class GasFilterSettings:
     )
     rate: float = number(5e-5, "1/s, sd of a sealed chamber's loss before any is seen", "5 Pa/s")
     rate_time: float = number(3.0, "s, over which a rate is forgotten that is not seen", GAUGED)
-    walk: float = number(0.7e-5, "1/sqrt(s), of a sealed amount", "bench trust: shipped grasps")
-    rate_walk: float = number(1e-5, "1/s/sqrt(s), of its rate", "bench trust: shipped grasps")
+    walk: float = number(
+        0.7e-5, "1/sqrt(s), of a sealed amount", "bench camera-faults: shipped grasps"
+    )
+    rate_walk: float = number(
+        1e-5, "1/s/sqrt(s), of its rate", "bench camera-faults: shipped grasps"
+    )
     rate_fraction: float = number(1.0, "1/sqrt(s), of the rate that is there", GAUGED)
     open_walk: float = number(1e-4, "1/sqrt(s), of a pressure that a valve keeps", GAUGED)
     open_rate: float = number(3e-3, "1/s/sqrt(s), of its rate", "1.4 kPa in a second")
@@ -322,7 +335,9 @@ class GasFilterSettings:
     blend: float = number(0.3, "of the newest reading in that mean", GAUGED, high=1.0)
     shortest: float = number(0.02, "s, in which a surprise has come about", GAUGED)
     moved_max: float = number(
-        60.0, "Pa in an image, from which on the force is unknown", "bench trust: valves, holes"
+        60.0,
+        "Pa in an image, from which on the force is unknown",
+        "bench camera-faults: valves, holes",
     )
     least: float = number(0.01, "of ambient pressure, that a chamber has at least", "vacuum")
 

@@ -11,7 +11,7 @@ _MONTE_CARLO = "Monte Carlo: the covariance against the scatter of fits to simul
 
 @dataclass(frozen=True)
 class CandidateSettings:
-    """Where markers may be (sensing/image/candidates.py)."""
+    """Settings of the search for marker candidates (sensing/image/candidates.py)."""
 
     cells: int = number(
         60,
@@ -119,7 +119,7 @@ class ProfileSettings:
 
 @dataclass(frozen=True)
 class MarkerSettings:
-    """Which ellipses are to be trusted (sensing/image/fit_validation.py,
+    """Settings of the acceptance of ellipses (sensing/image/fit_validation.py,
     sensing/image/ellipse_fit.py)."""
 
     profile_min_radius: float = number(
@@ -197,7 +197,8 @@ _FOLLOWED = "egg grasps at 15 and 30 Hz, and the first 20 sequences of `bench tr
 
 @dataclass(frozen=True)
 class TrackingSettings:
-    """When the last image's markers are believed without a search (sensing/image/tracking.py)."""
+    """Settings of marker tracking from the previous image without a search
+    (sensing/image/tracking.py)."""
 
     images_between_searches: int = number(
         15, "images in a row without a search", "half a second at 30 Hz"
@@ -266,7 +267,7 @@ class ExhaustiveDetectionSettings:
 
 @dataclass(frozen=True)
 class GammaSettings:
-    """What a camera's gamma is told from (sensing/image/gamma.py)."""
+    """Settings of the camera gamma estimate (sensing/image/gamma.py)."""
 
     min_circles: int = number(6, "circles that must agree", TRIED)
     max_circles: int = number(

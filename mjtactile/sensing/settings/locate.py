@@ -1,5 +1,5 @@
-"""Numbers of what `mjtactile detect-circles` does beyond touch sensing: circles of photographs that
-help each other."""
+"""Parameters of `mjtactile detect-circles` beyond touch sensing: joint smoothing of circles in
+photos."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class LocateSettings:
 
 @dataclass(frozen=True)
 class NeighborSmoothingSettings:
-    """When circles share their elongation (sensing/pose/neighbor_smoothing.py)."""
+    """Settings of the shared elongation of circles (sensing/pose/neighbor_smoothing.py)."""
 
     min_circles: int = number(40, "circles", "a second-order field asks for many")
     max_scatter: float = number(
@@ -53,7 +53,7 @@ class NeighborSmoothingSettings:
 
 @dataclass(frozen=True)
 class SmoothnessSettings:
-    """When circles share their depth, and how smooth it is (sensing/surface/depth_smoothing.py, Eq.
+    """Settings of the depth smoothing over circles (sensing/surface/depth_smoothing.py, Eq.
     V10)."""
 
     circle_range: tuple[int, int] = number(
@@ -78,7 +78,7 @@ class SmoothnessSettings:
 
 @dataclass(frozen=True)
 class PoseDisambiguationSettings:
-    """Which of a circle's two poses is likelier (sensing/pose/pose_disambiguation.py)."""
+    """Settings of the choice between a circle's two poses (sensing/pose/pose_disambiguation.py)."""
 
     plane_circles: int = number(
         9, "circles that a plane is laid through, the circle itself among them", TRIED

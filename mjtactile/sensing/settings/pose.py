@@ -14,7 +14,7 @@ _BULGE = (
 
 @dataclass(frozen=True)
 class IdentitySettings:
-    """Which circle is which marker (sensing/pose/marker_matching.py)."""
+    """Settings of the assignment of circles to markers (sensing/pose/marker_matching.py)."""
 
     gate: float = number(
         0.6,
@@ -39,7 +39,7 @@ class IdentitySettings:
 
 @dataclass(frozen=True)
 class ReferenceSettings:
-    """Which flat and resting membranes are believed (sensing/pose/flat_reference.py,
+    """Acceptance limits of flat and rest references (sensing/pose/flat_reference.py,
     sensing/force/rest_shape_check.py)."""
 
     radius_range: float = number(

@@ -1,4 +1,4 @@
-"""Numbers of sensing/touch: tractions to what touches."""
+"""Parameters of sensing/touch: from tractions to contact properties."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 from mjtactile.sensing.settings.tunable_parameter import PRESSED, TRIED, number
 
-_PRESSED = "bench bars: fitted to scenes of seeds below 1000"
+_PRESSED = "bench uncertainty: fitted to scenes of seeds below 1000"
 
 
 @dataclass(frozen=True)
 class PatchSettings:
-    """Where something touches (sensing/touch/patches.py)."""
+    """Settings of contact patch detection (sensing/touch/patches.py)."""
 
     smoothing: float = number(0.6, "sd of the smoothing, in nodes", TRIED)
     separate_fraction: float = number(
@@ -44,11 +44,11 @@ _CALIBRATED = "bench shape's bodies of seeds 2000 to 2059, on which it is calibr
 
 @dataclass(frozen=True)
 class ContactShapeSettings:
-    """What the body is that touches (sensing/body)."""
+    """Settings of the contact shape estimation (sensing/contact_shape)."""
 
     spacing: float = number(1.3e-3, "m, between the film's nodes", _PRESSED_SHAPES)
     film_sd: float = number(
-        16e-6, "m, of a marker's height that the film does not know of", "bench film"
+        16e-6, "m, of a marker's height that the film does not know of", "bench quasistatic"
     )
     noise_min: float = number(
         2.0,
@@ -189,7 +189,7 @@ _SLID = "bench slip: tuned on its cases with seeds below 2000, which its table l
 
 @dataclass(frozen=True)
 class SlipSettings:
-    """Whether the object slips (sensing/touch/slip.py)."""
+    """Settings of slip detection (sensing/touch/slip.py)."""
 
     evidence: float = number(5.0, "sd of a wandering patch that are slip", _SLID)
     evidence_uneven: float = number(
@@ -278,7 +278,7 @@ class SqueezeSettings:
 
 @dataclass(frozen=True)
 class MaterialSettings:
-    """What an object is made of (sensing/touch/material.py)."""
+    """Settings of material classification (sensing/touch/material.py)."""
 
     force_min: float = number(0.35, "N that must have been felt before anything is said", _PROBED)
     shrunk_enough: float = number(
@@ -326,7 +326,7 @@ class MaterialSettings:
     area_fraction_sd: float = number(
         0.3,
         "of the contact's area: its sd",
-        "bench bars: half of all presses are more than 20 to 35 % off",
+        "bench uncertainty: half of all presses are more than 20 to 35 % off",
     )
     released_fraction: float = number(
         0.5, "of the greatest force: below it the release is compared with the press", _PROBED

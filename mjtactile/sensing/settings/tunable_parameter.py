@@ -1,4 +1,4 @@
-"""One number with what it is and where it comes from."""
+"""Definition of one tunable parameter with its meaning and source."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from mjtactile.core.config_fields import entries, entry
 from mjtactile.core.field_types import Number, Numbers
 from mjtactile.core.toml import Section
 
-TRIED = "tried: docs/reference/parameters.md has what half and twice of it do"
-GAUGED = "tried: bench gauge (docs/reference/parameters.md has what half and twice of it do)"
-SEEN = "tried: bench seen (docs/reference/parameters.md has what half and twice of it do)"
-PRESSED = "tried: bench bodies (docs/reference/parameters.md has what half and twice of it do)"
+TRIED = "tuned; sensitivity: docs/reference/parameters.md"
+GAUGED = "tuned; sensitivity: bench gas-filter-sensitivity, docs/reference/parameters.md"
+SEEN = "tuned; sensitivity: bench detection-sensitivity, docs/reference/parameters.md"
+PRESSED = "tuned; sensitivity: bench shape-sensitivity, docs/reference/parameters.md"
 _FACTOR = 100.0
 _PLACES = ("first", "second", "third", "fourth")
 
@@ -23,18 +23,18 @@ _PLACES = ("first", "second", "third", "fourth")
 def number(
     default: Any, meaning: str, source: str, *, low: float | None = None, high: float | None = None
 ) -> Any:
-    """A field of a frozen settings class; a test asks every field for both texts.
+    """Return a field of a frozen settings class; a test checks every field for both texts.
 
     Args:
         default: A float, a whole number, or a tuple of them.
-        meaning: Its unit, and what it does.
-        source: What it was derived from or fitted with.
-        low: Lowest value that `Settings.override` takes; left out: a hundredth of the default, or
-            1 of something that is counted.
+        meaning: Its unit and effect.
+        source: Derivation, or the benchmark used to fit it.
+        low: Lowest value that `Settings.override` accepts; left out: a hundredth of the default, or
+            1 for a count.
         high: Highest value; left out: a hundred times the default.
 
     Returns:
-        What `dataclasses.field` returns.
+        The result of `dataclasses.field`.
     """
     values = default if isinstance(default, tuple) else (default,)
     whole = isinstance(values[0], int)

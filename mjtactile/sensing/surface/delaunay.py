@@ -1,5 +1,7 @@
-"""The paper's route from markers to a surface (II-B.3): Delaunay triangles of the marker centres
-and points on the frame, barycentric interpolation on a Cartesian grid, B-spline surface through it.
+"""Surface reconstruction from markers by the method of the paper (II-B.3).
+
+Steps: Delaunay triangulation of the marker centers and points on the frame, barycentric
+interpolation on a Cartesian grid, B-spline surface through it.
 """
 
 from __future__ import annotations

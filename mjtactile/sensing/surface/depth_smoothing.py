@@ -1,20 +1,20 @@
-"""Circles of one size on a smooth surface: each one's depth from its own size and, by a smoothing
-spline, its neighbours'.
+"""Depth of equal circles on a smooth surface, by a smoothing spline over neighboring circles.
 
-A small circle's depth hangs on a few hundredths of a pixel of its size, which a consumer camera's
-processing (demosaicing, sharpening, clipping) changes from circle to circle far beyond the noise.
-What many equal circles on one smooth surface do know is how depth changes from each to the next.
+The depth of a small circle depends on a few hundredths of a pixel of its size. The processing of a
+consumer camera (demosaicing, sharpening, clipping) changes that size from circle to circle far
+beyond the noise. Many equal circles on one smooth surface do determine the change of depth between
+neighbors.
 
-The prior is a thin-plate spline for the inverse depth over the image, w_i = f(x_i) + s sd_i e_i,
-with the weight of its bending energy and s both found by restricted maximum likelihood: what the
-markers show of bends is kept, what looks independent from marker to marker is taken for error. A
-plane's inverse depth is linear in the image, so that flat boards cost nothing, but neither flatness
-nor any spacing is assumed: the spline keeps at least one degree of freedom for every `_PER_FREEDOM`
-circles, so that no depth is the mean of more than about as many.
+The prior is a thin-plate spline for the inverse depth over the image, w_i = f(x_i) + s sd_i e_i.
+The weight of its bending energy and s are both found by restricted maximum likelihood. Bends that
+the markers support are kept; deviations that look independent from marker to marker are treated as
+error. A plane's inverse depth is linear in the image, so that flat boards have no bending energy.
+Neither flatness nor any spacing is assumed: the spline keeps at least one degree of freedom for
+every `_PER_FREEDOM` circles, so that no depth averages more than about as many.
 
-This is a prior on the scene, and false for circles that hang each at its own depth. It is refused
-when the scatter about the spline is more than a camera's processing may explain. Touch sensing
-never uses it: a membrane's small bumps are what it is there to see.
+This is a prior on the scene. It does not hold for circles at independent depths. It is rejected if
+the scatter about the spline exceeds the error that a camera's processing may explain. Touch sensing
+never uses it, because its purpose is to measure a membrane's small bumps.
 
 Wahba (1990), Spline Models for Observational Data, ch. 2 (spline), 4.8 (likelihood), 5 (posterior
 variance).
@@ -30,9 +30,9 @@ from numpy.typing import NDArray
 from mjtactile.core.types import Array, CirclePoses
 from mjtactile.sensing.settings import DEFAULTS, SmoothnessSettings
 
-# What half and twice of them do was not to be seen in any picture of `bench settings`.
+# Half and twice these values had no visible effect on any image of `bench setting-sensitivity`.
 _PER_FREEDOM = 8.0  # circles for each degree of freedom of the spline, at most
-_MAX_SCATTER = 5.0  # over the predicted sd: what a real camera may explain of a smooth surface
+_MAX_SCATTER = 5.0  # ratio to the predicted sd that a real camera may cause on a smooth surface
 _MIN_SD_FRACTION = 0.7  # of the predicted sd, of errors: a noise-free bend and noise can look alike
 
 _ROUNDS = 3
@@ -119,8 +119,8 @@ def _fit(xy: Array, w: Array, sd: Array, s: SmoothnessSettings) -> _Smooth:
 
 
 def _not_gross(x: Array, y: Array, sd: Array, gross: float) -> Array:
-    """First weights (N,): least absolute deviations from a second-order surface tell a circle of
-    another size."""
+    """Return initial weights (N,): least absolute deviations from a second-order surface reveal a
+    circle of another size."""
     A = (
         np.column_stack([np.ones(len(x)), x, x[:, 0] ** 2, x[:, 0] * x[:, 1], x[:, 1] ** 2])
         / sd[:, None]

@@ -1,4 +1,4 @@
-"""How well slopes are known that are measured by markers' ellipses."""
+"""Uncertainty of surface slopes measured from marker ellipses."""
 
 from __future__ import annotations
 
@@ -8,28 +8,31 @@ from numpy.typing import ArrayLike
 from mjtactile.core.types import Array
 
 _ASPECT_PER_DEPTH = np.sqrt(8 / 3)
-"""sd of an ellipse's axis ratio over the relative sd of its depth. With independent radial errors
-along the outline the axis ratio, 1 - 2 c / r with c the second harmonic, has sqrt(8) times the mean
-radius's relative sd, and the depth, whose tilt is fitted too, sqrt(3) times. Normals measured on
-rendered images have 0.8 to 0.9 of the sd that follows."""
+"""Ratio of the sd of an ellipse's axis ratio to the relative sd of its depth. The outline is
+assumed to have independent radial errors. The axis ratio is 1 - 2 c / r with c the second harmonic;
+its sd is sqrt(8) times the relative sd of the mean radius. For the depth, whose tilt is fitted too,
+the factor is sqrt(3). Normals measured on rendered images have 0.8 to 0.9 of the resulting sd."""
 
 
 def slope_sd(n: Array, p_CM: Array, variance: Array) -> Array:
-    """Standard deviation (N,) of slopes measured at markers with unit normals `n` at `p_CM` (N, 3)
-    m from the camera, whose depths have this `variance` (N,) m^2; see `slope_sd_of`."""
+    """Return the standard deviation (N,) of slopes measured at markers; see `slope_sd_of`.
+
+    The markers have unit normals `n`, positions `p_CM` (N, 3) m from the camera, and depths of this
+    `variance` (N,) m^2.
+    """
     far = np.sqrt(np.einsum("ni,ni->n", p_CM, p_CM))
     return slope_sd_of(n, p_CM / far[:, None], _ASPECT_PER_DEPTH * np.sqrt(variance) / far)
 
 
 def slope_sd_of(n: ArrayLike, view: ArrayLike, aspect_sd: ArrayLike) -> Array:
-    """Standard deviation (N,) of the slopes of markers with unit normals `n`, seen along unit rays
-    `view` (N, 3).
+    """Return the standard deviation (N,) of the slopes of markers with unit normals `n`.
 
-    The tilt t against the line of sight comes from the ellipse's axis ratio cos(t), known to
-    `aspect_sd` (N,): d t = aspect_sd / sin(t), and face-on at most sqrt(aspect_sd). Its direction
-    comes from the ellipse's axes: with the same second harmonic's noise, sin(t) d(angle) =
-    aspect_sd sin(t) / (2 (1 - cos(t))), to 5 % the same up to 35 degrees. A slope is tan of an
-    angle to the axis: d tan = d t / n_z^2.
+    The markers are observed along unit rays `view` (N, 3). The tilt t against the line of sight
+    comes from the ellipse's axis ratio cos(t), whose sd is `aspect_sd` (N,): d t = aspect_sd /
+    sin(t), and for a face-on marker at most sqrt(aspect_sd). Its direction comes from the ellipse's
+    axes: with the same second harmonic's noise, sin(t) d(angle) = aspect_sd sin(t) / (2 (1 -
+    cos(t))), equal within 5 % up to 35 degrees. A slope is tan of an angle to the axis: d tan = d t
+    / n_z^2.
     """
     n = np.asarray(n, dtype=float)
     aspect_sd = np.asarray(aspect_sd, dtype=float)

@@ -1,28 +1,27 @@
-"""The membrane's shape from marker poses: a smoothing spline fitted straight to the markers.
+"""Membrane shape from marker poses: a smoothing spline fitted directly to the markers.
 
-`SurfaceFitter`: a tensor-product cubic B-spline z(x, y) over the frame's opening whose
-boundary coefficients are left out, so that it is exactly zero on the frame. Its coefficients c
-minimise
+`SurfaceFitter`: a tensor-product cubic B-spline z(x, y) over the frame's opening. The boundary
+coefficients are left out, so that z is exactly zero on the frame. Its coefficients c minimize
 
     sum ((z(x_i, y_i) - z_i) / sd_i)^2 + sum |(grad z - slope_i) / sd_slope_i|^2
         + integral (|grad lap z| / g)^2 / A + integral (lap z / k)^2 / A
 
-The third term is the membrane's physics: where nothing touches, a sheet of uniform tension under
-uniform pressure has a constant Laplacian (Young-Laplace), so that inflating or pumping costs
-nothing, and under a ball it is constant again (2 / R). `g` is the rms gradient of the Laplacian to
-expect (contact edges make it), A the opening's area. The fourth term only keeps the fit finite
-where markers are missing. Read as a Gaussian process, the inverse Hessian is the coefficients'
-covariance, from which heights, area and volume get their uncertainties.
+The third term is the membrane's physics. Outside the contact, a membrane of uniform tension under
+uniform pressure has a constant Laplacian (Young-Laplace), so that inflation is not penalized. Under
+a sphere the Laplacian is constant again (2 / R). `g` is the expected rms gradient of the Laplacian,
+which comes from contact edges. A is the opening's area. The fourth term only keeps the fit finite
+where markers are missing. In the Gaussian process interpretation, the inverse Hessian is the
+coefficients' covariance. The uncertainties of heights, area and volume follow from it.
 
-Of an opening that is no rectangle the splines cover the rectangle around it and two intervals more
-on each side, so that they are free to leave it with any slope. Integrals are over the
-opening, on its outline z is zero to `_RIM_SD`, as if it were measured there, and beyond it the
+For an opening that is not rectangular, the splines cover its bounding rectangle and two more
+intervals on each side, so that the surface may leave the outline with any slope. Integrals are over
+the opening. On its outline z is zero to `_RIM_SD`, as if measured there. Beyond the outline the
 fourth term, much weakened, keeps the fit finite.
 
-The arithmetic is in mjtactile/kernels/smoothing_spline.c. The Hessian is a band, since splines
-overlap only their neighbours.
+The arithmetic is in mjtactile/kernels/smoothing_spline.c. The Hessian is banded, because splines
+overlap only their neighbors.
 
-The paper's own route is in `mjtactile.sensing.surface.delaunay`.
+The paper's own method is in `mjtactile.sensing.surface.delaunay`.
 """
 
 from __future__ import annotations
@@ -47,16 +46,18 @@ GRID_STEP = 1e-3
 # cubics to 1e-6
 GAUSS = 4
 _MARGIN = 4  # intervals beyond an outline, on both sides together
-_RIM_SD = 20e-6  # m: less bends the splines where the outline crosses their cells
+_RIM_SD = 20e-6  # in m; a smaller value bends the splines where the outline crosses their cells
 _RIM_POINTS = 4  # to an interval of the longer side
 _BEYOND = 1e-4  # of the fourth term's weight
-_BENT = (((2, 0), (0, 2)),)  # the Laplacian, of which `_energy` takes the square
+_BENT = (((2, 0), (0, 2)),)  # the Laplacian, squared by `_energy`
 
 
 @dataclass(frozen=True, eq=False)
 class Spline:
-    """A fitted surface: `coefficients` (ny, nx) m of z(x, y) = sum B_j(y) c_ji B_i(x), zero on the
-    frame, in S."""
+    """A fitted surface in S, zero on the frame.
+
+    `coefficients` (ny, nx) m are those of z(x, y) = sum B_j(y) c_ji B_i(x).
+    """
 
     fitter: SurfaceFitter
     coefficients: Array
@@ -114,12 +115,12 @@ class Spline:
 
 
 class SurfaceFitter:
-    """Fits splines for one sensor; keeps the tables that do not depend on the frame of video.
+    """Spline fitter of one sensor; keeps the tables that are the same for all images.
 
     The settings' `roughness` 1/m^2 and `laplacian` 1/m are the g and k of the module's docstring.
-    The spline has two or three more intervals than there are markers in a row, at least 8, and
-    even: with a knot in the middle, where things are pressed, errors under a ball are half as
-    large.
+    The number of spline intervals exceeds the markers in a row by two or three; it is at least 8
+    and even. With a knot in the center, where contacts are typical, errors under a sphere are half
+    as large.
     """
 
     def __init__(self, design: SensorDesign, settings: SurfaceSettings = DEFAULTS.surface):
@@ -170,8 +171,11 @@ class SurfaceFitter:
         )
 
     def _tables(self, weights: Array, inside: Array | None) -> tuple[object, ...]:
-        """What the kernel measures a surface with, over Gauss points of `weights` (qy, qx) m^2:
-        `inside` an outline; None: in the rectangle."""
+        """Return the tables with which the kernel measures a surface.
+
+        The Gauss points have `weights` (qy, qx) m^2. `inside` is an outline; None: the
+        rectangle.
+        """
         quad_x, quad_y = self._quad
         return (
             np.ascontiguousarray(self.grid_x[0].T),
@@ -206,10 +210,10 @@ class SurfaceFitter:
         """Fit markers at `p_SM` (N, 3) m with covariance `cov_p` (N, 3, 3) m^2 (default: 10 um) in
         S.
 
-        With normals `n_S` (N, 3) of either sign their slopes count too, where they are known well
-        enough (`slope_sd_of`, at the tilts of a first fit without them: the measured tilts would
-        favour their own errors). A marker that is not finite, or far off the surface of the others,
-        is left out.
+        With normals `n_S` (N, 3) of either sign, their slopes also contribute if they are accurate
+        enough. `slope_sd_of` is evaluated at the tilts of a first fit without slopes, because the
+        measured tilts would favor their own errors. A marker that is not finite, or far off the
+        surface of the others, is left out.
         """
         p = np.asarray(p_SM, dtype=float).reshape(-1, 3)
         if cov_p is None:
@@ -242,7 +246,7 @@ class SurfaceFitter:
         return _products(self.basis_y.at(y, dy), self.basis_x.at(x, dx))
 
     def _fraction_inside(self, frame: Frame) -> Array:
-        """Share (qy, qx) of what each Gauss point stands for that is in the opening."""
+        """Return the fraction (qy, qx) of each Gauss point's area that is inside the opening."""
         x, y = self.basis_x, self.basis_y
         if frame.outline is None:
             return np.ones((len(y.points), len(x.points)))
@@ -255,8 +259,11 @@ class SurfaceFitter:
         return share + cut * (lacking / float(y.weights @ cut @ x.weights))
 
     def _energy(self, weights: Array | None, *terms: tuple[tuple[int, int], ...]) -> Array:
-        """Matrix of the integral of sum over `terms` of (d1 z + d2 z + ...)^2, each d an order of
-        derivative (x, y), over Gauss points of `weights` (qy, qx) m^2; None: over the rectangle."""
+        """Return the matrix of the integral of sum over `terms` of (d1 z + d2 z + ...)^2.
+
+        Each d is an order of derivative (x, y). The Gauss points have `weights` (qy, qx) m^2; None:
+        those of the rectangle.
+        """
         if weights is not None:
             quad_x, quad_y = self._quad
             at = weights.ravel()[:, None]
@@ -287,9 +294,11 @@ def _derivatives(basis: Cubic) -> list[Array]:
 
 
 def banded(matrix: Array, width: int) -> Array:
-    """The lower triangle of a symmetric `matrix` (n, n) that vanishes beyond `width` from its
-    diagonal, as kernels/band_cholesky_f64.h has it: (n, stride), row j column j from its diagonal
-    on."""
+    """Return the lower triangle of a symmetric banded `matrix` (n, n) in band storage (n, stride).
+
+    The matrix vanishes beyond `width` from its diagonal. The layout is that of
+    kernels/band_cholesky_f64.h: row j is column j from its diagonal on.
+    """
     band = np.zeros((len(matrix), band_stride(width)))
     for below in range(min(width + 1, len(matrix))):
         band[: len(matrix) - below, below] = np.diagonal(matrix, -below)
@@ -305,7 +314,7 @@ def grid_of(frame: Frame, step: float = GRID_STEP) -> tuple[Array, Array]:
 
 
 def enough(markers: int, least: int) -> Status:
-    """Whether so many markers carry a surface, of which there must be `least`."""
+    """Return the status OK if there are at least `least` markers, else TOO_FEW_MARKERS."""
     if markers >= least:
         return OK
     return Status(StatusCode.TOO_FEW_MARKERS, f"too few markers: {markers} of at least {least}")

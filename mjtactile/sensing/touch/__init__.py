@@ -1,1 +1,1 @@
-"""Tractions to what touches: patches, slip, material."""
+"""Estimation of contact properties from tractions: patches, slip, material."""

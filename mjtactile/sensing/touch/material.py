@@ -1,10 +1,10 @@
-"""What an object is made of, from how its width answers to the force of a squeeze. Pure functions
-of a `Squeeze`.
+"""Material classification from the object width as a function of the squeeze force.
 
-Solid: the width stays, all that gives way are the membranes. Soft: it shrinks with the force and
-comes back; the curve is parabolic where the material stiffens (the paper's sponge). Amorphous: it
-flows, and keeps most of its deformation. The membranes are in series with the object, but its width
-is measured apart from theirs (docs/theory/exploration.md, Eq. P1-P5).
+All functions are pure functions of a `Squeeze`. Solid: the width stays constant, only the membranes
+deform. Soft: the width decreases with the force and recovers; the curve is parabolic if the
+material stiffens (the sponge of the paper). Amorphous: the object flows and keeps most of its
+deformation. The membranes are in series with the object, but its width is measured separately from
+theirs (docs/theory/exploration.md, Eq. P1-P5).
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ from mjtactile.sensing.settings import DEFAULTS, MaterialSettings
 from mjtactile.sensing.touch.squeeze import Squeeze
 
 _NO_COV = np.zeros((3, 3))
-_CLOSING_FRACTION = 0.9  # of a press; what is left may be the jaws' slow end, or the object's flow
+# fraction of the closing distance; the remainder may be the jaws' slow end, or flow
+_CLOSING_FRACTION = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +40,10 @@ class _Phases:
 
 @dataclass(frozen=True)
 class _Curve:
-    """Deformation d(F) = 2 a F / (1 + sqrt(1 + 4 q F)) of the press, so that F = d/a + (q/a^2) d^2;
-    `free_width` m at F = 0 and the covariance `cov` (3, 3) of (free width, a, q)."""
+    """Deformation under load, d(F) = 2 a F / (1 + sqrt(1 + 4 q F)), so that F = d/a + (q/a^2) d^2.
+
+    `free_width` m is the width at F = 0; `cov` (3, 3) is the covariance of (free width, a, q).
+    """
 
     free_width: float
     compliance: float
@@ -62,8 +65,10 @@ class _Curve:
 
 
 def judge(squeeze: Squeeze, s: MaterialSettings = DEFAULTS.material) -> Material:
-    """The verdict on a probe: press, hold, release and (better) a second touch. "unknown" says why
-    in `status`."""
+    """Classify the material from a probe: loading, hold, release and (optionally) a second touch.
+
+    For "unknown" the `status` gives the reason.
+    """
     seen = (
         np.isfinite(squeeze.width) & np.isfinite(squeeze.force) & (squeeze.force > s.force_traced)
     )
@@ -112,18 +117,20 @@ def _phases(squeeze: Squeeze, seen: NDArray[np.int64], s: MaterialSettings) -> _
 
 
 def _press_speed(opening: Array, speed: Array) -> float:
-    """The jaws' usual speed while they press, m/s: the median until most of the way is done. The
-    first image or two may still have the speed of the approach, ten times as much."""
+    """Return the median closing speed of the jaws during most of the loading, m/s.
+
+    The first one or two images may still have the approach speed, which is ten times as high.
+    """
     way = opening[0] - opening
     in_transit = way < _CLOSING_FRACTION * way.max()
     return float(np.median(speed[in_transit])) if in_transit.any() else 0.0
 
 
 def _fit_press(squeeze: Squeeze, load: NDArray[np.int64], s: MaterialSettings) -> _Curve:
-    """Least squares for free width, compliance a and stiffening q (Eq. P2), robust against single
-    bad widths.
+    """Fit free width, compliance a and stiffening q by least squares (Eq. P2).
 
-    Up to half the force: what flows has not flowed much by then.
+    The fit is robust against single bad widths. It uses samples up to half the maximum force: until
+    then a flowing material has flowed only little.
     """
     gentle = load[
         (squeeze.force[load] > s.force_estimate)
@@ -163,8 +170,7 @@ def _verdict(squeeze: Squeeze, phases: _Phases, curve: _Curve, s: MaterialSettin
     stayed, stayed_sd = _permanent_set(squeeze, phases, curve, s)
     probability = _probabilities(deformation, sd, max(force, s.force_min), stayed, stayed_sd, s)
     kind = max(probability, key=lambda name: probability[name])
-    # a body that flows has no stiffness of its own, and of one that stays the modulus cannot be
-    # seen
+    # a flowing object has no stiffness; the modulus of a solid one is too high to measure
     unknown = (math.nan, math.nan, math.nan)
     stiffness = _ratio(force, deformation, sd) if kind != "amorphous" else unknown
     relaxation_time, at_rest = _relaxation(squeeze, phases, force, s)
@@ -225,7 +231,7 @@ def _probabilities(
 def _permanent_set(
     squeeze: Squeeze, phases: _Phases, curve: _Curve, s: MaterialSettings
 ) -> tuple[float, float]:
-    """How much narrower the object is at the same small force afterwards, m, and its sd."""
+    """Return the decrease in width at the same small force after the squeeze, m, and its sd."""
     after = phases.second[squeeze.force[phases.second] > s.force_estimate]
     if len(after) < 3:  # a paste yields before it pushes back so hard
         after = phases.second
@@ -278,15 +284,15 @@ def _flow_speed(squeeze: Squeeze, hold: NDArray[np.int64], early_time: float) ->
 def _relaxation(
     squeeze: Squeeze, phases: _Phases, force: float, s: MaterialSettings
 ) -> tuple[float, float]:
-    """Time constant, s, of the stress at constant strain, and stiffness at rest, N/m.
+    """Return the time constant of the stress at constant strain, s, and the relaxed stiffness, N/m.
 
-    Time 0: the force stayed. NaN: it fell, but not as a standard linear solid's. Press and hold of
-    such a solid obey
+    Time 0: the force stayed constant. NaN: it fell, but not like that of a standard linear solid.
+    For such a solid, loading and hold obey
 
         F + tau F' = K d + tau (K + K_arm) d'    (Eq. P5)
 
-    Integrated once over time this is linear in tau, K, tau (K + K_arm) and the unknown free width;
-    it needs no derivatives, and holds whatever the membranes do meanwhile.
+    Integrated once over time this is linear in tau, K, tau (K + K_arm) and the unknown free width.
+    It needs no derivatives, and holds for any motion of the membranes.
     """
     rows = np.concatenate([phases.load, phases.hold])
     time = squeeze.time[rows]

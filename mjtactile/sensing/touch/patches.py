@@ -1,11 +1,12 @@
-"""Contact patches from the traction field: several at once, each with outline, area, centroid,
-depth and axes (Eq. F13).
+"""Contact patches from the traction field, each with outline, area, centroid, depth and axes (Eq.
+F13).
 
-The inverse cannot place pressure more sharply than its grid, but the second moment of a pressure
-survives such a blur. It gives the area of a disc that is pressed uniformly, which is too large
-where the blur is larger than the contact; there the force tells more, since a sheet on a ball
-carries its own tension's pressure beside the gas's. The outline encloses the strongest pressure,
-that much of it. The arithmetic is in mjtactile/kernels/patches.c.
+Several patches are possible at the same time. The inverse solution cannot resolve pressure more
+sharply than its grid, but the second moment of a pressure survives such a blur. It gives the area
+of a uniformly loaded disc. That area is too large where the blur exceeds the contact. There the
+force gives the better estimate, because a membrane on a sphere carries its own tension's pressure
+in addition to the gas pressure. The outline encloses the region of highest pressure that has this
+area. The arithmetic is in mjtactile/kernels/patches.c.
 """
 
 from __future__ import annotations
@@ -120,8 +121,10 @@ def _nearest_place(places: NDArray) -> NDArray:
 def _patch(
     inside: NDArray[np.uint8], mask: NDArray[np.bool_], found: Array, position: Array
 ) -> Contact:
-    """One patch from its fine cells `inside` (a, b), its grid nodes (ny, nx) and what the kernel
-    found of it."""
+    """Return one patch from its fine cells, its grid nodes and the kernel's results.
+
+    `inside` (a, b) are the fine cells, `mask` (ny, nx) the grid nodes.
+    """
     contours, _ = cv2.findContours(inside, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     b, a = max(contours, key=len)[:, 0].T
     x, y, depth, area, long, short, angle = found[3:].tolist()

@@ -1,26 +1,27 @@
-"""Does the object slip on the membrane? From the place of the touch on the rubber, against what the
-rubber itself does.
+"""Slip detection from the motion of the contact over the rubber, relative to the rubber's own
+motion.
 
-Markers are material points, so that the centre of pressure is known in the membrane's *material*
-coordinates. While the object sticks it stays there, however far the membrane is dragged along; when
-the object slips it goes along the shear force with the object, and the rubber under it no longer
-follows. This needs no coefficient of friction. What else moves a centre of pressure is allowed for:
-partial slip, which goes with how far the rubber is dragged, and an object that leans, which goes
-with the change of shear over normal force and the contact's length squared. Against what is then
-left, a ramp that began a few images ago is tested by its matched filter (Eq. F14). A patch that
-wanders without shear rolls.
+Markers are material points, so that the center of pressure is known in the membrane's *material*
+coordinates. While the object sticks, the center of pressure stays there, however far the membrane
+is dragged. When the object slips, the center moves along the shear force, and the rubber under it
+no longer follows. This needs no coefficient of friction. Two other causes of motion are accounted
+for. Partial slip is proportional to the drag distance of the rubber. Tilting of the object is
+proportional to the change of shear over normal force and to the contact's length squared. The
+remainder is tested for a ramp that started a few images ago, by its matched filter (Eq. F14). A
+patch that moves without shear rolls.
 
-What the shear looks like from within tells more, and on flat faces, over which nothing goes
-anywhere, it tells all: where everything slides each bit of the contact is dragged by friction
-alone, so that shear over pressure is the same all over it (Coulomb), whatever friction is; while
-the middle sticks it lags behind there (Cattaneo, Mindlin). Shear that is even is slip; uneven
-shear is none, so that more of the other signs is asked for. What turns on the spot goes nowhere and
-drags along nothing on the whole: there shear is even along the circles about the middle.
+The shear distribution inside the contact carries more information. On flat faces, where the center
+of pressure does not move, it is the only evidence. Under full sliding each part of the contact is
+dragged by friction alone, so that shear over pressure is uniform (Coulomb), whatever the friction
+coefficient. While the center sticks, the ratio is lower there (Cattaneo, Mindlin). Uniform shear is
+slip. Nonuniform shear is evidence against slip, so that stronger evidence of the other kinds is
+required. An object that rotates on the spot neither translates nor has a net shear force: its shear
+is uniform along the circles about the center.
 
-The share of friction that is used up, and with it the sticking share (1 - Q / mu N)^(2/3) of the
-area (Cattaneo 1938, Mindlin 1949), needs the coefficient: the sensor file's, until a slip or a hold
-beyond it has shown another. That nearly all of it is reached is no sign of slip: who does not know
-the object does not know the coefficient.
+The used fraction of the friction limit needs the coefficient, as does the sticking fraction of the
+area, (1 - Q / mu N)^(2/3) (Cattaneo 1938, Mindlin 1949). The coefficient is that of the sensor
+file, until a slip or a hold beyond it gives another value. A used fraction close to 1 is no
+evidence of slip: for an unknown object the coefficient is unknown too.
 """
 
 from __future__ import annotations
@@ -39,18 +40,21 @@ from mjtactile.sensing.settings import DEFAULTS, SlipSettings
 # of the peak: less is the contact's edge, where little pressure divides little shear
 _PRESSED = 0.1
 _NODES = 6  # that press alike, or as good as that
-_ROTATION_NODES = 4  # the same, of what turns: its shear is even along circles, which is rarer
+_ROTATION_NODES = 4  # same for rotation: shear that is uniform along circles is rarer
 _ROTATION_FRACTION = 1.5  # of the force, as much torque over the radius of gyration
-_IMAGES = 3  # of which two must show it: one image's shear may look even by its noise
+_IMAGES = 3  # two of these must show it: noise may make the shear of one image look uniform
 _ROTATION_LIMIT = 0.85  # squared, over that of a force: of a torque over the radius of gyration
-_POINT = 1e-4  # m: a patch is not smaller; one of a single node has no extent of its own
+_POINT = 1e-4  # minimum patch size, m; a patch of a single node has no extent
 
 
 @dataclass(frozen=True, eq=False)
 class SlipSample:
-    """One image: `time` s, centre of pressure `p` (2,) m on the material, the way `dragged` (3,) m
-    of the rubber under it since the touch began, the shear over the normal force, `ratio` (3,), and
-    how uneven it is along a turn, `turning` (inf: it does not turn)."""
+    """Sample of one image for slip detection.
+
+    `time` s; center of pressure `p` (2,) m in material coordinates; displacement `dragged` (3,) m
+    of the rubber under it since the touch started; `ratio` (3,) of shear to normal force;
+    `turning`, the nonuniformity of the shear along a rotation (inf: no rotation).
+    """
 
     time: float
     p: Array
@@ -61,8 +65,11 @@ class SlipSample:
 
 @dataclass(frozen=True, eq=False)
 class SlipHistory:
-    """What the next image needs: the last `samples`, the nodes' `weight` (J,) and `position` (J, 3)
-    m, the `distance` m slipped, and the coefficient of `friction` as far as it is known."""
+    """State carried to the next image.
+
+    It holds the last `samples`, the `weight` (J,) and `position` (J, 3) m of the nodes, the slip
+    `distance` m, and the current estimate of the coefficient of `friction`.
+    """
 
     samples: tuple[SlipSample, ...]
     weight: Array
@@ -118,17 +125,17 @@ def judge(
 def shear_nonuniformity(
     estimator: InverseMembrane, shape: Shape, shear: Array
 ) -> tuple[float, bool]:
-    """How uneven the shear is over the contact.
+    """Return the nonuniformity of the shear over the contact.
 
     Args:
-        estimator: Whose nodes they are.
+        estimator: Membrane model that defines the nodes.
         shape: With the tractions.
-        shear: (3,) N, along which.
+        shear: Shear force (3,) N; it defines the direction.
 
     Returns:
-        Spread over mean of shear over pressure, where it presses with a tenth of the peak at least,
-        weighted by the press: 0 where everything slides; and whether enough nodes press to tell: on
-        one alone nothing is uneven.
+        Ratio of spread to mean of shear over pressure, weighted by the normal force: 0 under full
+        sliding. Only nodes with at least a tenth of the peak pressure count. And True if enough
+        nodes are loaded: a single node is always uniform.
     """
     press = np.maximum(-shape.traction[2], 0.0)
     inside = press > _PRESSED * press.max()
@@ -142,20 +149,21 @@ def shear_nonuniformity(
 
 
 def turning(estimator: InverseMembrane, shape: Shape) -> tuple[float, float]:
-    """How uneven the shear is along the way of a body that turns on the spot.
+    """Return the nonuniformity of the shear along the motion of an object that rotates on the spot.
 
-    What slides as one body by a force f and a torque t, per newton that presses, moves by f + (t /
-    c^2) z x (r - r0) where the limits of both are an ellipse (Howe & Cutkosky 1996; the motion is
-    normal to it): each bit of it is dragged that way, by friction alone.
+    For one rigid object with a force f and a torque t per newton of normal force, the sliding
+    velocity is f + (t / c^2) z x (r - r0). Here the limits of both form an ellipse, and the motion
+    is normal to it (Howe & Cutkosky 1996). Each part of the contact is dragged in that direction by
+    friction alone.
 
     Args:
-        estimator: Whose nodes they are.
+        estimator: Membrane model that defines the nodes.
         shape: With the tractions.
 
     Returns:
-        Spread over mean of the shear over pressure along that way, weighted by the press and by how
-        fast it goes there: 0 where everything slides; inf where it would rather go straight, or too
-        few nodes press; and the mean.
+        Ratio of spread to mean of the shear over pressure along that direction, weighted by the
+        normal force and by the local speed: 0 under full sliding; inf where translation dominates,
+        or if too few nodes are loaded. And the mean.
     """
     press = np.maximum(-shape.traction[2], 0.0)
     inside = press > _PRESSED * press.max()
@@ -180,15 +188,17 @@ def turning(estimator: InverseMembrane, shape: Shape) -> tuple[float, float]:
 
 
 def _turns(samples: Sequence[SlipSample], s: SlipSettings) -> bool:
-    """Whether it slides as it turns: shown by the newest image, and by one of the two before."""
+    """Return True if the newest image and one of the two before show rotational sliding."""
     seen = [sample.turning < s.uniform_rotation for sample in samples[-_IMAGES:]]
     return seen[-1] and sum(seen) > 1
 
 
 def evidence(history: SlipHistory, normal: float, s: SlipSettings = DEFAULTS.slip) -> float:
-    """How many sd the centre of pressure has gone along the shear, as a ramp that began within the
-    last `s.recent` s, beyond what the rubber's own way and leaning explain (Eq. F14); `normal` N
-    presses."""
+    """Return the displacement of the center of pressure along the shear, in standard deviations.
+
+    The displacement is a ramp that started within the last `s.recent` s, minus the part explained
+    by the rubber's own motion and by tilting (Eq. F14). `normal` is the normal force, N.
+    """
     samples = history.samples
     time = np.array([sample.time for sample in samples])
     along = samples[-1].ratio / max(float(np.linalg.norm(samples[-1].ratio)), 1e-12)
@@ -224,8 +234,10 @@ def _follow(
     before: SlipHistory | None,
     s: SlipSettings,
 ) -> SlipHistory:
-    """History with the newest image's sample, whose `ratio` and `turning` are `shear`; begun anew
-    at the touch, and after a gap."""
+    """Return the history with the newest image's sample, whose `ratio` and `turning` are `shear`.
+
+    The history is reset at the start of the touch, and after a gap.
+    """
     weight = _pressed(estimator, shape, s.core_fraction)
     position = estimator.node_positions(shape.c)
     p = weight @ estimator.nodes
@@ -250,7 +262,7 @@ def _motion(samples: Sequence[SlipSample], s: SlipSettings) -> tuple[Array, floa
 
 
 def _latest_direction(samples: Sequence[SlipSample]) -> float:
-    """How far the centre of pressure went in the newest image, m."""
+    """Return the displacement of the center of pressure in the newest image, m."""
     if len(samples) > 1:
         return float(np.linalg.norm(samples[-1].p - samples[-2].p))
     return 0.0

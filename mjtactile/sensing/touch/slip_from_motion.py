@@ -1,8 +1,8 @@
-"""Slip, where it is known what body touches and how it moves against the rubber.
+"""Slip detection for a known contact shape with known motion relative to the rubber.
 
-A body's place is known better than the centre of what presses, which wanders where a face leans;
-and a body that turns on the spot, about its own normal, leaves that centre where it was: nothing
-else shows it (docs/theory/slip.md, Eq. F22).
+The position of the object is more accurate than the center of pressure, which moves when a face
+tilts. An object that rotates about its own normal leaves that center unchanged: only its motion
+reveals the slip (docs/theory/slip.md, Eq. F22).
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ def with_motion(
     motion: RelativeMotion | None,
     s: SlipSettings = DEFAULTS.slip,
 ) -> tuple[Slip, SlipHistory | None]:
-    """Say whether a body slips, by its motion too.
+    """Update the slip state with the motion of the object.
 
     Args:
-        slip: By the centre of what presses.
+        slip: Result from the center of pressure.
         history: Its history, of this image.
-        motion: Of the body against the rubber; None: it is not known.
+        motion: Motion of the object relative to the rubber; None: unknown.
         s: Settings.
 
     Returns:
-        The slip with the body's own velocity; "slipping", too, where the body slides along the
-        shear, or spins, faster than is allowed for and surely so. And its history.
+        The slip with the object's own velocity, and its history. The state is also "slipping" where
+        the object slides along the shear, or spins, significantly faster than the limit.
     """
     if motion is None or history is None or slip.state not in ("sticking", "incipient", "slipping"):
         return slip, history
@@ -48,15 +48,15 @@ def with_motion(
 
 
 def slides(motion: RelativeMotion, history: SlipHistory, s: SlipSettings = DEFAULTS.slip) -> bool:
-    """Whether a body goes along the shear over the rubber, beyond what partial slip explains.
+    """Return True if the object slides along the shear over the rubber, beyond partial slip.
 
     Args:
-        motion: The body's.
-        history: Of the touch; its newest shear is what counts.
+        motion: Motion of the object.
+        history: History of the touch; its newest shear is used.
         s: Settings.
 
     Returns:
-        Whether it does. What carries too little shear rolls.
+        True if it slides. An object with too little shear rolls.
     """
     samples = history.samples
     ratio = samples[-1].ratio
@@ -73,13 +73,13 @@ def slides(motion: RelativeMotion, history: SlipHistory, s: SlipSettings = DEFAU
 
 
 def spins(motion: RelativeMotion, s: SlipSettings = DEFAULTS.slip) -> bool:
-    """Whether a body turns about its normal over the rubber.
+    """Return True if the object rotates about its normal over the rubber.
 
     Args:
-        motion: The body's.
+        motion: Motion of the object.
         s: Settings.
 
     Returns:
-        Whether it does; False for what looks the same all around.
+        True if it rotates; False for a rotationally symmetric shape.
     """
     return abs(motion.spinning) > max(s.body_spin, s.body_sure * motion.spinning_sd)

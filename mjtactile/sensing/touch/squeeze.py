@@ -1,9 +1,8 @@
-"""What a squeeze between two fingers (or a press against a wall) says of the object's own size,
-from sensing alone.
+"""Object size from a squeeze between two fingers (or against a wall), from sensing alone.
 
-The membranes give way too, but the cameras see by how much: the object's width is the opening
-between the two sensors' frames less the height at which each membrane stands over its frame where
-it touches (docs/theory/exploration.md, Eq. P1). No model of membrane or gas enters.
+The membranes deform too, but the cameras measure their deformation. The object's width is the
+opening between the two sensors' frames, minus the height of each membrane over its frame at the
+contact (docs/theory/exploration.md, Eq. P1). No model of membrane or gas is needed.
 """
 
 from __future__ import annotations
@@ -22,10 +21,12 @@ from mjtactile.sensing.settings import DEFAULTS, SqueezeSettings
 
 @dataclass(frozen=True, eq=False)
 class Squeeze:
-    """A history of T samples: `time` s, `opening` m between the sensors' frames (of one sensor:
-    from its frame to the wall behind the object), `force` N (mean over the fingers) with
-    `force_sd`, `width` m of the object (NaN where nothing touches) with `width_sd`, `area` m^2 of
-    the contact (mean over the fingers), all (T,)."""
+    """History of a squeeze with T samples; all arrays are (T,).
+
+    `time` s; `opening` m between the sensors' frames (one sensor: from its frame to the wall behind
+    the object); `force` N (mean over the fingers) with `force_sd`; `width` m of the object (NaN
+    without contact) with `width_sd`; contact `area` m^2 (mean over the fingers).
+    """
 
     time: Array
     opening: Array
@@ -56,7 +57,8 @@ class Squeeze:
         openings: Sequence[float],
         s: SqueezeSettings = DEFAULTS.squeeze,
     ) -> Squeeze:
-        """From what one or two sensors said, cycle by cycle, and the opening."""
+        """Create the history from the touches of one or two sensors, cycle by cycle, and the
+        opening."""
         rows = [
             _sample(touch, opening, s) for touch, opening in zip(touches, openings, strict=True)
         ]
@@ -81,13 +83,14 @@ def _sample(touch: Sequence[Touch], opening: float, s: SqueezeSettings) -> tuple
 def object_width(
     touch: Sequence[Touch], opening: float, s: SqueezeSettings = DEFAULTS.squeeze
 ) -> tuple[float, float]:
-    """Width and its sd, m, of what the sensors hold; NaN when one of them does not touch.
+    """Return the width of the held object and its sd, m; NaN if a sensor has no contact.
 
     Two sensors face each other, y up: x of the second is -x of the first. Faces that are not
-    parallel to the frames touch at different places; their planes are carried on to the point
-    halfway, and the width is measured there. A face that touches with an edge only looks less
-    tilted than it is, so that this is uncertain by a share of what it adds. Of more than two, which
-    stand around the object, it is twice the mean distance of the faces from the middle.
+    parallel to the frames touch at different positions. Their planes are extrapolated to the point
+    halfway, and the width is measured there. A face that touches with an edge only appears less
+    tilted than it is, so that a fraction of the extrapolation is added to the uncertainty. For more
+    than two sensors around the object, the width is twice the mean distance of the faces from the
+    center.
     """
     faces = [contact_face(t, s) for t in touch]
     if any(face is None for face in faces):
@@ -108,11 +111,11 @@ def object_width(
 def contact_face(
     touch: Touch, s: SqueezeSettings = DEFAULTS.squeeze
 ) -> tuple[float, Array, Array] | None:
-    """Where the object's face is: height, m, of the membrane at the contact's centroid (2,) m, and
-    its slope (2,) there; None when nothing touches.
+    """Return the height and slope of the object's face; None without contact.
 
-    A paraboloid is fitted to the surface inside the contact, so that the height of a curved face is
-    that of its nearest point and does not fall as the contact grows.
+    The results are the height of the membrane at the contact's centroid, m, the centroid (2,) m and
+    the slope (2,) there. A paraboloid is fitted to the surface inside the contact, so that the
+    height of a curved face is that of its nearest point and does not fall as the contact grows.
     """
     surface = touch.surface
     contact = touch.contact
@@ -141,8 +144,11 @@ def contact_face(
 
 
 def covered_area(touch: Touch) -> float:
-    """Area, m^2, that the contact covers: its convex hull, since a face presses hardest along its
-    edges and a patch drawn from pressure has holes; 0 when nothing touches."""
+    """Return the area covered by the contact, m^2; 0 without contact.
+
+    It is the area of the convex hull: a face has its highest pressure along its edges, so that a
+    patch derived from pressure has holes.
+    """
     contact = touch.contact
     traction = touch.traction
     surface = touch.surface

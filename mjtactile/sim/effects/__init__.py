@@ -1,1 +1,1 @@
-"""Which effects a scene calls for, and what accuracy costs in time."""
+"""Selection of the effects that a scene needs, and the time cost of accuracy."""

@@ -1,4 +1,4 @@
-"""When each effect is needed: a gate looks at a scene, and says whether, and why."""
+"""Activation rules of the effects: a gate checks a scene and gives its decision and the reason."""
 
 from __future__ import annotations
 
@@ -14,18 +14,21 @@ from mjtactile.sim.effects import membrane_slope
 from mjtactile.sim.scenes.objects import ObjectModel
 
 GRAVITY = 9.81
-_CONTACT_SPEED = 0.01  # m/s of the membrane while an object is touched gently
-_EXPOSURE = 0.008  # s
-_HELD = 0.6  # N: a usual grasp
-# of the force, over the slope's tangent squared: what shading moves in the middle, measured
+_CONTACT_SPEED = 0.01  # membrane speed at a gentle touch, m/s
+_EXPOSURE = 0.008  # exposure time, s
+_HELD = 0.6  # force of a typical grasp, N
+# relative force error by shading in the center, over the slope's tangent squared; measured
 # (docs/reference/effects.md)
 _SHADED = 0.06
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What the gates look at. `feature` m: the object's smallest radius; `sharp`: it has edges;
-    `half_extents` m: half its size along and across a membrane that closes on it."""
+    """Input of the gates.
+
+    `feature` m: the object's smallest radius; `sharp`: it has edges; `half_extents` m: half its
+    size along and across a membrane that closes on it.
+    """
 
     design: SensorDesign
     grasped: ObjectModel | None
@@ -49,7 +52,7 @@ class Scene:
 
 
 Gate = Callable[[Scene], tuple[bool, str]]
-"""From a scene to whether it needs an effect, and the sentence that says why."""
+"""Function of a scene; returns True if the scene needs the effect, and the reason as a sentence."""
 
 
 def gas(s: Scene) -> tuple[bool, str]:
@@ -182,15 +185,17 @@ def refraction(s: Scene) -> tuple[bool, str]:
 
 def led_shading(s: Scene) -> tuple[bool, str]:
     leds = s.design.leds
-    return has(leds.count * leds.falloff, "LEDs that fall off")
+    return has(leds.count * leds.vignetting, "LEDs that fall off")
 
 
 def shadows(s: Scene) -> tuple[bool, str]:
-    """The sheet's deepest slope at a usual grasp, against the LEDs' lowest ray, and by what slopes
-    alone do to force."""
+    """Compare the steepest membrane slope in a typical grasp with the LEDs' lowest ray.
+
+    The effect is also needed if slopes alone change the force by more than the force error.
+    """
     leds = s.design.leds
     frame = s.design.frame
-    if not leds.count * leds.falloff:
+    if not leds.count * leds.vignetting:
         return False, "no LEDs that fall off: light from everywhere"
     if leds.ring_radius > s.half_width:
         return True, "the frame's wall stands between the LEDs and the membrane"

@@ -1,14 +1,13 @@
-"""The effects a simulation can have: their names, when each is needed, what it costs, and what
-leaving it out costs.
+"""Catalog of the simulation effects: names, activation rules, cost, and error when left out.
 
     chosen = choose(design, load_object("egg"), force_error=0.02)          # effects="auto"
     chosen = choose(design, item, overrides="+bending,-friction")          # forced by hand
     world = GraspWorld(design, item, effects=chosen.on)
 
-The gates are those of docs/reference/effects.md: an effect is on when leaving it out would move
-force or surface by more than the accuracy asked for, or when the scene makes it the point (friction
-carries the object). Costs and errors are measured on the shipped membrane by `mjtactile bench
-effects` (models/fidelity/effects.json).
+The gates are those of docs/reference/effects.md. An effect is on if leaving it out would change
+force or surface by more than the requested accuracy. It is also on if the scene depends on it
+(friction carries the object). Costs and errors are measured on the shipped membrane by `mjtactile
+bench effects` (models/fidelity/effects.json).
 """
 
 from __future__ import annotations
@@ -21,9 +20,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjtactile.core import resources
+from mjtactile.core import renamed, resources
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
+from mjtactile.core.renamed import hint
 from mjtactile.sim.effects import activation_rules, membrane_slope
 from mjtactile.sim.effects.activation_rules import Gate, Scene
 from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR
@@ -34,8 +34,11 @@ from mjtactile.sim.sensor.effect_switches import Effect
 
 @dataclass(frozen=True)
 class EffectEntry:
-    """`name`; `kind` of place it lives in; `gate` that says whether a scene needs it and why;
-    `built`: False when this version has no such effect, `fixed` when it cannot be taken out."""
+    """Catalog entry of one effect.
+
+    `name`; `kind`: the part that implements it; `gate`: the activation rule. `built` is False if
+    this version has no such effect, `fixed` is True if it cannot be left out.
+    """
 
     name: Effect
     kind: str
@@ -46,8 +49,10 @@ class EffectEntry:
 
 @dataclass(frozen=True)
 class Choice:
-    """One row of the table: the effect, whether it is on, why, ms per simulated second it costs,
-    and what leaving it out costs, N and um (NaN: not measured)."""
+    """One row of the table: the effect, its state, the reason, its cost and the error without it.
+
+    The cost is in ms per simulated second. The error is in N and um (NaN: not measured).
+    """
 
     effect: EffectEntry
     on: bool
@@ -91,11 +96,10 @@ def choose(
     force_error: float = DEFAULT_FORCE_ERROR,
     overrides: str = "auto",
 ) -> Chosen:
-    """Derive the set for a sensor, an object and a force error asked for (N); then apply
-    `overrides`.
+    """Choose the effects for a sensor, an object and a force error (N); then apply `overrides`.
 
     `overrides` is "auto", or "+name,-name,...". Raises InputError for an unknown name, an effect
-    that is not built and is forced on, or one that cannot be taken out and is forced off.
+    that is not built and is forced on, or one that cannot be left out and is forced off.
     """
     forced = _with_what_goes_along(parse(overrides))
     scene = Scene(design, grasped, force_error, *_feature(grasped))
@@ -126,7 +130,7 @@ def parse(text: str) -> dict[Effect, bool]:
         effect = next((e for e in EFFECTS if e.name.lower() == name.lower()), None)
         if sign not in ("+", "-") or effect is None:
             raise InputError(
-                f"{part.strip()!r} is not +NAME or -NAME",
+                f"{part.strip()!r} is not +NAME or -NAME{hint(name, renamed.EFFECTS)}",
                 field="--effects",
                 choices=["auto", *(e.name for e in EFFECTS)],
             )
@@ -144,16 +148,21 @@ def parse(text: str) -> dict[Effect, bool]:
 
 
 def _with_what_goes_along(forced: dict[Effect, bool]) -> dict[Effect, bool]:
-    """Without a chain there is nobody to look at images, and touch is that of a film. Raises
-    InputError where the two are forced apart."""
+    """Add the overrides implied by leaving out the sensing chain.
+
+    Without a chain, images are not needed, and touch comes from a quasi-static membrane. Raises
+    InputError for contradictory overrides.
+    """
     if forced.get(Effect.CHAIN, True):
         return forced
     if forced.get(Effect.SHEET, True):
         raise InputError(
-            "touch is drawn of a film, not of a mesh", field="--effects", choices=["-sheet,-chain"]
+            "synthetic touch needs the quasi-static membrane",
+            field="--effects",
+            choices=["-mesh,-pipeline"],
         )
     if forced.get(Effect.IMAGES, False):
-        raise InputError("nobody looks at images without a chain", field="--effects")
+        raise InputError("images are not used without the sensing pipeline", field="--effects")
     return forced | {Effect.IMAGES: False}
 
 
@@ -219,8 +228,11 @@ EFFECTS: tuple[EffectEntry, ...] = (
 
 
 def quasistatic_is_valid(design: SensorDesign, grasped: ObjectModel, overrides: str) -> bool:
-    """Whether `--accuracy` may take a film: nobody has said what the sheet is to be, and it would
-    lie on something rigid and round, as what its error was measured on."""
+    """Return True if `--accuracy` may choose a quasi-static membrane.
+
+    It requires that no override sets the membrane model, and that the object is rigid and round,
+    like the objects on which the error was measured.
+    """
     if Effect.SHEET in parse(overrides) or design.relaxation is not None:
         return False
     return grasped.flesh is None and not _feature(grasped)[1]
@@ -250,7 +262,7 @@ def _number(value: float | None) -> float:
 
 
 def _measured() -> dict[str, dict[str, float]]:
-    """What `bench effects` wrote, by name; empty when it never ran."""
+    """Return the results of `bench effects` by name; empty if it never ran."""
     path = resources.folder("models/fidelity") / "effects.json"
     if path.is_file():
         return json.loads(path.read_text(encoding="utf-8"))["effects"]

@@ -1,15 +1,14 @@
-"""`Fidelity`: how finely to simulate. A user says what is needed; the cheapest setting that was
-measured to give it is taken.
+"""`Fidelity`: simulation accuracy. For a requirement, it selects the cheapest setting that was
+measured to meet it.
 
     Fidelity.for_force_error(0.02)  the cheapest setting whose force error is at most 0.02 N
     Fidelity.for_real_time()        the most accurate one that runs at least as fast as the clock
-    Fidelity.parse("0.02N")         the same by what follows --accuracy: "0.02N" or "realtime"
+    Fidelity.parse("0.02N")         the same by the argument of --accuracy: "0.02N" or "realtime"
 
-The table behind it, models/fidelity/measured.json, is written by `mjtactile bench accuracy` and
-says on which machine and with which versions it was measured. Errors are those of the shipped
-sensors' membrane (see docs/validation/accuracy.md). Where a film can serve, a force error may be
-had from it,
-too: models/fidelity/levels.json, by `mjtactile bench levels`.
+The table, models/fidelity/measured.json, is written by `mjtactile bench accuracy`. It states the
+machine and the versions of the measurement. Errors are those of the shipped sensors' membrane (see
+docs/validation/accuracy.md). Where a quasi-static membrane is valid, its settings are included too:
+models/fidelity/levels.json, by `mjtactile bench meshless`.
 """
 
 from __future__ import annotations
@@ -29,22 +28,22 @@ REAL_TIME_MARGIN = 1.25
 """Physics must be this much faster than the clock: cameras, perception and the rest want their
 share."""
 CHOICES = ("0.02N (a force error)", "realtime")
-FILM = "-sheet"
+FILM = "-mesh"
 DEFAULT_FORCE_ERROR = 0.02
-"""Force error, N, that effects are chosen for when nobody says."""
+"""Default force error for the choice of effects, N."""
 
 
 @dataclass(frozen=True)
 class Fidelity:
-    """A setting of the simulator with what was measured of it.
+    """A setting of the simulator with its measured performance.
 
-    `mesh` vertices along x and y, `timestep` s (at most; a rig takes the next shorter one that
+    `mesh` vertices along x and y, `timestep` s (upper limit; a rig takes the next shorter one that
     divides its camera's period), solver `tolerance`; `force_error` N and `surface_error` m (root
     mean square against the converged reference), `force_noise` N (standard deviation while an
     object is held), `cost` ms of one core per simulated second of two sensors holding an object.
-    `met` is False when nothing measured reaches what was asked; `basis` says why it was taken.
-    `asked` N is the force error that effects are chosen for: who asks for real time asks for no
-    costly ones.
+    `met` is False if no measured setting meets the requirement; `basis` gives the reason of the
+    choice. `asked` N is the force error used for the choice of effects; a real-time request keeps
+    the default, without costly effects.
     """
 
     mesh: tuple[int, int]
@@ -58,7 +57,8 @@ class Fidelity:
     basis: str = ""
     asked: float = DEFAULT_FORCE_ERROR
     effects: str = ""
-    """What it leaves out, as `--effects` has it: a film's grid is `mesh` then."""
+    """Effects left out, in the format of `--effects`; for a quasi-static membrane its grid is
+    `mesh`."""
 
     @property
     def real_time_factor(self) -> float:
@@ -129,12 +129,13 @@ class Fidelity:
         return cls.for_force_error(value, table, films=films)
 
     def with_effects(self, overrides: str) -> str:
-        """What was forced by hand, as `--effects` has it, and what this setting leaves out."""
+        """Combine the user's `--effects` overrides with the effects that this setting leaves
+        out."""
         parts = [self.effects, "" if overrides == "auto" else overrides]
         return ",".join(part for part in parts if part) or "auto"
 
     def summary(self) -> dict[str, Any]:
-        """What a run writes down about its setting; JSON keys carry units."""
+        """Return the setting for the record of a run; JSON keys carry units."""
         return {
             "mesh": list(self.mesh),
             "timestep_ms": 1e3 * self.timestep,
@@ -176,8 +177,10 @@ def levels_path() -> Path:
 
 @cache
 def load_membranes() -> Sequence[Fidelity]:
-    """The films that were measured; touch is felt by the whole chain there. None, where there is no
-    such file."""
+    """Return the measured settings of quasi-static membranes; empty without such a file.
+
+    Their touch comes from the complete sensing chain.
+    """
     path = levels_path()
     if not path.is_file():
         return ()
@@ -187,8 +190,10 @@ def load_membranes() -> Sequence[Fidelity]:
 
 @cache
 def load_table(path: Path | None = None) -> tuple[Sequence[Fidelity], str]:
-    """The measured settings, and one line that says where and with what. Raises InputError for a
-    file that is none."""
+    """Return the measured settings, and one line with machine, version and date.
+
+    Raises InputError for an invalid file.
+    """
     path = table_path() if path is None else path
     try:
         table = json.loads(path.read_text(encoding="utf-8"))

@@ -1,5 +1,4 @@
-"""How steep the sheet will be beside an object: what decides whether it can stand in its own light
-(effects.py)."""
+"""Membrane slope next to an object, used to predict self-shadowing (effects.py)."""
 
 from __future__ import annotations
 
@@ -13,15 +12,16 @@ from mjtactile.core.design import SensorDesign
 
 
 def deepest(design: SensorDesign, half_extents: tuple[float, float], force: float) -> float:
-    """Angle t, rad, at which the sheet leaves an ellipsoid of half extents a, b m across, pressed
-    with `force` F, N:
+    """Return the membrane slope angle t, rad, at the contact edge of an ellipsoid.
+
+    The ellipsoid has half extents a, b m across and is loaded with `force` F, N:
 
         F = pi [(a + b) T(t) + a b p] sin(t)^2,
         T = T0 + E h / (1 - nu^2) (1 / cos(t) - 1) / 2                  (Eq. L5)
 
-    It touches as far as the object is no steeper; a flank's stretch spreads over twice its length.
-    Spheres of 4-16 mm up to 1.8 N, 21 to 47 degrees steep in simulation: -4 to +4 degrees. Beside
-    the frame's wall more is steeper still.
+    The contact extends to the point where the object has this slope; the stretch of the flank
+    spreads over twice its length. For spheres of 4-16 mm up to 1.8 N, with 21 to 47 degrees in
+    simulation, the error is -4 to +4 degrees. Next to the frame's wall the slope is larger.
     """
     sheet = design.membrane
     a, b = half_extents

@@ -1,1 +1,1 @@
-"""What the sensor's camera sees: an analytic renderer with glass, lens, light and shadows."""
+"""Images of the sensor's camera: an analytic renderer with glass, lens, light and shadows."""

@@ -16,9 +16,11 @@ _INWARD = np.array([0.0, 0.0, -1.0])
 
 @dataclass(frozen=True)
 class FiducialRenderer:
-    """The fiducials of a sensor: discs `p_SF`, `n_S` (F, 3) of `radius` m, and what is white around
-    them: `ground` m of each disc, or what lies between the outlines `white` (outer, inner), (n, 3)
-    m each; `blur_px` of their picture where the camera's is less."""
+    """Fiducials of a sensor: discs `p_SF`, `n_S` (F, 3) of `radius` m, and their white background.
+
+    The background extends `ground` m around each disc, or covers the area between the outlines
+    `white` (outer, inner), (n, 3) m each. `blur_px` is the minimum blur of their image.
+    """
 
     p_SF: Array
     n_S: Array

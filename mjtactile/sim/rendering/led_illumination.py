@@ -1,7 +1,7 @@
-"""How the LEDs light the membrane when nothing is in their way: the inverse-square law on a smooth
+"""Illumination of the membrane by the LEDs without obstruction: the inverse-square law on a smooth
 bubble.
 
-What is left out, the slope of the sheet and shadows, is in shadows.py.
+The slope of the membrane and shadows are handled in shadows.py.
 """
 
 from __future__ import annotations
@@ -17,14 +17,17 @@ from mjtactile.core.types import Array
 
 BLOCK_PX = 16
 """The light is computed once per block of this size and interpolated: below 0.05 DN at 25 %
-falloff."""
+vignetting."""
 
 Floats = NDArray[np.float32]
 
 
 def block_slopes(camera: Camera, block: int) -> Array:
-    """Slopes x/z, y/z (nv, nu, 2) in C of the rays in air that the middles of blocks of `block` px
-    see; 0 where the lens model cannot be inverted."""
+    """Return slopes x/z, y/z (nv, nu, 2) in C of the rays in air through the centers of pixel
+    blocks.
+
+    The blocks are `block` px wide. The slope is 0 where the lens model cannot be inverted.
+    """
     nu = -(-camera.width // block)
     nv = -(-camera.height // block)
     u = (np.arange(nu) + 0.5) * (camera.width / nu) - 0.5
@@ -34,18 +37,18 @@ def block_slopes(camera: Camera, block: int) -> Array:
 
 
 class Light:
-    """LEDs on a ring around the camera light the membrane by the inverse-square law and two
-    cosines.
+    """Illumination of the membrane by a ring of LEDs around the camera: the inverse-square law and
+    two cosines.
 
-    No LEDs mean even light. The field is 1 in the middle of the flat membrane and 1 - falloff at
-    its corners. A membrane that comes nearer gets brighter: heights between the markers are those
-    of the bubble (1 - (2x/L)^2) (1 - (2y/W)^2) (a + bx + cy) that fits the markers best. That is
-    smooth, as light is, and it is not meant to be a model of the surface.
+    Without LEDs the light is uniform. The field is 1 in the center of the flat membrane and 1 -
+    vignetting at its corners. A membrane closer to the camera becomes brighter. Heights between the
+    markers are those of the bubble (1 - (2x/L)^2) (1 - (2y/W)^2) (a + bx + cy) that fits the
+    markers best. It is smooth, as light is, and is not intended as a model of the surface.
     """
 
     def __init__(self, design: SensorDesign, camera: Camera):
         self._frame = design.frame
-        self._falloff = design.leds.falloff
+        self._falloff = design.leds.vignetting
         self._size = (camera.width, camera.height)
         self._xy = block_slopes(camera, BLOCK_PX) * design.camera.distance
         self._even = design.leds.count == 0
@@ -85,8 +88,8 @@ class Light:
         return ((self._leds.reshape(-1, *(1,) * (xy.ndim - 1), 2) - xy) ** 2).sum(axis=-1)
 
     def _irradiance(self, aside: Array, z: Array) -> Array:
-        """What the LEDs give where they are so far `aside` (n, ...), on a membrane at the heights
-        `z` (...)."""
+        """Return the LEDs' irradiance at squared lateral distances `aside` (n, ...) and heights `z`
+        (...)."""
         h2 = (self._distance + z) ** 2
         return h2 * ((aside + h2) ** -2.0).sum(axis=0)
 

@@ -1,11 +1,12 @@
 """Virtual camera: an exact analytic renderer of rigid marker circles on the membrane; needs no
 OpenGL.
 
-Every circle goes through its pose, the pane and the lens exactly; its boundary in the image is then
-a smooth closed curve, whose area under the point spread function (the camera's Gaussian blur and
-the pixel's square) is integrated along that curve, without any sampling of the area: see
-`render_discs`. What is not in the picture: marker thickness, specular reflections, light that
-bounces off the walls. The light is the LEDs', see light.py and shadows.py.
+Every circle is projected exactly through its pose, the glass and the lens. Its boundary in the
+image is then a smooth closed curve. The point spread function consists of the camera's Gaussian
+blur and the pixel's square. The area under it is integrated along that curve, without any sampling
+of the area: see `render_discs`. Not modeled: marker thickness, specular reflections, light
+reflected by the walls. The illumination comes from the LEDs, see led_illumination.py and
+shadows.py.
 
 This module shares no code with `sensing`, so that a mistake cannot cancel.
 """
@@ -46,8 +47,8 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Effects:
-    """What to change against the design's camera for one image: exposure `gain`, `noise_dn` (sd),
-    `blur_px` (sd)."""
+    """Changes to the design's camera for one image: exposure `gain`, `noise_dn` (sd), `blur_px`
+    (sd)."""
 
     gain: float = 1.0
     noise_dn: float | None = None
@@ -55,13 +56,13 @@ class Effects:
 
 
 class Renderer:
-    """Draws what the camera of `design` sees. Keeps the background and a pool of noise; `seed`
+    """Renderer of the images of `design`'s camera. Keeps the background and a pool of noise; `seed`
     fixes the noise.
 
     `radius` m of the markers, one or one each (default: the design's). `pose` R_SC (3, 3), p_SC
-    (3,) m of the camera, with its pane and LEDs, in S (default: the design's). With `shadows` the
-    LEDs light the sheet as it lies, and what stands in their way throws a shadow; all markers of
-    the design must then be given.
+    (3,) m of the camera, with its glass and LEDs, in S (default: the design's). With `shadows` the
+    LEDs light the deformed membrane, including shadows; all markers of the design must then be
+    given.
     """
 
     def __init__(
@@ -152,7 +153,7 @@ class Renderer:
         return gray
 
     def _contrast(self, blur: float) -> Floats:
-        """How much more light (H, W) DN membrane and wall reflect than a marker there."""
+        """Return the excess of membrane and wall over a marker, (H, W) DN."""
         if blur not in self._bare:
             membrane = self.design.leds.membrane_dn
             marker = self.design.leds.marker_dn
@@ -169,7 +170,8 @@ class Renderer:
     def _with_fixed(
         self, fixed: FiducialRenderer, white: Floats, blur: float
     ) -> tuple[Floats, Floats]:
-        """What is `white` (H, W), with the ground of fiducials, and what they blacken."""
+        """Return the `white` area (H, W) including the fiducials' background, and the fiducials'
+        black area."""
         blur = max(blur, fixed.blur_px)
         if fixed.white is None:
             ground = self._discs(fixed, fixed.radius + fixed.ground, blur)
@@ -196,7 +198,7 @@ def render_discs(
     """Add the blurred area coverage (0-1) of N discs to the image `coverage` (H, W).
 
     `p_CM` (N, 3) m in C, unit normals `n_C` (N, 3) of either sign, `radius` m one or (N,). Discs
-    that are behind the camera, not wholly beyond the pane or not finite are left out.
+    that are behind the camera, not wholly beyond the glass or not finite are left out.
 
     With the point spread function h(u) h(v), h = pixel * Gaussian, and H its integral, by Green's
     theorem
@@ -204,9 +206,9 @@ def render_discs(
         coverage(u, v) = integral over the inside of h(u - x) h(v - y) dx dy = closed integral of
         h(u - x) H(v - y) dx.
 
-    The integrand is smooth, so that the trapezium rule converges exponentially. A node of it adds
-    h(u - x) (H(v - y) - H(v - 1 - y)) dx to the few pixels around it; the sum of the rows above is
-    the coverage. The sign is the curve's orientation.
+    The integrand is smooth, so that the trapezium rule converges exponentially. Each node adds h(u
+    - x) (H(v - y) - H(v - 1 - y)) dx to the few pixels around it; the sum of the rows above is the
+    coverage. The sign is the curve's orientation.
     """
     radius = np.broadcast_to(np.asarray(radius, dtype=float), (len(p_CM),))
     per_px = 1 / (_STEP_PER_BLUR * max(blur_px, BLUR_MIN_PX))
@@ -224,10 +226,10 @@ def render_discs(
 
 
 def render_opening(camera: Camera, corners_CP: Array, blur_px: float, coverage: Floats) -> None:
-    """Add the blurred area coverage of the polygon `corners_CP` (M, 3) m in C, bent by pane and
-    lens, to `coverage`.
+    """Add the blurred area coverage of the polygon `corners_CP` (M, 3) m in C to `coverage`.
 
-    As `render_discs`, by Gauss-Legendre quadrature along each straight side.
+    The sides are distorted by glass and lens. The method is that of `render_discs`, with
+    Gauss-Legendre quadrature along each straight side.
     """
     node, weight = np.polynomial.legendre.leggauss(_NODES)
     # px: closer than a rim's, since nodes are not even
@@ -248,9 +250,12 @@ def render_opening(camera: Camera, corners_CP: Array, blur_px: float, coverage: 
 
 @lru_cache(maxsize=32)
 def _brush(blur_px: float) -> tuple[int, int, Floats, Floats]:
-    """What a node does to the pixels around it, for each of `_BINS` places in a pixel: their
-    number, that of the pixels, h across and H's rise from row to row, (bins, pixels) and (bins,
-    pixels + 1), of which the first is pixels/2 - 1 before the node's."""
+    """Return the contribution of a node to the pixels around it, for `_BINS` subpixel positions.
+
+    The results are the number of bins, the number of pixels, h across (bins, pixels), and the
+    increase of H from row to row (bins, pixels + 1). The first pixel is pixels/2 - 1 before the
+    node's.
+    """
     sd = max(blur_px, BLUR_MIN_PX)
     taps = 8 * int(np.ceil((_TAIL * sd + 0.5) / 4))  # whole vectors
     d = np.arange(taps + 1) - (taps // 2 - 1) - np.arange(_BINS)[:, None] / _BINS

@@ -1,16 +1,15 @@
-"""Shadows: the LEDs light the sheet as it lies, and what stands in their way takes its share away
-(Eq. L1-L4).
+"""Shadows: the LEDs light the deformed membrane, and obstacles block part of the light (Eq. L1-L4).
 
-The renderer knows the sheet by its markers alone. The sheet is the thin-plate spline that carries
-their displacements and is fixed to the frame: on the shipped layouts that is as fine as the
-simulation's own mesh. From it comes a height field on a regular grid of the opening; on that each
-LED's irradiance with the slope's cosine, and the clearance of each LED's ray over the sheet and
-past the frame's inner wall. Camera rays meet the height field where it really is, so that light
-moves in the image with the surface.
+The renderer receives the membrane only as marker positions. The membrane is the thin-plate spline
+that interpolates their displacements and is fixed to the frame; on the shipped layouts its
+resolution equals that of the simulation's own mesh. It gives a height field on a regular grid of
+the opening. On that grid each LED's irradiance with the slope's cosine is computed. The clearance
+of each LED's ray over the membrane and past the frame's inner wall is computed too. Camera rays are
+intersected with the deformed height field, so that light moves in the image with the surface.
 
-Left out: the pane's bending of the LEDs' light (it seems to come from 0.7 mm nearer), light that
-the rubber scatters along itself (it softens edges by about a thickness), and sheets that hang over,
-which no height field can hold.
+Left out: refraction of the LEDs' light in the glass (it seems to come from 0.7 mm nearer), light
+scattered within the rubber (it softens edges by about a thickness), and overhanging membranes,
+which a height field cannot represent.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from mjtactile.sim.rendering.led_illumination import BLOCK_PX, Floats, Light, bl
 LED_RADIUS = 1.5e-3
 """Radius, m, of an LED's luminous window: of the usual packages 3528 and 5050. It makes the
 penumbra."""
-# m between nodes of the height field; half of it moves shadow edges by 0.1 mm
+# node spacing of the height field, m; half of it moves shadow edges by 0.1 mm
 # (tests/unit/sim/test_shadows.py)
 _NODE = 1e-3
 _EDGE_PX = 4  # blocks where a shadow falls: 0.3 mm of membrane; edges are soft over 0.1-0.5 mm
@@ -39,18 +38,17 @@ _EDGE_PX = 4  # blocks where a shadow falls: 0.3 mm of membrane; edges are soft 
 _CAMERA_STEPS = 6
 # fixed point: which material point lies at a place; displacements change by 0.2 per length
 _CARRY_STEPS = 4
-# m between steps at which both fixed points are found: the rest is below half of it, 0.2 px
+# convergence step of both fixed points, m: the remaining error is below half of it, 0.2 px
 _NEAR = 2e-5
 _BEYOND = 1.1  # how far past the sheet's lowest point a ray is followed, for the penumbra
 _MAX_STEPS = 200  # samples along a ray: 0.1 m of way at the usual node
 
 
 class ShadowedLight(Light):
-    """`Light` on the sheet through the markers, each LED with its cosine there and as far as
-    nothing is in its way.
+    """`Light` on the membrane through the markers, with local cosine and shadow of each LED.
 
-    What the design's falloff is less than the LEDs' own is light from everywhere (white walls): it
-    throws no shadows.
+    If the design's vignetting is less than that of the LEDs alone, the difference is uniform light
+    (white walls), which throws no shadows.
     """
 
     def __init__(self, design: SensorDesign, camera: Camera):
@@ -112,8 +110,11 @@ class ShadowedLight(Light):
         )
 
     def _lines(self, block: int) -> tuple[Array, Array]:
-        """Per block of pixels: slopes (nv, nu, 2) of the ray beyond the pane, and the depth (nv,
-        nu) in C from which it seems to come there: a pane shifts a ray and leaves its direction."""
+        """Return ray slopes (nv, nu, 2) and apparent depth offsets (nv, nu) per block of pixels.
+
+        The slopes are those beyond the glass, in C. The glass shifts a ray and keeps its direction;
+        the offset is the depth in C from which the ray appears to come.
+        """
         slopes = block_slopes(self._camera, block)
         return slopes, optics.glass_displacement(self._camera, (slopes**2).sum(axis=-1))
 
@@ -136,7 +137,7 @@ class ShadowedLight(Light):
         return at
 
     def _line(self, slopes: Array, shift: Array, height: Array) -> Array:
-        """Where rays (of `_lines`) are at a `height` m in S: x, y (..., 2) m."""
+        """Return the points x, y (..., 2) m of rays (of `_lines`) at a `height` m in S."""
         return slopes * (self._distance + height - shift)[..., None]
 
 
@@ -194,8 +195,10 @@ class SmoothMembrane:
 
 
 def irradiance(xy: Array, z: Array, p_SL: Array) -> Array:
-    """Each LED's irradiance (n, ny, nx), 1/m^2, were nothing in its way (Eq. L1); nothing where the
-    sheet is turned away."""
+    """Return each LED's irradiance without obstruction (n, ny, nx), 1/m^2 (Eq. L1).
+
+    It is zero where the membrane faces away from the LED.
+    """
     dz_dy, dz_dx = np.gradient(z, xy[:, 0, 1], xy[0, :, 0])
     to_x, to_y, down = _towards(xy, z, p_SL)
     # distance x cosine
@@ -204,10 +207,10 @@ def irradiance(xy: Array, z: Array, p_SL: Array) -> Array:
 
 
 def may_block(xy: Array, z: Array, p_SL: Array, radius: float = LED_RADIUS) -> bool:
-    """Whether the sheet can be in its own light: its steepest slope against the lowest ray (Eq.
+    """Return True if the membrane can shade itself: its steepest slope against the lowest ray (Eq.
     L2).
 
-    A chord of the sheet that is as steep as a ray needs, by the mean value theorem, a slope that
+    By the mean value theorem, a chord of the membrane as steep as a ray requires a slope that
     steep.
     """
     along_x, along_y = (
@@ -221,11 +224,11 @@ def may_block(xy: Array, z: Array, p_SL: Array, radius: float = LED_RADIUS) -> b
 
 
 def clearance(xy: Array, z: Array, p_SL: Array, radius: float = LED_RADIUS) -> Array:
-    """How far (n, ny, nx) each LED's middle stands clear of what of the sheet hides it, in radii of
-    the LED (Eq. L3).
+    """Return the clearance (n, ny, nx) of each LED's center over the membrane, in LED radii (Eq.
+    L3).
 
-    1 and more: all of the LED is seen; -1 and less: nothing. The ray to the LED is followed as far
-    as the sheet reaches.
+    At 1 and above the LED is fully visible; at -1 and below it is fully hidden. The ray to the LED
+    is followed to the end of the membrane.
     """
     to_x, to_y, down = _towards(xy, z, p_SL)
     across = np.hypot(to_x, to_y)

@@ -1,14 +1,14 @@
-"""What the image stages would find in a camera's image, without the image: each marker's ellipse,
-with an error as theirs has.
+"""Marker ellipses with the errors of the image stages, simulated without rendering an image.
 
-The ellipse of a circle is that of its boundary, exactly through pane and lens. Its error is drawn
-from the Cramer-Rao bound of an edge of contrast C, blur s px (sd, the pixel's own included) and
-noise sigma, whose information of a shift along its normal is
+The ellipse of a circle is that of its boundary, projected exactly through glass and lens. Its error
+is sampled from the Cramer-Rao bound of an edge of contrast C, blur s px (sd, the pixel's own
+included) and noise sigma. The edge's information on a shift along its normal is
 
     dI/dl = C^2 / (2 sqrt(pi) s sigma^2)      per px of edge,
 
-summed over the boundary for centre and shape, times what the image stages lose against it. `bench
-cheap` compares the two. Like the renderer, this shares no code with `sensing`.
+summed over the boundary for center and shape. The result is multiplied by the loss of the image
+stages relative to the bound. `bench no-images` compares the two. Like the renderer, this module
+shares no code with `sensing`.
 """
 
 from __future__ import annotations
@@ -24,19 +24,20 @@ from mjtactile.kernels import kernel
 from mjtactile.sim.rendering.fiducials import FiducialRenderer
 from mjtactile.sim.rendering.led_illumination import Light
 
-_POINTS = 12  # on a boundary: what lens and pane add has few harmonics; 1e-12 px
+_POINTS = 12  # points on a boundary: lens and glass add few harmonics; 1e-12 px
 _ROUNDING = 1 / 12  # px^2 of a pixel's square, DN^2 of a rounded grey level
 
 
 LOSS = np.array([1.17, 1.17, 1.04, 1.0, 1.04])
 LOSS_BY_BLUR = np.array([0.0, 0.0, 6.2, 0.0, 6.2])
-"""Standard deviations of (u, v, p, q, s) that the image stages have, and say, over the bound, and
-what is added to them for the square of blur over radius: they also fit light and blur, which takes
-some of the information (`bench cheap`; 0.7 to 2 px of blur, at rest to 39 degrees steep)."""
+"""Ratio of the standard deviations of (u, v, p, q, s), actual and reported by the image stages, to
+the bound, and its increase per square of blur over radius. The image stages also fit light and
+blur, which takes some of the information (`bench no-images`; 0.7 to 2 px of blur, flat to 39
+degrees steep)."""
 
 
 class EllipseSampler:
-    """Sees what the camera of `design` would; arguments as of `Renderer`."""
+    """Sampler of the ellipses in images of `design`'s camera; arguments as for `Renderer`."""
 
     def __init__(
         self,
@@ -67,9 +68,11 @@ class EllipseSampler:
     def sight(
         self, p_SM: Array, n_S: Array, time: float = 0.0, *, errors: bool = True
     ) -> SyntheticEllipses:
-        """The ellipses of the markers with centres `p_SM` (N, 3) m and normals `n_S` (N, 3) in S
-        that are wholly in the image, and of the fiducials; without `errors` they are exact, and say
-        the covariance of those that have some."""
+        """Return the ellipses of fully visible markers and of the fiducials.
+
+        The markers have centers `p_SM` (N, 3) m and normals `n_S` (N, 3) in S. Without `errors` the
+        ellipses are exact, but carry the covariance of ellipses with errors.
+        """
         if self._fixed is not None:
             p_SM = np.concatenate([p_SM, self._fixed.p_SF])
             n_S = np.concatenate([n_S, self._fixed.n_S])
@@ -127,7 +130,7 @@ class EllipseSampler:
         ) * scale[:, None]
 
     def _is_seen(self, center: Array, shape: Array) -> Array:
-        """Which (N,) lie whole in the image and are there at all."""
+        """Return a mask (N,) of the markers that exist and are completely in the image."""
         reach = np.hypot(shape[:, :2], shape[:, 1:]).max(axis=1) + 2 * self.design.camera.blur_px
         size = np.array([self.camera.width, self.camera.height])
         inside = ((center - reach[:, None] > -0.5) & (center + reach[:, None] < size - 0.5)).all(
@@ -169,5 +172,5 @@ _DERIVATIVE = np.real(
         axis=0,
     )
 )
-"""(K, K): derivative by the angle of what has K values around the circle, exact up to K/2 - 1
-harmonics."""
+"""Derivative matrix (K, K) with respect to the angle, for K samples around the circle; exact up to
+K/2 - 1 harmonics."""

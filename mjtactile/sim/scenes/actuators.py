@@ -1,9 +1,9 @@
-"""Position actuators of any model, by their length: what drives jaws, lifts and arms of a simulated
-rig.
+"""Position actuators of any model, described by their length: they drive jaws, lifts and arms of a
+simulated rig.
 
-A position actuator pushes with g u + b0 + b1 l + b2 l' (MuJoCo's "fixed" gain and "affine" bias, b1
-< 0), so that the control u sets a goal for its length l: an angle or a distance of its joint or
-tendon, times the gear.
+A position actuator has the force g u + b0 + b1 l + b2 l' (MuJoCo's "fixed" gain and "affine" bias,
+b1 < 0), so that the control u sets a goal for its length l. The length is an angle or a distance of
+its joint or tendon, times the gear.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class PositionActuator:
         self.reads = list(zip(self._qpos.tolist(), gears, strict=True))
         """Places in qpos that its length hangs on, and by how much."""
         self._moves = list(zip(self.dofs.tolist(), gears, strict=True))
-        self._asked = math.nan  # N or N m, the last limit
+        self._asked = math.nan  # last limit, N or N m
         limited = bool(model.actuator_forcelimited[self.id])
         if limited:
             self._range = model.actuator_forcerange[self.id].copy()
@@ -79,7 +79,7 @@ class PositionActuator:
 
     @property
     def force(self) -> float:
-        """What it pushed with in the last step, N or N m."""
+        """Force in the last step, N or N m."""
         return float(self._data.actuator_force[self.id])
 
     def force_reached(self, sign: float) -> float:
@@ -87,7 +87,7 @@ class PositionActuator:
         return float(self._range[1] if sign > 0 else -self._range[0])
 
     def limit_force(self, force: float) -> None:
-        """Push with at most `force` from here on, and never more than the model says."""
+        """Limit the force to at most `force` from now on, within the model's own limit."""
         if force == self._asked:
             return
         self._asked = force
@@ -100,7 +100,7 @@ class PositionActuator:
 
     @property
     def is_linear(self) -> bool:
-        """Whether its length is that of joints alone."""
+        """True if the length depends on joints alone."""
         return len(self.joints) > 0
 
     @property
@@ -131,8 +131,11 @@ class PositionActuator:
 
 
 def _joints(model: mujoco.MjModel, actuator: int) -> tuple[Array, Array]:
-    """The slides and hinges that a joint's or a fixed tendon's actuator moves, and the length of
-    each unit of theirs; none for any other transmission."""
+    """Return the slides and hinges of a joint's or fixed tendon's actuator, and the length per unit
+    of each.
+
+    Both are empty for any other transmission.
+    """
     kind = model.actuator_trntype[actuator]
     target = int(model.actuator_trnid[actuator, 0])
     gear = float(model.actuator_gear[actuator, 0])

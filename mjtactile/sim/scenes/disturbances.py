@@ -1,8 +1,9 @@
-"""What happens to a held object in a task: it is filled, shaken, pushed, pulled, and the place that
-it came from moves.
+"""Disturbances of a held object in a task: filling, shaking, pushing, pulling, and motion of its
+support.
 
-A shaken or turned hand is gravity that shakes and turns: in the hand's own frame nothing tells the
-two apart (the principle of equivalence), any hand can do it, and the cameras look at no table.
+A shaken or rotated gripper is simulated by shaken and rotated gravity. The two are
+indistinguishable in the gripper's own frame (the principle of equivalence). This works for any
+gripper, and the cameras do not observe the table.
 """
 
 from __future__ import annotations
@@ -23,18 +24,21 @@ if TYPE_CHECKING:
     from mjtactile.sim.scenes.gripper_world import GripperWorld
 
 _UP = 0.9
-"""Of the height that the robot is told to lift to: then the hand is up, and time begins."""
+"""Fraction of the commanded lift height at which the gripper counts as lifted and time starts."""
 _PLACES = (PREFIX, "table/")
-_TAKEN_TIME = 0.02  # s in which somebody who took the object stops it: within 8 mm at 0.4 m/s
-_HOLDS = 2  # fingers; what touches one alone is not held
+_TAKEN_TIME = 0.02  # time to stop an object taken by a person, s: within 8 mm at 0.4 m/s
+_HOLDS = 2  # minimum number of fingers of a grip; contact with a single finger does not hold
 _FASTER = 2.0  # than its lift's speed no hand rises
-_FILLS_EVERY = 0.01  # s
+_FILLS_EVERY = 0.01  # update period of the mass, s
 _ROTATION_MAX = math.radians(60)
 
 
 class DisturbanceSchedule:
-    """The events of one grasp. `step` after each stretch of the world's steps prepares the next
-    one, which ends when it is `due` again: while something happens that is after each step."""
+    """The disturbances of one grasp.
+
+    `step`, called after each batch of world steps, prepares the next batch, which ends when the
+    schedule is `due` again. During a disturbance that is after each step.
+    """
 
     def __init__(
         self, world: GripperWorld, events: Sequence[SampledDisturbance], lift_height: float
@@ -54,9 +58,9 @@ class DisturbanceSchedule:
         self._place_height = model.body_pos[self._places, 2].copy()
         self._first_mass = float(self._mass.sum())
         self.up_since = math.nan
-        """s; NaN: the hand was not up yet."""
+        """Time when the lift was completed, s; NaN: not yet lifted."""
         self.is_taken = False
-        """Somebody pulled it out of the hand, or was given it, and has it from then on."""
+        """True once the object was pulled out of the gripper or handed over."""
 
     def step(self) -> None:
         """Set masses, gravity, forces and places for the world's next step."""
@@ -86,8 +90,10 @@ class DisturbanceSchedule:
         world.data.xfrc_applied[self._bodies, :3] = self._share[:, None] * force
 
     def due(self) -> float:
-        """s in the world's time at which `step` must be called again at the latest; what is filled
-        grows by less than a gram until then."""
+        """Return the latest world time of the next call of `step`, s.
+
+        A filled object gains less than a gram until then.
+        """
         world = self._world
         if math.isnan(self.up_since):
             missing = self._up - self._risen()
@@ -102,7 +108,7 @@ class DisturbanceSchedule:
         return self.up_since + due
 
     def _risen(self) -> float:
-        """m by which the hand is higher than where it began."""
+        """Return the height of the gripper above its start, m."""
         return float(self._world.data.xpos[self._world.start.hand, 2]) - self._start_height
 
     def _fill(self, mass: float, done: float) -> None:
@@ -117,8 +123,12 @@ class DisturbanceSchedule:
         model.body_subtreemass[0] += added.sum()
 
     def _pull(self, event: SampledDisturbance, done: float) -> Array:
-        """N; who pulls at an object that is let go of has it, and holds it where it is, whatever
-        the hand touches then: nobody pulls on at what he has, nor presses it against a finger."""
+        """Return the pulling force (3,), N.
+
+        Once the gripper releases the object, the puller has taken it. From then on the object is
+        held in place, whatever the gripper touches: the pull ends, and the object is not moved
+        against a finger.
+        """
         data = self._world.data
         self.is_taken |= not self._is_held()
         if not self.is_taken:
@@ -129,7 +139,7 @@ class DisturbanceSchedule:
         return -mass * (self._world.model.opt.gravity + velocity / _TAKEN_TIME)
 
     def _is_held(self) -> bool:
-        """Whether as many membranes touch anything as a grip takes."""
+        """Return True if as many membranes are in contact as a grip requires."""
         sensors = self._world.sensors
         return sum(sensor.is_touched for sensor in sensors) >= min(_HOLDS, len(sensors))
 
@@ -155,7 +165,7 @@ def _shaken(gravity: Array, event: SampledDisturbance, time: float, done: float)
 
 
 def _static_bodies(model: mujoco.MjModel) -> NDArray[np.int64]:
-    """The table, and what of the object's file does not move: children of the world."""
+    """Return the table and the static bodies of the object's file: children of the world."""
     return np.array(
         [
             body

@@ -46,10 +46,13 @@ class GraspWorld(GripperWorld):
         effects: frozenset[str] = PHYSICS,
         specimens: Sequence[SensorDesign] = (),
     ):
-        """`timestep` s and `mesh` trade accuracy for speed; `object_pose` is x, y (m) and yaw (rad)
-        of the object's file on the table, seen from the hand; `opening` m is where the jaws start
-        (default: the rig file's), `effects` those of `Effect`; `specimens` are the fingers' own
-        sensors, where they are not as `sensor` says."""
+        """Create the scene.
+
+        `timestep` s and `mesh` trade accuracy for speed. `object_pose` is x, y (m) and yaw (rad) of
+        the object's file on the table, relative to the gripper. `opening` m is the initial jaw
+        opening (default: the rig file's), `effects` are those of `Effect`. `specimens` are the
+        as-built sensors of the fingers, if they differ from `sensor`.
+        """
         self.design = load_sensor(sensor)
         self.object = grasped if isinstance(grasped, ObjectModel) else load_object(grasped)
         self.specimens = tuple(specimens)
@@ -86,12 +89,13 @@ class GraspWorld(GripperWorld):
             self.solid = SoftSolid(
                 self.model, soft_flex(self.model, PREFIX), flesh.young, flesh.poisson
             )
-        """Where and how far a soft object is strained: its elements, for scoring and for flags."""
+        """Elements of a soft object for its strain distribution; used for scoring and for flags."""
         self._watch(self._strain_flags)
         require_clear(self, self.object, self.opening)
 
     def _strain_flags(self) -> Flags:
-        """Say when the soft object is strained by more than its linear elements can carry."""
+        """Return a flag if the strain of the soft object exceeds the range of its linear
+        elements."""
         if self.solid is None or "strain" in self.flags:
             return {}
         compression = self.solid.strain(self.data).compression

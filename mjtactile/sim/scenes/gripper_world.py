@@ -27,11 +27,10 @@ DEFAULT_TIMESTEP = 4e-3
 
 
 class GripperWorld(World):
-    """A hand with a sensor on each finger, in the order of the rig file, and what lifts it.
+    """A gripper with a sensor on each finger, in the order of the rig file, and its lift.
 
-    The jaws are current-limited: they move towards their target opening at no more than the rig's
-    speed and push with no more than their force limit. `rig` is the rig file, `start` where it
-    began.
+    The jaws are current-limited. They move towards their target opening at most at the rig's speed,
+    and their force is at most the force limit. `rig` is the rig file, `start` the initial state.
     """
 
     def __init__(
@@ -47,11 +46,14 @@ class GripperWorld(World):
         effects: frozenset[str] = PHYSICS,
         furnish: Callable[[mujoco.MjSpec, Start], None] = lambda spec, start: None,
     ):
-        """`designs` are the fingers' sensors, `tip_height` m of the fingertips above the table;
-        `timestep` s and `mesh` trade accuracy for speed; `opening` m is where the jaws start
-        (default: the rig file's) and `grip` m where they meet what is grasped (default: there);
-        `effects` those of `Effect`; `furnish` puts things onto the
-        table."""
+        """Create the scene.
+
+        `designs` are the fingers' sensors, `tip_height` m is the height of the fingertips above the
+        table. `timestep` s and `mesh` trade accuracy for speed. `opening` m is the initial jaw
+        opening (default: the rig file's). `grip` m is the opening at contact with the object
+        (default: `opening`). `effects` are those of `Effect`; `furnish` adds objects to the
+        table.
+        """
         self.rig = rig
         self.effects = effects
         opening = self._checked(rig.gripper.start if opening is None else opening)
@@ -79,7 +81,8 @@ class GripperWorld(World):
 
         self.start = plan_start(robot, rig, bodies, opening, height, coordinates, mocap, grip)
         self._robot_dofs = _dofs_without(robot, [f"{finger.name}/" for finger in rig.fingers])
-        if rig.lift.kind in ("actuator", "none"):  # nothing else brings the hand to its height
+        # no other mechanism brings the gripper to its height
+        if rig.lift.kind in ("actuator", "none"):
             _raise(spec, robot, int(robot.body_rootid[self.start.hand]), self.start.raised)
         if rig.table:
             _add_table(spec, [*self.start.centre[:2], rig.table_height])
@@ -95,8 +98,7 @@ class GripperWorld(World):
         mujoco.mj_forward(self.model, self.data)
         self._ahead = self._qs_stepper()
 
-    # -- commands: what a real gripper takes
-    # ---------------------------------------------------------------------
+    # -- commands of a real gripper
 
     def set_finger_target(self, opening: float, force_limit: float | None = None) -> None:
         """Set the goal for the gap between the sensors' frames, m, and the most that each finger
@@ -138,8 +140,7 @@ class GripperWorld(World):
         """Trap the gas that one chamber holds now."""
         self.sensors[sensor].close_valve()
 
-    # -- state: what a real gripper reports
-    # ----------------------------------------------------------------------
+    # -- state reported by a real gripper
 
     @property
     def max_opening(self) -> float:
@@ -158,7 +159,7 @@ class GripperWorld(World):
 
     @property
     def grip_force(self) -> float:
-        """Force with which the servos close each finger, N; what their current would say."""
+        """Closing force of the servos on each finger, as indicated by their current, N."""
         return self._jaws.force()
 
     @property
@@ -202,7 +203,8 @@ class GripperWorld(World):
         self._lift.drive(self._lift_goal)
 
     def _qs_stepper(self) -> QuasistaticStepper | None:
-        """What does many steps in one go, where all sensors are films and jaws and lift linear."""
+        """Return a stepper for batches of steps; None unless all sensors are quasi-static and jaws
+        and lift linear."""
         films = [sensor for sensor in self.sensors if isinstance(sensor, QuasistaticSensor)]
         drive = self._jaws.drive_with(self._lift)
         known = type(self)._before_step is GripperWorld._before_step
@@ -227,8 +229,10 @@ class GripperWorld(World):
         self._lift.drive(self._lift_goal)
 
     def _check_clearance(self, tip_height: float, half: float) -> None:
-        """Called with each sensor frame's half height, m, before anything is built. For what cannot
-        be grasped there."""
+        """Reject objects that cannot be grasped at this height.
+
+        Called with each sensor frame's half height, m, before the scene is built.
+        """
 
     def _checked(self, opening: float) -> float:
         low, high = self.rig.gripper.opening
@@ -261,7 +265,7 @@ class GripperWorld(World):
 
 
 def _nearer(start: float, goal: float, most: float) -> float:
-    """`goal`, or as far as `most` takes from `start` towards it."""
+    """Return `goal`, limited to a distance of `most` from `start`."""
     return start + min(max(goal - start, -most), most)
 
 
@@ -282,8 +286,10 @@ def _raise(spec: mujoco.MjSpec, model: mujoco.MjModel, root: int, by: float) -> 
 
 
 def _add_table(spec: mujoco.MjSpec, top: Sequence[float]) -> None:
-    """A table under the hand, from a model of its own: the user's MJCF may have defaults under
-    which nothing could stand."""
+    """Add a table under the gripper, from a separate model.
+
+    The user's MJCF may have defaults under which objects could not stand.
+    """
     x, y, z = (float(value) for value in top)
     child = mujoco.MjSpec()
     table = child.worldbody.add_body(name="table")

@@ -20,29 +20,33 @@ from mjtactile.sim.sensor.effect_switches import PHYSICS
 from mjtactile.sim.sensor.mesh import MarkerInterpolator
 
 SHAPES = ("sphere:R_mm", "cylinder:R_mm", "box:A_mm", "FILE.stl", "FILE.obj", "FILE.xml")
-_LENGTH = 0.03  # m, of a cylinder along its axis
-_CLEARANCE = 0.002  # m above first touch at which the indenter waits
-AWAY = 0.05  # m above the world's origin of the drive, where no bulge reaches the indenter
-# m/s: vertices in contact keep moving this fast by the solver's tolerance; the force by 0.1 %
+_LENGTH = 0.03  # length of a cylinder along its axis, m
+_CLEARANCE = 0.002  # initial height of the indenter above first touch, m
+AWAY = 0.05  # retracted height of the drive above the world's origin, m: clear of any bulge
+# settling speed, m/s: by the solver's tolerance, vertices in contact keep moving this fast; the
+# force changes by 0.1 %
 _STILL = 2e-4
-_SHEAR_SPEED = 2e-3  # m/s, of a press that shears
+_SHEAR_SPEED = 2e-3  # speed of a load with shear, m/s
 _FILES = {**dict.fromkeys(SUFFIXES, "mesh"), ".xml": "model"}
-# N/m and kg of the drive: gives way by 5 um at 1 N
+# stiffness, N/m, and mass, kg, of the drive: deflection of 5 um at 1 N
 _STIFFNESS = 2e5
 _MASS = 0.2
 
 
 class Indentations(Protocol):
-    """What a `PressWorld` drives into its sensor."""
+    """Indenter of a `PressWorld`."""
 
     def add_to(self, spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None: ...
 
 
 @dataclass(frozen=True)
 class Indenter:
-    """A rigid shape. `size` m: radius of a "sphere", radius of a "cylinder" (axis along z, 30 mm
-    long, end face down), edge of a "box" (face down); `path` of a "mesh" in STL or OBJ, whose unit
-    is taken as mm, or of a "model" in MJCF, all of whose geoms press, fixed to each other."""
+    """A rigid shape.
+
+    `size` m: radius of a "sphere", radius of a "cylinder" (axis along z, 30 mm long, end face
+    down), edge of a "box" (face down). `path` of a "mesh" in STL or OBJ, in mm, or of a "model" in
+    MJCF. All geoms of a model act as one rigid indenter.
+    """
 
     kind: str
     size: float = 0.0
@@ -104,12 +108,13 @@ class Indenter:
 
 
 class PressWorld(World):
-    """The sensor looks up (S is the world frame); the indenter comes down along -z and can be
-    dragged along x.
+    """Indentation test: the sensor faces up (S is the world frame), and the indenter moves down
+    along -z.
 
-    `at` (x, y) m in S, `tilt` rad about y. Depths are counted from first touch of the membrane as
-    it was then. Sensor and drive stand on a carrier that is turned by `mount` (rotation vector,
-    rad) and shaken along its x with `shake` (amplitude m, frequency Hz).
+    The indenter can also be dragged along x. `at` (x, y) m in S, `tilt` rad about y. Depths are
+    relative to the first touch of the membrane in its shape at that time. Sensor and drive stand on
+    a carrier that is rotated by `mount` (rotation vector, rad) and shaken along its x with `shake`
+    (amplitude m, frequency Hz).
     """
 
     def __init__(
@@ -222,13 +227,13 @@ class PressWorld(World):
 
     @property
     def depth(self) -> float:
-        """How far the indenter really is below first touch, m."""
+        """Actual depth of the indenter below first touch, m."""
         return self._touch_height - float(self.data.qpos[self._joints[1]])
 
     @property
     def drive_force(self) -> np.ndarray:
-        """Force (3,) N of the drive on the indenter, frame S: what a load cell between them
-        reads."""
+        """Force (3,) N of the drive on the indenter, frame S: the reading of a load cell between
+        them."""
         return np.array([self.data.actuator_force[self._x], 0.0, self.data.actuator_force[self._z]])
 
     def lift_off(self) -> None:

@@ -1,5 +1,7 @@
-"""What the sensors of a scene touch: to refuse an object in which the jaws begin, or a gripper that
-touches itself."""
+"""Check of initial contacts with the sensors of a scene.
+
+It rejects an object that the jaws touch at the start, or a gripper that touches itself.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,7 @@ def require_clear(world: World, grasped: ObjectModel, opening: float) -> None:
 
 
 def _is_part(world: World, sensor: AnySensor, geom: int, flex: int) -> bool:
-    """Whether a side of a contact is the sensor's housing or membrane."""
+    """Return True if a side of a contact is the sensor's housing or membrane."""
     if geom < 0:
         return flex == sensor.flex_id
     body = int(world.model.geom_bodyid[geom])

@@ -1,8 +1,7 @@
-"""Where a simulated rig begins: its jaws open, its hand over the table with the fingertips at the
-height of the grasp.
+"""Initial state of a simulated rig: jaws open, gripper over the table, fingertips at grasp height.
 
-Planned on the robot with its sensors alone, before table and object are there: these come last in
-the model, so that addresses and ids of what was before stay the same.
+It is planned on the robot with its sensors alone, before table and object are added. These come
+last in the model, so that the addresses and ids of earlier elements stay the same.
 """
 
 from __future__ import annotations
@@ -21,18 +20,18 @@ from mjtactile.sim.scenes.actuators import PositionActuator
 from mjtactile.sim.scenes.inverse_kinematics import Condition, actuator_at, gripper_pose_at, solve
 from mjtactile.sim.scenes.mjcf import read_mjcf
 
-_GOOD = 1e-4  # m and rad: a posture that is nearer is reached
-# m of height between an arm's postures, linear between: within 5 um on a path of 0.3 m radius
+_GOOD = 1e-4  # tolerance of a reached posture, m and rad
+# height step between an arm's postures, m, linear between: within 5 um on a path of 0.3 m radius
 _PATH_STEP = 4e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """State of the robot at the beginning, in the model that `plan_start` was given.
+    """Initial state of the robot, in the model passed to `plan_start`.
 
-    `qpos` (nq,), `mocap_pos` (nmocap, 3) m; `hand` is the body that carries all fingers; the
-    fingertips' mean `centre` (3,) m before the hand was `raised` by so many m; `yaw` rad of the
-    direction in which finger 0 closes; `path` of an arm.
+    `qpos` (nq,), `mocap_pos` (nmocap, 3) m; `hand` is the body that carries all fingers. `centre`
+    (3,) m is the fingertips' mean position before the gripper was `raised` by that many m. `yaw`
+    rad is the closing direction of finger 0; `path` is that of an arm.
     """
 
     qpos: Array
@@ -46,10 +45,11 @@ class Start:
 
 @dataclass(frozen=True, eq=False)
 class ArmPath:
-    """Goals (n, a) of an arm's `actuators` (a names) for n `heights` m of the hand above its start;
-    `joints` (n, nq) there.
+    """Goals (n, a) of an arm's `actuators` (a names) for n `heights` m of the gripper above its
+    start.
 
-    The goals are ahead of the joints by what gravity bends the servos.
+    `joints` (n, nq) are the coordinates at these heights. The goals lead the joints by the servos'
+    deflection under gravity.
     """
 
     actuators: tuple[str, ...]
@@ -142,12 +142,13 @@ def plan_start(
     mocap: Array | None,
     grip: float | None = None,
 ) -> Start:
-    """Plan the beginning on the `model` of the robot with its sensors, whose `bodies` are given.
+    """Plan the initial state on the `model` of the robot with its sensors, whose `bodies` are
+    given.
 
-    `height` says how high, m, the middle of the fingertips must be, from their rotations R_WS
-    (fingers, 3, 3). Tips on hinges move aside and down as they close: what counts is where they
-    are at the opening `grip`, m, at which they meet what is grasped (None: as they start). Raises
-    InputError for jaws, or an arm, that do not get there.
+    `height` returns the required height of the fingertips' center, m, from their rotations R_WS
+    (fingers, 3, 3). Fingertips on hinges move sideways and down as they close. Their position
+    therefore refers to the opening `grip`, m, at contact with the object (None: the initial
+    opening). Raises InputError if the jaws, or an arm, cannot reach the state.
     """
     data = mujoco.MjData(model)
     for name, value in coordinates.items():
@@ -161,7 +162,7 @@ def plan_start(
         jaws,
         rig,
         "gripper.opening_start_mm",
-        f"the jaws do not open to {1e3 * opening:g} mm (is the sign of the law right?)",
+        f"the jaws do not open to {1e3 * opening:g} mm (check the sign of the transmission)",
     )
     hand = _gripper_body(model, bodies, rig)
     rotations = data.xmat[bodies].reshape(-1, 3, 3)
@@ -194,8 +195,11 @@ def _centre_at(
     opening: float,
     start: Array,
 ) -> Array:
-    """The fingertips' mean centre (3,) m with the jaws at `opening` m and the rest of the robot as
-    in `data`; `start`, where it is now, if that makes no difference or cannot be reached."""
+    """Return the fingertips' mean position (3,) m with the jaws at `opening` m.
+
+    The rest of the robot is as in `data`. The result is `start`, the current position, if the
+    opening makes no difference or cannot be reached.
+    """
     low, high = rig.gripper.opening
     moved = mujoco.MjData(model)
     moved.qpos[:] = data.qpos
@@ -216,7 +220,7 @@ def place_jaws(
     conditions = []
     for jaw in rig.gripper.actuators:
         actuator = PositionActuator(model, data, jaw.name, str(rig.path))
-        length = jaw.law.coordinate(opening / len(rig.gripper.actuators))
+        length = jaw.transmission.coordinate(opening / len(rig.gripper.actuators))
         actuator.place(length, data)
         conditions.append(actuator_at(actuator, length))
     return conditions

@@ -1,8 +1,7 @@
-"""Postures of a robot: where its joints must be for jaws, gears, welds and hand to be where they
-should.
+"""Inverse kinematics of a robot: joint positions that satisfy jaws, gears, welds and gripper pose.
 
 Damped least squares on the stacked conditions (Wampler 1986; Nakamura and Hanafusa 1986): equality
-constraints of the model, lengths of actuators, and the pose of the hand.
+constraints of the model, lengths of actuators, and the pose of the gripper.
 """
 
 from __future__ import annotations
@@ -16,10 +15,10 @@ from mjtactile.core.types import Array
 from mjtactile.sim.scenes.actuators import SCALAR_JOINTS, PositionActuator
 
 Condition = Callable[[mujoco.MjData], tuple[Array, Array]]
-"""What is missing (m,), in m and rad, and its Jacobian (m, nv), at the last `mj_fwdPosition` of a
-state."""
+"""Function of a state after `mj_fwdPosition`: returns the residual (m,), in m and rad, and its
+Jacobian (m, nv)."""
 
-CLOSE = 1e-7  # m and rad
+CLOSE = 1e-7  # convergence tolerance, m and rad
 _ITERATIONS = 100
 _DAMPING = 1e-3  # of the least squares; keeps a singular posture from asking for infinite steps
 _STEP = 0.3  # rad and m, the most that a joint moves in an iteration

@@ -1,5 +1,4 @@
-"""The jaws of a simulated rig: from what the gripper's opening and force are to what its actuators
-do, and back."""
+"""Jaws of a simulated rig: conversion between gripper opening and force and actuator values."""
 
 from __future__ import annotations
 
@@ -18,14 +17,14 @@ from mjtactile.sim.scenes.lifts import ActuatorLift, Lift, NoLift
 class Jaws:
     """All actuators that open and close; the opening is the sum of their parts.
 
-    The opening is the distance of opposing fingertips: of two, the gap between their sensors'
-    frames, of more, twice the mean distance of the fingertips from the middle. By virtual work each
-    of n fingers then closes with 2/n of the mean of the actuators' forces.
+    The opening is the distance of opposing fingertips. For two fingers it is the gap between their
+    sensors' frames, for more fingers twice the mean distance of the fingertips from the center. By
+    virtual work each of n fingers then closes with 2/n of the mean of the actuators' forces.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, rig: SimRigFile):
         self._jaws: list[tuple[PositionActuator, JawLaw]] = [
-            (PositionActuator(model, data, jaw.name, str(rig.path)), jaw.law)
+            (PositionActuator(model, data, jaw.name, str(rig.path)), jaw.transmission)
             for jaw in rig.gripper.actuators
         ]
         self._share = 2 / len(rig.fingers)
@@ -33,7 +32,7 @@ class Jaws:
         self.limit_force(rig.gripper.force_max)
 
     def opening(self) -> float:
-        """m, as the actuators' lengths say."""
+        """Return the opening computed from the actuators' lengths, m."""
         return float(sum(law.part(actuator.length) for actuator, law in self._jaws))
 
     def speed(self) -> float:
@@ -43,7 +42,7 @@ class Jaws:
         )
 
     def force(self) -> float:
-        """Force with which each finger closes, N; what the servos' currents would say."""
+        """Return the closing force on each finger, as indicated by the servo currents, N."""
         forces = [actuator.force / law.slope(actuator.length) for actuator, law in self._jaws]
         return -self._share * sum(forces) / len(forces)
 
@@ -63,8 +62,8 @@ class Jaws:
         return self._share * sum(forces) / len(forces)
 
     def reach(self, speed: float) -> float:
-        """How far, m, a goal must be ahead of the opening for the full force at that speed of the
-        opening, m/s."""
+        """Return the lead of a goal over the opening for the full force, m, at an opening speed,
+        m/s."""
         count = len(self._jaws)
         reaches = []
         for actuator, law in self._jaws:

@@ -1,5 +1,5 @@
-"""What lifts the hand of a simulated rig: an actuator, a mocap body, an arm, or nothing. All
-heights in m above the start."""
+"""Lift of a simulated rig: an actuator, a mocap body, an arm, or none. All heights in m above the
+start."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ class Lift(Protocol):
     """Drives the hand's height."""
 
     def height(self) -> float:
-        """What the rig reports."""
+        """Return the height reported by the rig."""
         ...
 
     def drive(self, height: float) -> None:
-        """Set the goal of what lifts."""
+        """Set the goal of the lift."""
         ...
 
     def place(self, height: float, data: mujoco.MjData) -> None:
-        """Put what lifts there in `data`, which may be another state than the world's."""
+        """Place the lift at this height in `data`, which may differ from the world's state."""
         ...
 
 
@@ -81,8 +81,8 @@ class ActuatorLift:
 
 
 class GripperHeight:
-    """Height of the hand's body by forward kinematics of the present joints, as an arm knows its
-    own."""
+    """Height of the gripper body by forward kinematics of the current joints, as an arm reports
+    it."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, hand: int):
         self._model = model

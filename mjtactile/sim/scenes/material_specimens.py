@@ -1,15 +1,15 @@
-"""Bodies to be probed, with a known material: a writer of MJCF files in the format of
+"""Test objects with a known material: a writer of MJCF files in the format of
 docs/reference/object_files.md.
 
-A soft `Specimen` is lumped: two rigid plates (its faces) on slides along x, each held to the middle
-by the elements of a rheological model. A block of modulus E squeezed between two flat faces of area
-A acts as the spring K = E A / L; here the spring is given directly, and the truth is exact. What is
-left out: bulging sideways, stress that varies over the face, waves. What the fingers feel, the
-force between faces and how their distance answers, is what the model says.
+A soft `Specimen` is lumped: two rigid plates (its faces) on slides along x. The elements of a
+rheological model connect each plate to the center. A block of modulus E squeezed between two flat
+faces of area A acts as the spring K = E A / L. Here the spring is specified directly, so that the
+ground truth is exact. Left out: lateral bulging, stress variation over the face, waves. The force
+between the faces and the response of their distance are those of the model.
 
     elastic        plate --[k, stiffening]-- middle
                    sponge, rubber
-    viscoelastic   the same, beside it --[k_arm]--(dashpot)-- middle
+    viscoelastic   the same, in parallel with --[k_arm]--(dashpot)-- middle
                    memory foam, gel (standard linear solid)
     plastic        plate --[k]--(dry friction: yield)-- middle
                    clay, granular bag; with a dashpot: dough, paste
@@ -20,15 +20,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-PLATE = 1e-3  # m, half the thickness of a plate
+PLATE = 1e-3  # half the thickness of a plate, m
 # kg
 _PLATE_MASS = 1e-3
 _ARM_MASS = 5e-4
 _CORE_MASS = 8e-3
-# N s/m: settles a plate in a few ms, and adds 4 mN at a finger's pressing speed
+# damping, N s/m: settles a plate in a few ms, and adds 4 mN at a finger's closing speed
 _PLATE_DAMPING = 1.0
-_FREE_PLAY = 1e-4  # m that a plate may move outward of where it rests
-_STAND = 0.020  # m, height of the stand: the sensors' frames stay clear of the table
+_FREE_PLAY = 1e-4  # outward play of a plate from its initial position, m
+_STAND = 0.020  # height of the stand, m: the sensors' frames stay clear of the table
 
 Kind = Literal["rigid", "elastic", "viscoelastic", "plastic"]
 CLASSES = {"rigid": "solid", "elastic": "soft", "viscoelastic": "soft", "plastic": "amorphous"}
@@ -38,8 +38,8 @@ CLASSES = {"rigid": "solid", "elastic": "soft", "viscoelastic": "soft", "plastic
 class Specimen:
     """A block of `length` (x, between the fingers), `width` (y) and `height` (z), m.
 
-    Of the whole block, face to face: `stiffness` N/m at rest and `stiffening` N/m^2 (F = K d + B
-    d^2); `arm_stiffness` N/m and `relaxation_time` s of the Maxwell arm (viscoelastic);
+    Values refer to the whole block, face to face: relaxed `stiffness` N/m and `stiffening` N/m^2 (F
+    = K d + B d^2); `arm_stiffness` N/m and `relaxation_time` s of the Maxwell arm (viscoelastic);
     `yield_force` N and `viscosity` N s/m of the flow (plastic). `shape` of the faces: "box", or
     "cylinder" and "sphere" of a rigid one.
     """

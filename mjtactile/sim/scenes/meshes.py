@@ -1,6 +1,8 @@
-"""Shapes from mesh files. MuJoCo presses with a mesh's convex hull: hollow ones are cut into convex
-parts where CoACD is installed (`pip install 'mjtactile[meshes]'`), and pressed as their hull
-otherwise, which `World.flags` then says."""
+"""Shapes from mesh files. MuJoCo uses a mesh's convex hull for contact.
+
+Hollow meshes are cut into convex parts if CoACD is installed (`pip install 'mjtactile[meshes]'`).
+Otherwise their hull is used, and `World.flags` reports it.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +62,7 @@ def load_solid(path: Path) -> Solid:
         np.round(model.mesh_vert @ turn.reshape(3, 3).T + model.mesh_pos[0], 9),
         axis=0,
         return_inverse=True,
-    )  # STL has each corner anew for each triangle
+    )  # STL repeats each corner for each triangle
     return vertices, same.reshape(-1)[model.mesh_face]
 
 
@@ -115,7 +117,8 @@ def _cache() -> Path:
 
 
 def _keep(path: Path, parts: Sequence[Solid]) -> None:
-    """Written beside and moved there: another process may read it meanwhile."""
+    """Write the parts to a temporary file and move it: another process may read the target
+    meanwhile."""
     path.parent.mkdir(parents=True, exist_ok=True)
     buffer = io.BytesIO()
     arrays: dict[str, Any] = {

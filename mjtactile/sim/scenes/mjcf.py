@@ -13,8 +13,8 @@ from mjtactile.core.errors import InputError
 
 LARGEST = 32 << 20  # bytes
 MOST = 20_000
-"""Copies that a file may have made of what is in it: MuJoCo would work on 10^7 of them for a minute
-before it says anything."""
+"""Maximum number of copies of elements in a file: MuJoCo would process 10^7 of them for a minute
+before it reports an error."""
 _COPIES = ("replicate", "composite", "flexcomp")
 
 
@@ -55,7 +55,7 @@ def _check_copies(path: Path, text: str, field: str | None) -> None:
 
 
 def _count(text: str) -> int:
-    """The product of the whole numbers in it; 1 where that is not what it is."""
+    """Return the product of the integers in the text; 1 if it does not consist of integers."""
     try:
         return math.prod(max(int(word), 1) for word in text.split())
     except ValueError:

@@ -1,4 +1,4 @@
-"""An object's MJCF made larger, heavier, slicker or softer than its file says."""
+"""Changes to an object's MJCF: size, mass, friction and stiffness."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from mjtactile.rig.domain_randomization import ObjectChange
 
 
 def change(spec: mujoco.MjSpec, changes: ObjectChange) -> None:
-    """Apply `changes` to a parsed file: size, about the file's origin, to all that stands in it;
-    mass and stiffness to what can move. Its mass grows with its volume, given as a mass or as a
-    density; springs keep their stiffness."""
+    """Apply `changes` to a parsed file.
+
+    Size scales all elements about the file's origin. Mass and stiffness apply to movable parts. The
+    mass grows with the volume, given as a mass or as a density; springs keep their stiffness.
+    """
     _scale(spec, 1 + changes.size)
     if changes.mass or changes.size:
         _weigh(
@@ -61,8 +63,8 @@ def _scale(spec: mujoco.MjSpec, size: float) -> None:
 
 
 def _weigh(spec: mujoco.MjSpec, mass: float, density: float, square: float) -> None:
-    """Multiply what is given as a mass, and as a density; moments of inertia by mass and length's
-    `square`."""
+    """Scale given masses by `mass` and given densities by `density`; moments of inertia by `mass`
+    times the length's `square`."""
     for geom in spec.geoms:
         if math.isnan(geom.mass):
             geom.density *= density

@@ -28,7 +28,8 @@ class ObjectOnStage:
         self._R_HO = R_HO
 
     def add_to(self, spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
-        """Put it on `body` of `spec`, without its free joint and what else stands in its world."""
+        """Add the object to `body` of `spec`, without its free joint and the other bodies of its
+        file."""
         held = read_spec(self.model)
         thing = held.body("object")
         for other in list(held.worldbody.bodies):
@@ -52,8 +53,10 @@ class ObjectOnStageWorld(PressWorld):
         self._holder = self.model.body("holder").id
 
     def turn(self, R_SH: Array, p_H: Array) -> None:
-        """Lift off, turn the holder to `R_SH`, and come down with its point `p_H` (3,) m over the
-        sensor's middle to just above first touch."""
+        """Lift off, rotate the holder to `R_SH`, and lower it.
+
+        Its point `p_H` (3,) m ends over the sensor's center, just above first touch.
+        """
         self.lift_off()
         self.settle()
         over = R_SH @ p_H

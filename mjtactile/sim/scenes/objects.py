@@ -1,12 +1,13 @@
 """Objects to grasp: read a user's MJCF, check it, and merge it into a scene.
 
 Format (docs: "Your own object"): one top-level body named `object` with a free joint, or a
-volumetric flex in place of the joint; a `<custom>` numeric `break_force_N` (normal force per finger
-above which it counts as crushed; of a flex also `break_stress_kPa` or `break_energy_kJ_m3`) and a
-text `material`. The table's top is z = 0, the fingers close along x, and grasp at the height of the
-body's origin unless a numeric `grasp_height_m` says otherwise; a numeric `rotation_deg` keeps it
-from being turned about z by more than that (a block between flat fingers). Whatever else stands in
-the file's world (a cup, a stand) comes along."""
+volumetric flex in place of the joint. A `<custom>` numeric `break_force_N` is the normal force per
+finger above which the object counts as crushed (of a flex also `break_stress_kPa` or
+`break_energy_kJ_m3`). A text `material` is also required. The table's top is z = 0, and the fingers
+close along x. They grasp at the height of the body's origin, unless a numeric `grasp_height_m`
+specifies another height. A numeric `rotation_deg` limits the random rotation about z (a block
+between flat fingers). All other bodies of the file (a cup, a stand) are added too.
+"""
 
 from __future__ import annotations
 
@@ -35,9 +36,11 @@ is usual."""
 
 @dataclass(frozen=True)
 class Flesh:
-    """What a volumetric flex is made of, `young` Pa and `poisson`, and what the twentieth of its
-    volume that is worst off stands: `break_stress` Pa (von Mises), `break_energy` J/m^3 of
-    strain."""
+    """Material of a volumetric flex, `young` Pa and `poisson`, and its strength.
+
+    The limits apply to the twentieth of the volume under the highest load: `break_stress` Pa (von
+    Mises), `break_energy` J/m^3 of strain.
+    """
 
     young: float
     poisson: float
@@ -47,10 +50,13 @@ class Flesh:
 
 @dataclass(frozen=True)
 class ObjectModel:
-    """A checked object: `break_force` N per finger, `grasp_height` m above the table, `path` of its
-    MJCF file, `turn` rad about z by which it may be placed at random; `flesh` of a soft one.
-    `changes` are those of the thing in the world against its file (`changed`); the height at which
-    it is grasped is the file's. `text` is the MJCF of one that has no file."""
+    """A checked object.
+
+    `break_force` N per finger; `grasp_height` m above the table; `path` of its MJCF file; `turn`
+    rad, the maximum random rotation about z; `flesh` of a soft object. `changes` are those of the
+    simulated object relative to its file (`changed`); the grasp height is the file's. `text` is the
+    MJCF of an object without a file.
+    """
 
     name: str
     path: Path
@@ -63,10 +69,10 @@ class ObjectModel:
     changes: ObjectChange = UNCHANGED
     text: str = ""
     width: float | None = None
-    """m along x, in which the fingers close."""
+    """Width along x, the closing direction, m."""
 
     def changed(self, changes: ObjectChange) -> ObjectModel:
-        """This object, larger, heavier, weaker as `changes` say."""
+        """Return this object with `changes` to its size, mass, stiffness and strength."""
         stands = 1 + changes.breaking
         flesh = self.flesh
         if flesh is not None:
@@ -91,8 +97,8 @@ def load_object(name_or_path: str | Path) -> ObjectModel:
     of seed 7.
 
     Raises InputError naming file, field and valid choices for broken MJCF, a missing body or free
-    joint, a missing, non-finite or negative numeric, an unknown material, or an object that nothing
-    can touch.
+    joint, a missing, non-finite or negative numeric, an unknown material, or an object without
+    contact geometry.
     """
     text = object_text(str(name_or_path)) or ""
     path = Path(name_or_path) if text else resources.find(name_or_path, "models/objects", ".xml")
@@ -125,7 +131,7 @@ def add_object(
     pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
     height: float = 0.0,
 ) -> None:
-    """Merge the object, and what stands in its file's world, into `scene` under the name prefix
+    """Merge the object, and the other bodies of its file, into `scene` under the name prefix
     "object/".
 
     `pose` is x, y in m and yaw in rad of the file's world on the table, whose top is at `height` m.
@@ -145,7 +151,7 @@ def add_object(
 
 
 def read_spec(model: ObjectModel) -> mujoco.MjSpec:
-    """What its file says, before any changes."""
+    """Return the specification of its file, before any changes."""
     return read_mjcf(model.path, model.text)
 
 
@@ -243,7 +249,7 @@ def _check_compiled(spec: mujoco.MjSpec, path: Path) -> tuple[float, float]:
 
 
 def _width(model: mujoco.MjModel, data: mujoco.MjData, bodies: NDArray[np.int64]) -> float:
-    """Extent along x, m, of what can be touched of these bodies."""
+    """Return the extent along x of the contact geometry of these bodies, m."""
     geoms = np.flatnonzero(np.isin(model.geom_bodyid, bodies) & ((model.geom_contype & 1) > 0))
     along = data.geom_xmat[geoms].reshape(-1, 3, 3)[:, 0]
     middle = data.geom_xpos[geoms, 0] + (along * model.geom_aabb[geoms, :3]).sum(axis=1)

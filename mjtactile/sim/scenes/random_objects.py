@@ -1,9 +1,9 @@
-"""Random things that a hand could grasp: `random:SEED` in place of an object's name, or file.
+"""Random graspable objects: `random:SEED` in place of an object's name, or file.
 
 Eggs, rounded boxes, cylinders, cones, bottles, soft fruit: 16 to 60 mm between the fingers, 15 to
-70 mm high, 5 to 200 g. Each stands upright, on a stand where it is too low for the sensors' frames,
-and bears at least three times the force that carries it at a friction of 0.9: what is drawn can be
-held. One seed is one thing, whatever else is drawn.
+70 mm high, 5 to 200 g. Each stands upright, on a stand where it is too low for the sensors' frames.
+Each withstands at least three times the force that carries it at a friction of 0.9, so that every
+object can be held. One seed gives one object, independent of all other random samples.
 """
 
 from __future__ import annotations
@@ -20,12 +20,14 @@ from mjtactile.core.types import Array
 
 PREFIX = "random:"
 _MASS = (5e-3, 0.2)  # kg
-_CARRIES = 3 * 9.81 / (2 * 0.9)  # N per kg on each finger
-# N: a strawberry, a jar
+_CARRIES = 3 * 9.81 / (2 * 0.9)  # required strength, N per kg on each finger
+# range of break forces, N: a strawberry, a jar
 _FRAGILE = 1.2
 _STURDY = 10.0
-_CLEAR = 0.026  # m above the table of a grasp's middle: the sensors' frames are 18 mm below it
-_ASIDE = 4.5e-3  # m that a stand's edge is inside of what stands on it: membranes squeeze it by 3
+# minimum height of the grasp center over the table, m: the sensors' frames are 18 mm below it
+_CLEAR = 0.026
+# distance of a stand's edge inside the object's edge, m: membranes compress the object by 3 mm
+_ASIDE = 4.5e-3
 _FOOT = 0.45  # radius of an egg's flat foot, over its own
 _CORNERS = 48  # of a cone's mesh
 _ARC = 5  # vertices of a mesh along a quarter of a rounded edge
@@ -35,9 +37,12 @@ _FRICTION = 'friction="0.3 0.005 0.0001"'
 
 @dataclass(frozen=True)
 class RandomObject:
-    """Half sizes `a` (x, between the fingers), `b` (y), `c` (z) m, `mass` kg, `break_force` N on
-    each finger; `detail` is the shape's own: a box's edge radius m, a cone's slope (radius lost per
-    height), a bottle's neck (radius, height) m, a fruit's stiffness N/m."""
+    """Parameters of a random object.
+
+    Half sizes `a` (x, between the fingers), `b` (y), `c` (z) m, `mass` kg, `break_force` N on each
+    finger. `detail` depends on the shape: a box's edge radius m, a cone's slope (radius lost per
+    height), a bottle's neck (radius, height) m, a fruit's stiffness N/m.
+    """
 
     shape: str
     a: float
@@ -49,7 +54,7 @@ class RandomObject:
 
     @property
     def values(self) -> dict[str, Any]:
-        """What was drawn, for results."""
+        """Sampled values, for results."""
         return {
             "random.shape": self.shape,
             "random.width_mm": round(2e3 * self.a, 3),
@@ -77,7 +82,7 @@ def object_text(name: str) -> str | None:
 
 
 def random_object(seed: int) -> RandomObject:
-    """The thing of `seed`."""
+    """Return the object of `seed`."""
     rng = np.random.default_rng([seed, zlib.crc32(b"random object")])
     shape = str(rng.choice(list(_SHAPES)))
     (a, b, c), detail, volume, density = _SHAPES[shape](rng)
@@ -208,8 +213,10 @@ def _row(values: tuple[float, ...]) -> str:
 
 
 def _inertial(t: RandomObject, share: float) -> str:
-    """A full body's: `share` is what moments are of m times the sum of the two squared half
-    sizes."""
+    """Return the inertial element of a full body.
+
+    Each moment of inertia is `share` times m times the sum of the two squared half sizes.
+    """
     moments = (
         share * (t.b**2 + t.c**2) * t.mass,
         share * (t.a**2 + t.c**2) * t.mass,
@@ -219,7 +226,7 @@ def _inertial(t: RandomObject, share: float) -> str:
 
 
 def _foot(t: RandomObject) -> str:
-    """What a round thing stands on; table and stand feel it, membranes do not."""
+    """Return the foot of a round object; it touches table and stand, but no membrane."""
     size = (_FOOT * t.a, 0.05 * t.c)
     low = -0.95 * t.c - 2e-4
     return _geom("foot", "cylinder", size, (0.0, 0.0, low)).replace(

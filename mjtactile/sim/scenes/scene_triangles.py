@@ -25,8 +25,11 @@ _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A geom: its surface in its own frame, points (n, 3) m and triangles (m, 3), its colour
-    (4,) from 0 to 1, and where it is, `R_WG` (3, 3) and `p_WG` (3,) m."""
+    """A geom with its surface and pose.
+
+    Surface in its own frame: points (n, 3) m and triangles (m, 3). Color (4,) from 0 to 1. Pose
+    `R_WG` (3, 3) and `p_WG` (3,) m.
+    """
 
     name: str
     points: Array
@@ -43,11 +46,10 @@ class Solid:
 
 @dataclass(frozen=True, eq=False)
 class SceneView:
-    """Where everything was at one moment; cheap to take, the triangles are made when they are asked
-    for.
+    """Poses of all scene elements at one time; cheap to create, with triangles computed on demand.
 
     `p_WS` (s, 3) m and `R_WS` (s, 3, 3) are the poses of the sensors' frames, `state`
-    (mjSTATE_INTEGRATION) MuJoCo's own.
+    (mjSTATE_INTEGRATION) is MuJoCo's own.
     """
 
     model: mujoco.MjModel
@@ -59,15 +61,15 @@ class SceneView:
     hidden: tuple[NDArray[np.int64], ...]
     state: Array
     films: tuple[tuple[Callable[[], Array], Array, Array, NDArray[np.int64]], ...] = ()
-    """Of the sheets that are no part of the model: what gives their points (n, 3) m in S, the pose
-    R_WS (3, 3) and p_WS (3,) m, triangles."""
+    """Membranes outside the model: a function for their points (n, 3) m in S, the pose R_WS (3, 3)
+    and p_WS (3,) m, triangles."""
 
     @classmethod
     def of(cls, world: World) -> SceneView:
         """The scene as it is now; the world must not be moving."""
         data = world.data
         bodies = [sensor.body_id for sensor in world.sensors]
-        # what a membrane touches with
+        # contact spheres of a membrane
         spheres = tuple(sensor.vertex_geom_ids for sensor in world.sensors)
         state = np.empty(mujoco.mj_stateSize(world.model, _STATE))
         mujoco.mj_getState(world.model, data, state, _STATE)
@@ -124,7 +126,7 @@ class SceneView:
             yield Solid(name, points, faces, rgba, R_WG, self.geom_p_W[geom])
 
     def soft_bodies(self) -> Iterator[tuple[str, Array, Array, Array]]:
-        """Skins of what is soft: name, points (n, 3) m in W, triangles, colour."""
+        """Return the skins of soft bodies: name, points (n, 3) m in W, triangles, color."""
         for flex in range(self.model.nflex):
             if self.model.flex_dim[flex] == 3:
                 ((_, faces, rgba),) = self._flex(flex)

@@ -1,9 +1,9 @@
-"""The whole state of a simulated world, to go back to: what MuJoCo has and what our own run-time
-objects remember.
+"""Snapshot and restoration of the complete state of a simulated world: MuJoCo's state and that of
+the run-time objects.
 
-MuJoCo's data and model arrays are copied; of our objects every attribute that can change is:
-numbers, arrays, lists, generators. Arrays are restored in place, so that views of them and
-addresses that compiled kernels keep stay good.
+MuJoCo's data and model arrays are copied. Of the run-time objects every mutable attribute is
+copied: numbers, arrays, lists, generators. Arrays are restored in place, so that views of them and
+addresses held by compiled kernels stay valid.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Snapshot:
             undo()
 
     def _keep(self, thing: Any) -> None:
-        """Note how to bring `thing`, and what it holds, back to what it is now."""
+        """Record the undo action that restores `thing` and its contents to the current state."""
         if id(thing) in self._seen:
             return
         if isinstance(thing, np.ndarray):

@@ -1,10 +1,10 @@
-"""Bodies that deform by finite elements: a writer of MJCF files with a volumetric flex, in the
+"""Objects that deform by finite elements: a writer of MJCF files with a volumetric flex, in the
 format of docs/reference/object_files.md.
 
 The elements are MuJoCo's interpolated ones (decision 12): a lattice of `cells` trilinear cells over
-the bounding box, each linear-elastic in a frame that turns with it, cut to the body's volume. The
-mesh of tetrahedra, which is finer, is what touches and what is seen, and moves with the lattice. It
-lies under a skin: what touches stops at `skin` m over it.
+the bounding box, cut to the object's volume. Each cell is linear-elastic in a frame that rotates
+with it. The finer mesh of tetrahedra is used for contact and for display, and moves with the
+lattice. It lies under a skin: contact occurs `skin` m above it.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
 
-# m from the axis, x and y, of the four pegs of a cup; x is where the fingers come from
+# distance of the four pegs of a cup from the axis, x and y, m; the fingers close along x
 _CUP = (0.0035, 0.007)
-_PEG = 0.0015  # m, radius of a peg
-_UNIT = 1e-5  # m: points are written in these, whole
+_PEG = 0.0015  # radius of a peg, m
+_UNIT = 1e-5  # unit of the integer point coordinates, m
 
 Shape = Literal["block", "ball", "thimble"]
 
 
 @dataclass(frozen=True)
 class SoftBody:
-    """A `shape` of half sizes `half` (x, y, z) m with its skin: "block", "ball" (an ellipsoid), or
-    "thimble", a hollow one with walls of `wall` m, open below.
+    """A soft object with a `shape` of half sizes `half` (x, y, z) m, including its skin.
 
-    `young` Pa and `poisson` of the material, `density` kg/m^3, `damping` s (the share of stiffness
-    that resists strain rate); it breaks where the twentieth of its volume that is worst off has a
-    von Mises stress of `break_stress` Pa, or a strain energy of `break_energy` J/m^3. `lattice`
-    (3,) cells that deform, `mesh` tetrahedral cells along an edge (even).
+    Shapes: "block", "ball" (an ellipsoid), or "thimble", a hollow one with walls of `wall` m, open
+    below. `young` Pa and `poisson` of the material, `density` kg/m^3, `damping` s (ratio of damping
+    to stiffness). The strength applies to the twentieth of the volume under the highest load: a von
+    Mises stress of `break_stress` Pa, or a strain energy of `break_energy` J/m^3. `lattice` (3,)
+    are the deforming cells, `mesh` the tetrahedral cells along an edge (even).
     """
 
     shape: Shape
@@ -50,12 +50,12 @@ class SoftBody:
     skin: float = 5e-4
     lattice: tuple[int, int, int] = (3, 3, 3)
     mesh: int = 6
-    centre_height: float = 0.032  # m over the table: the sensors' frames stay clear of it
+    centre_height: float = 0.032  # height over the table, m: the sensors' frames stay clear of it
     rgba: str = "0.9 0.85 0.7 1"
 
     @property
     def volume(self) -> float:
-        """Of the body with its skin, m^3."""
+        """Volume of the object with its skin, m^3."""
         points, elements = tetrahedra(self)
         inner = float(tetrahedron_volumes(points, elements).sum())
         size = np.asarray(self.half)
@@ -130,8 +130,8 @@ def _directions(grid: Array) -> tuple[Array, Array]:
 
 
 def _in_wall(cell: NDArray[np.int64], n: int) -> bool:
-    """Whether a cell of the cube is in a thimble's wall: neither in the hollow nor in the hole
-    below."""
+    """Return True if a cell of the cube is in a thimble's wall: neither in the hollow nor in the
+    hole below."""
     x, y, z = np.abs(2 * cell + 1 - n)  # 1, 3, ... n - 1
     hole = cell[2] < n / 2 and z > max(x, y) and max(x, y) < 2 * n / 3
     return bool(max(x, y, z) > n / 3) and not hole
@@ -204,8 +204,10 @@ def _rows(numbers: NDArray[np.int64], columns: int = 110) -> str:
 
 
 def _stand(body: SoftBody, bottom: float) -> str:
-    """Half as wide as the body: a membrane that has pressed it must come down beside it. `bottom` m
-    over its middle."""
+    """Return a stand half as wide as the object, with room for the membranes next to the object.
+
+    `bottom` m is the height of the object's lower side relative to its center.
+    """
     height = body.centre_height + bottom - body.skin
     radius = 0.5 * min(body.half[:2])
     return f"""    <body name="stand">

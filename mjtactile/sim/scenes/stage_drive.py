@@ -12,7 +12,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.recording.stage_protocol import Move
 from mjtactile.sim.scenes.indentation import PressWorld
 
-LIFTED = -2e-3  # m below first touch: where nothing touches
+LIFTED = -2e-3  # depth relative to first touch, m: no contact
 
 
 def current(moves: Sequence[Move], time: float) -> int | None:
@@ -21,10 +21,10 @@ def current(moves: Sequence[Move], time: float) -> int | None:
 
 
 class StageDrive:
-    """Begins when `world` has been inflated and first touch found; `offset` m is added to every
-    depth that touches.
+    """Stage that executes moves on an inflated `world` with known first touch.
 
-    Raises InputError for a move whose depth is whatever a force makes it.
+    `offset` m is added to every depth in contact. Raises InputError for a move whose depth is
+    defined by a force.
     """
 
     def __init__(self, world: PressWorld, moves: Sequence[Move], offset: float = 0.0):

@@ -1,9 +1,10 @@
-"""How far a soft body is strained, and where it is: from the corners of a volumetric flex's
-tetrahedra. For scoring alone.
+"""Strain and pose of a soft object, from the corners of a volumetric flex's tetrahedra. For scoring
+alone.
 
-MuJoCo's interpolated elements are linear in the stretch that is left when a cell's rotation is
-taken out (Biot's strain U - 1); of a tetrahedron that is given by the singular values of its
-deformation gradient. `full` flexes are St. Venant-Kirchhoff's instead, the same at small strain.
+MuJoCo's interpolated elements are linear in the stretch that remains after removal of a cell's
+rotation (Biot's strain U - 1). For a tetrahedron it follows from the singular values of its
+deformation gradient. `full` flexes use St. Venant-Kirchhoff instead, which is equal at small
+strain.
 """
 
 from __future__ import annotations
@@ -16,18 +17,21 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
 
-# Share of the volume that a stress must reach to count. What single elements say at cut corners of
-# the lattice is the lattice's: of a raspberry turned about z the worst hundredth's energy varied
-# sevenfold, the worst twentieth's by a quarter.
+# Fraction of the volume that must exceed a reported stress. Values of single elements at cut
+# corners of the lattice depend on the lattice. For a raspberry rotated about z, the energy of the
+# worst hundredth varied sevenfold, that of the worst twentieth by a quarter.
 _WORST = 0.05
 _SAFE = 1e-3  # singular values of an element that is turned inside out
 
 
 @dataclass(frozen=True)
 class Strain:
-    """`stress` Pa (von Mises, of Cauchy's stress) and `energy_density` J/m^3 that the worst
-    twentieth of the volume exceeds, `compression` (1 less the smallest stretch) likewise, and the
-    whole strain `energy` J."""
+    """Strain state of a soft object.
+
+    `stress` Pa (von Mises, of Cauchy's stress), `energy_density` J/m^3 and `compression` (1 less
+    the smallest stretch) are values exceeded in the worst twentieth of the volume. `energy` J is
+    the total strain energy.
+    """
 
     stress: float
     energy_density: float
@@ -59,10 +63,10 @@ class SoftSolid:
         self._weights = weights / weights.sum()
 
     def strain(self, data: mujoco.MjData) -> Strain:
-        """As of the last step's beginning."""
+        """Return the strain at the start of the last step."""
         F = _edges(data.flexvert_xpos[self._vertices], self._elements) @ self._inverse
         squares = np.linalg.eigvalsh(F.transpose(0, 2, 1) @ F)
-        stretches = np.sqrt(np.maximum(squares, _SAFE**2))  # (m, 3), ascending
+        stretches = np.sqrt(np.maximum(squares, _SAFE**2))  # shape (m, 3), ascending
         strain = stretches - 1
         trace = strain.sum(axis=1)
         energy = self._mu * (strain**2).sum(axis=1) + self._lame / 2 * trace**2

@@ -67,8 +67,8 @@ class World:
 
     @property
     def kinetic_energy(self) -> float:
-        """J, with each joint's inertia at the model's reference pose; what no quiet scene may
-        gain."""
+        """Kinetic energy with each joint's inertia at the model's reference pose, J; it must not
+        grow in a scene at rest."""
         return float(0.5 * np.asarray(self.model.dof_M0) @ np.square(self.data.qvel))
 
     def set_control(self, actuator: int, value: float) -> None:
@@ -84,8 +84,7 @@ class World:
 
     @property
     def flags(self) -> Flags:
-        """What makes the numbers worse than usual: the kind of doubt, and its reason when it was
-        first seen."""
+        """Warnings about reduced accuracy: their kind, and the reason at first occurrence."""
         return self._stepper.flags
 
     @property
@@ -122,7 +121,8 @@ class World:
         return done
 
     def _until_due(self) -> int:
-        """Steps, at least one, until somebody who is told of stretches must be called."""
+        """Return the number of steps, at least one, until a callback after a batch of steps is
+        due."""
         due = min((due() for due in self._dues), default=math.inf)
         if math.isinf(due):
             return MOST
@@ -152,8 +152,11 @@ class World:
             self._dues.append(due)
 
     def marker_poses(self, sensor: int) -> tuple[Array, Array]:
-        """True marker centres (N, 3) m and outward normals (N, 3) of one sensor in its frame S:
-        what its camera sees."""
+        """Return true marker centers (N, 3) m and outward normals (N, 3) of one sensor in its frame
+        S.
+
+        These are the input of its camera.
+        """
         return self.sensors[sensor].marker_poses()
 
     def _before_step(self) -> None:

@@ -1,1 +1,2 @@
-"""One sensor in MuJoCo: membrane, chamber, gas, valve; what is refused and flagged."""
+"""One sensor in MuJoCo: membrane, chamber, gas, valve; checks that reject or flag invalid
+states."""

@@ -1,5 +1,8 @@
-"""`BaseSensor`: what each sensor at run time has, whether its sheet is a mesh in MuJoCo's model or
-a film beside it: markers on a sheet, and a chamber with gas and a valve behind it."""
+"""`BaseSensor`: common part of all run-time sensors: markers on a membrane, and a gas chamber with
+a valve.
+
+The membrane is either a mesh in MuJoCo's model or a quasi-static membrane outside it.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ from mjtactile.sim.sensor.triangle_stretch import stretches_of
 
 
 class BaseSensor(ABC):
-    """Run time of one sensor in a compiled model, but for its sheet.
+    """Run-time state of one sensor in a compiled model, except its membrane.
 
     Positions are in the sensor's frame S, in m; pressures in Pa above ambient; volumes in m^3. The
     valve starts open to a supply at 0 Pa, so that the membrane starts, and stays, flat.
@@ -28,8 +31,8 @@ class BaseSensor(ABC):
         model: The compiled model.
         data: Its data.
         design: The sensor's values.
-        mesh: Of the sheet.
-        prefix: Of the sensor's names in the model.
+        mesh: Mesh of the membrane.
+        prefix: Prefix of the sensor's names in the model.
         effects: The effects that are on.
 
     Raises:
@@ -57,8 +60,7 @@ class BaseSensor(ABC):
         self._markers = MarkerInterpolator(mesh, design.markers.p_SM)
         self._gas = make_gas(design.chamber, effects)
         self.sleepy = True
-        """Whether the sensor may fall asleep while nothing is near it and nothing moves
-        (sleep.py)."""
+        """True if the sensor may sleep while no object is near and nothing moves (sleep.py)."""
 
     @property
     @abstractmethod
@@ -74,7 +76,8 @@ class BaseSensor(ABC):
         model's own numbers."""
 
     def _gas_now(self) -> ChamberGas:
-        """The gas at the sheet's present volume; to look at, for what looks changes nothing."""
+        """Return the gas at the membrane's present volume; read-only, without side effects on the
+        state."""
         return self._gas
 
     @property
@@ -151,14 +154,14 @@ class BaseSensor(ABC):
         self._gas.warm(rate)
 
     def _empty(self) -> str | None:
-        """What to say of a chamber without gas; None: it has some."""
+        """Return the failure message of a chamber without gas; None if it has some."""
         if self.volume > 0:
             return None
         return f"sensor {self.prefix!r}: the chamber has no volume left"
 
 
 def require(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:
-    """The id of what a sensor has in its model; InputError where it is not there."""
+    """Return the id of a sensor element in its model; raise InputError if it is missing."""
     found = mujoco.mj_name2id(model, kind, name)
     if found < 0:
         raise InputError(

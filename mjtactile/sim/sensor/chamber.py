@@ -1,12 +1,12 @@
-"""The chamber behind the membrane: its volume, and the tendon through which MuJoCo integrates its
-gas implicitly.
+"""Chamber behind the membrane: its volume, and the tendon through which MuJoCo integrates its gas
+implicitly.
 
-A trapped gas is far stiffer than the membrane's mass allows any explicit pressure to be. The
-chamber is therefore a fixed tendon whose coefficients are dV/dq: moving it by one unit changes the
-volume by one cubic metre, its force is a pressure, and its stiffness -dp/dV joins the integrator's
-implicit system. Each step re-linearises it at the current state, in the sensor's own frame. The
-pressure itself acts along all axes; the stiffness needs only dV/dz, since the sheet is far stiffer
-in its plane than the gas.
+A trapped gas is far too stiff for an explicit pressure on a membrane of this mass. The chamber is
+therefore a fixed tendon whose coefficients are dV/dq. Moving it by one unit changes the volume by
+one cubic meter, and its force is a pressure. Its stiffness -dp/dV joins the integrator's implicit
+system. Each step re-linearizes it at the current state, in the sensor's own frame. The pressure
+itself acts along all axes. The stiffness needs only dV/dz, because the membrane is far stiffer in
+its plane than the gas.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class ChamberGeometry:
         self._volume_flat = volume_flat
         self._p_SV = np.empty_like(mesh.p_SV)
         self._gradient = np.empty_like(mesh.p_SV)
-        self._above_frame = np.empty(1)  # m^3
+        self._above_frame = np.empty(1)  # volume above the frame, m^3
         self._measure = bound(
             "chamber_volume",
             len(mesh.p_SV),
@@ -46,8 +46,8 @@ class ChamberGeometry:
         """Return V (m^3) and dV/dp (k, 3) m^2 at the interior vertices, exact for the triangulated
         surface.
 
-        Divergence theorem: V = V_flat + 1/3 sum of centroid . area vector, since the flat rim lies
-        in z = 0; each vertex takes a third of the area vector of each triangle that it belongs to.
+        Divergence theorem: V = V_flat + 1/3 sum of centroid . area vector, because the flat edge
+        lies in z = 0. Each vertex gets a third of the area vector of each of its triangles.
         """
         self._p_SV[:] = p_SV
         self._measure()
@@ -60,7 +60,7 @@ class GasTendon:
     step."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, tendon_id: int, count: int):
-        """`count` vertices hang on the tendon; the model says 0 while a sensor sleeps."""
+        """Connect to the tendon of `count` vertices; the model states 0 while a sensor sleeps."""
         self._model = model
         self._tendon = tendon_id
         start = int(model.tendon_adr[tendon_id])
@@ -95,13 +95,13 @@ class GasTendon:
         )
 
     def apply(self, gauge_pressure: float, stiffness: float, gradient: Array) -> None:
-        """Push with the pressure, `gradient` (k, 3) = dV/dq, and let the tendon's spring carry its
-        change in the step.
+        """Apply the pressure, `gradient` (k, 3) = dV/dq, and its change in the step by the tendon's
+        spring.
 
         The spring is relaxed at the current state, so that it holds the *implicit* part only: f = p
-        - k (V' - V). All but: MuJoCo leaves out the stiffness of a spring whose length is exactly
-        that at rest, as rounding will have it now and then, and the gas of that step is explicit.
-        It is therefore set off by far more than rounding, and its force given back.
+        - k (V' - V). MuJoCo leaves out the stiffness of a spring whose length is exactly the rest
+        length, which rounding sometimes produces; the gas of that step is then explicit. Therefore
+        the length is offset by far more than rounding, and the resulting force is compensated.
         """
         self._apply(gradient, gauge_pressure, stiffness)
 

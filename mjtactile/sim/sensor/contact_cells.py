@@ -1,7 +1,7 @@
-"""A shape as the pieces of sheet around the vertices see it: where it reaches farthest into each
-cell, and how far a sphere there stands back. Pure functions.
+"""Contact of a shape with the membrane cells around the vertices. Pure functions.
 
-Lengths are in cells, the root of the area that a vertex stands for, unless m is said.
+They compute the point of deepest reach into each cell, and the stand-off of a sphere there. Lengths
+are in cells, the square root of the area of a vertex, unless m is stated.
 """
 
 from __future__ import annotations
@@ -48,8 +48,11 @@ _ANGLES = np.arange(8) * np.pi / 4
 
 
 class Cells(NamedTuple):
-    """Vertices as a shape sees them: `places` (k, 3) m in its frame, `axes` (3, 3) of the sheet,
-    the third its outward normal, and `sizes` (k,) m of the vertices' cells."""
+    """Vertices in the frame of a shape.
+
+    `places` (k, 3) m in its frame; `axes` (3, 3) of the membrane, the third its outward normal;
+    `sizes` (k,) m of the vertices' cells.
+    """
 
     places: Array
     axes: Array
@@ -81,8 +84,11 @@ def axes_of(normal: Array) -> Array:
 def initial_offsets(
     cells: Cells, entry: ray_intersection.Entry, core: Array
 ) -> tuple[Array, Array]:
-    """Shifts (k, 2), in cells, to where something thin, with the points `core` (m, 3) m inside,
-    reaches farthest into each cell; gaps (k,) there, `_MISSED` where it does not."""
+    """Return the shifts (k, 2), in cells, to the deepest point of a thin shape in each cell.
+
+    The shape is represented by the points `core` (m, 3) m inside. The second result are the gaps
+    (k,) there, `_MISSED` where the shape does not reach the cell.
+    """
     outward = cells.axes[2]
     heights = core @ outward + entry(core, np.broadcast_to(outward, core.shape))
     shifts = (core @ cells.axes[:2].T)[None] - (cells.places @ cells.axes[:2].T)[:, None]
@@ -101,12 +107,12 @@ def deepest(
     foot: Array,
     hints: tuple[Array, Array] | None,
 ) -> tuple[NDArray[np.int64], Array, Array]:
-    """Rows of those cells that a shape juts into; shifts (k, 2), in cells, to where it reaches
-    farthest in; gaps (k,) there.
+    """Return the rows of the cells into which a shape protrudes, the shifts and the gaps.
 
-    A shape that reaches farthest in at a cell's border, or beyond its `reach`, does so in the next
-    cell, too: along that axis the vertex stays. A sphere stands with all of its `foot` (f, 2), in
-    cells, on the shape; `hints` are shifts and gaps of what is thin.
+    The shifts (k, 2), in cells, lead to the deepest point; the gaps (k,) are those there. If the
+    deepest point is at a cell's border, or beyond its `reach`, it also belongs to the next cell:
+    the vertex does not move along that axis. A sphere stands with all of its `foot` (f, 2), in
+    cells, on the shape. `hints` are shifts and gaps of a thin shape.
     """
     uneven = _uneven(
         cells.gaps(entry, np.broadcast_to(_AROUND, (len(cells.sizes), *_AROUND.shape)))
@@ -137,7 +143,7 @@ def deepest(
     cells = cells.of(kept)
     at = np.where(juts[kept], shifts[kept], 0.0)
     gaps = cells.gaps(entry, at[:, None])[:, 0]
-    if hints is not None:  # at the end of what is thin, the vertex would stay beside it
+    if hints is not None:  # at the end of a thin shape, the vertex would stay next to it
         beside = gaps >= _MISSED
         at[beside] = shifts[kept[beside]]
         gaps[beside] = cells.of(np.flatnonzero(beside)).gaps(entry, at[beside, None])[:, 0]
@@ -154,11 +160,11 @@ def standoff(
     turns: Array | float = 0.2,
     width: float = 0.0,
 ) -> Array:
-    """How far (k,), in cells, the spheres at shifts `at` (k, 2) from the vertices `flat` (k, 2) m
-    stand back under `loads`.
+    """Return the stand-off (k,), in cells, of the spheres under `loads`.
 
-    Of what is thin, `turns` (k,) are the angles in the sheet under which it lies there, and `width`
-    is half of that of the face that presses, in cells.
+    The spheres are at shifts `at` (k, 2) from the vertices `flat` (k, 2) m. For a thin shape,
+    `turns` (k,) are its angles in the membrane plane, and `width` is half the width of its contact
+    face, in cells.
     """
     angles = _ANGLES + np.broadcast_to(turns, len(at))[:, None]
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=2)
@@ -176,8 +182,11 @@ def standoff(
 
 
 def lie(cells: Cells, core: Array, at: Array) -> Array:
-    """Angles (k,) in the sheet under which something thin lies near the shifts `at` (k, 2), by the
-    points `core` (m, 3) m inside; any where it stands on end."""
+    """Return the angles (k,) in the membrane plane of a thin shape near the shifts `at` (k, 2).
+
+    They are computed from the points `core` (m, 3) m inside the shape. For a shape standing on end
+    they are arbitrary.
+    """
     flat = cells.axes[:2]
     off = ((core @ flat.T)[None] - (cells.places @ flat.T)[:, None]) / cells.sizes[:, None, None]
     off -= at[:, None]
@@ -191,10 +200,12 @@ def lie(cells: Cells, core: Array, at: Array) -> Array:
 def _juts(
     cells: Cells, entry: ray_intersection.Entry, at: Array, wider: float
 ) -> NDArray[np.bool_]:
-    """Whether the shape falls away on both sides of `at` (k, 2), along each of the two axes (k, 2),
-    `wider` times as far from it as usual:
-    not at the edge of a face, where a sphere would now and then be on one side, now on the other,
-    of what slides over it."""
+    """Return True (k, 2) where the shape falls away on both sides of `at` (k, 2), along each of two
+    axes.
+
+    The test distance is `wider` times the usual one. The edge of a face does not count: on a
+    sliding object a sphere would alternate between both sides of the edge.
+    """
     gaps = np.minimum(cells.gaps(entry, at[:, None] + wider * _BESIDE), _MISSED)
     falls = gaps[:, 1:] - gaps[:, :1]
     return np.stack([falls[:, :2].min(axis=1), falls[:, 2:].min(axis=1)], axis=1) > _JUTS
@@ -216,7 +227,7 @@ def _uneven(gaps: Array) -> NDArray[np.int64]:
 
 
 def _least(grid: Array, gaps: Array) -> Array:
-    """Of the points `grid` (k, s, 2) those (k, 2) with the smallest gaps (k, s), or nearest to the
-    middle of the cell."""
+    """Return the points (k, 2) of `grid` (k, s, 2) with the smallest gaps (k, s); near ties go to
+    the point nearest the cell's center."""
     chosen = (gaps + _CENTRED * (grid * grid).sum(axis=2)).argmin(axis=1)
     return grid[np.arange(len(grid)), chosen]

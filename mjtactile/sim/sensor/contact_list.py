@@ -1,5 +1,5 @@
-"""Where MuJoCo keeps its list of contacts, for kernels that read it in place: its columns would be
-copied to be handed over."""
+"""Memory layout of MuJoCo's contact list, for kernels that read it in place; passing its columns
+would require copies."""
 
 from __future__ import annotations
 
@@ -15,8 +15,11 @@ _layout = np.zeros(1 + len(_FIELDS), np.int64)
 
 
 def listed(data: mujoco.MjData) -> tuple[int, int, NDArray[np.int64]]:
-    """How many contacts there are, the address of the first one's `dist`, and the bytes from one
-    contact to the next and from `dist` to each of `_FIELDS`. Valid until the next step."""
+    """Return the number of contacts, the address of the first one's `dist`, and byte offsets.
+
+    The offsets are those from one contact to the next, and from `dist` to each of `_FIELDS`. The
+    result is valid until the next step.
+    """
     contact = data.contact
     dist = contact.dist
     if not len(dist):

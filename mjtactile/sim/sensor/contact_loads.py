@@ -1,5 +1,5 @@
-"""What MuJoCo's contacts put on a sensor's membrane and on its frame: `mj_contactForce` with
-elliptic cones, for all rows of the list at once."""
+"""Loads of MuJoCo's contacts on a sensor's membrane and on its frame: `mj_contactForce` with
+elliptic cones, for all rows of the list together."""
 
 from __future__ import annotations
 

@@ -1,18 +1,17 @@
-"""Contact that follows the shape: where, within the piece of sheet that each vertex stands for, its
-sphere touches.
+"""Contact points that follow the object's shape within the membrane cell of each vertex.
 
-Vertices are 2-3 mm apart. Edges, tips and small balls pass between them, and where a tip meets one,
-the sheet's finest shape is a tent of that size: a cone is met 40 % too hard. Near what is small or
-sharp, therefore,
+Vertices are 2-3 mm apart. Edges, tips and small balls pass between them. Where a tip meets a
+vertex, the membrane's finest shape is a tent of that size: the force of a cone is 40 % too high.
+Near small or sharp shapes, therefore,
 
-- a vertex's sphere stands where the object juts farthest into the vertex's own cell (and a little
-  beyond, so that none falls between two cells), as if the tent's top were there; the force is the
-  vertex's;
-- it stands back by as much as a real sheet would be pushed in further than the mesh's tent: a force
-  F on a disc of radius a under the tension T deepens a sheet by F/(2 pi T) (ln(1/a) + 1/2), the
-  mesh has its own a = 0.198 h (docs/theory/simulation_contact.md, C6).
+- a vertex's sphere is placed where the object protrudes farthest into the vertex's own cell (and a
+  little beyond, so that none falls between two cells), as if the tent's top were there; the force
+  acts on the vertex;
+- it stands back by the excess of a real membrane's indentation over that of the mesh's tent: a
+  force F on a disc of radius a under the tension T deepens a membrane by F/(2 pi T) (ln(1/a) +
+  1/2), the mesh has its own a = 0.198 h (docs/theory/simulation_contact.md, C6).
 
-Round objects that are larger than the mesh are left to `facets.StandOff`, faces to the vertices.
+Round objects larger than the mesh are handled by `facets.StandOff`, faces by the vertices.
 """
 
 from __future__ import annotations
@@ -43,28 +42,31 @@ from mjtactile.sim.sensor.subgrid_indentation import depth_under_end
 
 EVERY = 0.01
 SETTLE = 0.02
-"""s: how often to look, and the time constant with which they stand back."""
+"""Update period, and time constant of the stand-off, s."""
 _TAKES = 0.52
-"""Half width of the cell in which a vertex looks for contact, in cells, if its sphere is at home:
-with REACH, two would give a ball between them to each other for ever."""
-_SLACKEST = 0.01  # strain whose tension is the least to reckon with
-_STILL = 1e-5  # m, below which a sphere is back at its vertex
-_PACE = 7.5e-3  # m/s, with which they stand back from what is thin: contact must not be lost
+"""Half width of a vertex's contact search cell, in cells, if its sphere is at home: with REACH, two
+vertices would hand a ball between them back and forth forever."""
+_SLACKEST = 0.01  # minimum strain for the tension
+_STILL = 1e-5  # distance below which a sphere is back at its vertex, m
+_PACE = 7.5e-3  # maximum speed of the stand-off from a thin shape, m/s: contact must not be lost
 _EASE = 0.5  # of a change of a load, that a look follows
-# cells: radius of a sphere that meets what is thin, with its top where the sheet is: a sheet under
-# pressure jumps by a tenth of a cell, and would be in it, and be pushed out sideways
+# radius of a sphere on a thin shape, in cells, with its top at the membrane: a membrane under
+# pressure jumps by a tenth of a cell, and the shape would enter a smaller sphere and push it
+# sideways
 _BLUNT = 0.3
 # cells, by which a sphere stands before a flat end at most; chosen by pins of 1 and 1.5 mm radius
 _FORWARD = 0.1
-_RESTED = 0.1  # s that something sharp has not moved, from where on what touches it sticks to it
+_RESTED = 0.1  # time without motion of a sharp object, s, after which its contact points stay fixed
 _STAYS = 0.03  # cells: so little is no move
-_HALF = 0.5  # of a thin thing's half width, within which a sphere's feet stand on it
+_HALF = 0.5  # fraction of a thin shape's half width that supports a sphere's feet
 
 
 class _Goals(NamedTuple):
-    """Where spheres are to go: vectors `to` (k, 3) m in S from their vertices, those by which they
-    stand `back` of it, which are `blunt` (k,), and `gaps` (k,), in cells, to what each is to
-    touch."""
+    """Goals of the spheres.
+
+    Vectors `to` (k, 3) m in S from their vertices; stand-off vectors `back`; flags `blunt` (k,);
+    `gaps` (k,), in cells, to the object that each sphere will touch.
+    """
 
     to: Array
     back: Array
@@ -73,7 +75,7 @@ class _Goals(NamedTuple):
 
 
 def _no_goals(count: int) -> _Goals:
-    """Of spheres that are near nothing."""
+    """Return the goals of spheres without a nearby object."""
     return _Goals(
         np.zeros((count, 3)),
         np.zeros((count, 3)),
@@ -83,8 +85,10 @@ def _no_goals(count: int) -> _Goals:
 
 
 class ContactPoints:
-    """Places of one sensor's contact spheres. Call `update` before every step; it works every 10
-    ms, near sharp things."""
+    """Positions of one sensor's contact spheres.
+
+    Call `update` before every step; it acts every 10 ms, near sharp objects.
+    """
 
     def __init__(
         self,
@@ -120,7 +124,7 @@ class ContactPoints:
         )
         self._geoms = np.array(list(self._shapes), np.int64)
         self._every = EVERY
-        self._eased = np.zeros(len(vertex_geom_ids))  # loads, as what is thin bears them
+        self._eased = np.zeros(len(vertex_geom_ids))  # low-pass filtered loads, for thin shapes
         self._radius = float(model.geom_size[self._first, 0])
         self._blunt = max(_BLUNT * float(self._sizes[0]), self._radius)
         if self._cores:
@@ -132,12 +136,15 @@ class ContactPoints:
         self._goal = np.zeros_like(self._places)
         self._poses: dict[int, Array] = {}
         self._since = float(data.time)
-        # of the sheet when nothing was near: a tent's slopes say nothing of the sheet
+        # normals of the membrane without a nearby object: the slopes of a tent do not represent the
+        # membrane
         self._upright = self._normals(mesh.p_SV)
 
     def update(self, p_SV: Array, tensions: Callable[[], Array], gauge_pressure: float) -> None:
-        """Follow what is near the vertices at `p_SV` (n, 3) m; `tensions` tells the sheet's (n,)
-        N/m where they are needed."""
+        """Follow the objects near the vertices at `p_SV` (n, 3) m.
+
+        `tensions` returns the membrane's tensions (n,) N/m when they are needed.
+        """
         time = float(self._data.time)
         elapsed = time - self._time
         if not self._shapes or 0 <= elapsed < self._every:
@@ -156,7 +163,7 @@ class ContactPoints:
                 return
         if not near and self._still and not self._goal.any():
             return  # all spheres are at home, and stay there
-        if self._rested(time) > _RESTED:  # what touches stays where it does
+        if self._rested(time) > _RESTED:  # spheres in contact keep their position
             kept = self._touching() & ~blunt
             goal = np.where(kept[:, None], self._goal, goal)
         self._goal = goal
@@ -172,11 +179,11 @@ class ContactPoints:
         self._places[:] = goal + self._back
 
     def _rested(self, time: float) -> float:
-        """For how long, s, nothing sharp has gone from where it was over the sensor.
+        """Return the time during which no sharp object has moved relative to the sensor, s.
 
-        Where nothing moves, the sheet sticks to an edge or a tip. Spheres that are put back onto
-        it every 10 ms have their vertices go to and fro for ever, and the shear by half of the
-        normal force with them.
+        Without motion, the membrane sticks to an edge or a tip. If spheres were returned to it
+        every 10 ms, their vertices would oscillate forever, and the shear by half of the normal
+        force with them.
         """
         least = _STAYS * float(self._sizes[0])
         R_WS = self._data.xmat[self._body].reshape(3, 3)
@@ -195,14 +202,14 @@ class ContactPoints:
         return np.column_stack([place, self._model.geom_rbound[geom] * axes])
 
     def _touching(self) -> NDArray[np.bool_]:
-        """Which vertices touch something, (k,)."""
+        """Return a mask (k,) of the vertices in contact."""
         numbers = self._data.contact.geom - self._first
         touching = np.zeros(len(self._sizes), dtype=bool)
         touching[numbers[(numbers >= 0) & (numbers < len(self._sizes))]] = True
         return touching
 
     def _goals(self, p_SV: Array, tensions: Callable[[], Array], gauge_pressure: float) -> _Goals:
-        """Where the spheres are to go, of vertices at `p_SV` (n, 3) m."""
+        """Return the goals of the spheres of vertices at `p_SV` (n, 3) m."""
         goals = _no_goals(len(self._places))
         loads = None
         vertices = p_SV[self._interior]
@@ -246,8 +253,10 @@ class ContactPoints:
         return goals
 
     def _about(self, vertices: Array) -> list[int]:
-        """Those geoms that may be close to one of the `vertices` (k, 3) m in S: which a ball around
-        all of them tells, at a fifth of the price."""
+        """Return the geoms that may be close to one of the `vertices` (k, 3) m in S.
+
+        The test uses a ball around all vertices, at a fifth of the cost.
+        """
         data = self._data
         middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
         radius = float(np.linalg.norm(np.ptp(vertices, axis=0))) / 2
@@ -276,7 +285,7 @@ class ContactPoints:
         return close
 
     def _at_end(self, geom: int, cells: Cells) -> NDArray[np.int64]:
-        """Which cells are at an end of a cylinder, or beyond it."""
+        """Return the rows of the cells at an end of a cylinder, or beyond it."""
         reach = np.abs(cells.places[:, 2]) + 2 * cells.sizes
         return np.flatnonzero(reach > self._model.geom_size[geom, 1])
 
@@ -290,7 +299,7 @@ class ContactPoints:
         return hints
 
     def _foot(self, geom: int) -> Array:
-        """What of a sphere must stand on a thin geom, in cells."""
+        """Return the points of a sphere that must stand on a thin geom, in cells."""
         thin = feature_size.feature_radius(self._model, geom) / self._sizes[0]
         return min(1.0, _HALF * thin / np.abs(FOOT).max()) * FOOT
 
@@ -303,8 +312,8 @@ class ContactPoints:
         loads: Array,
         touching: NDArray[np.int64],
     ) -> Array:
-        """How far (k,), in cells, the spheres at shifts `at` (k, 2) from the vertices `touching`
-        (k,) stand back."""
+        """Return the stand-off (k,), in cells, of the spheres at shifts `at` (k, 2) from the
+        vertices `touching` (k,)."""
         flat = self._flat[touching]
         loads = loads[touching]
         if geom not in self._cores:
@@ -318,8 +327,11 @@ class ContactPoints:
         return standoff(cells, entry, at, loads, flat, turns=turns, width=width)
 
     def _take(self, blunt: NDArray[np.bool_], gaps: Array) -> None:
-        """Have the spheres of these vertices be `blunt`, and those others small again. What is in
-        a vertex's cell already when the vertex takes it is met where it is, and lifted then."""
+        """Make the spheres of these vertices `blunt`, and the others small again.
+
+        An object already inside a vertex's cell is met at its present position, and lifted
+        afterwards.
+        """
         sunk = blunt & (self._radii == self._radius) & (gaps < 0)
         self._back[sunk] = 0.0
         self._back[sunk, 2] = self._sizes[sunk] * gaps[sunk]
@@ -338,21 +350,24 @@ class ContactPoints:
         return bool(((numbers >= 0) & (numbers < len(self._sizes))).any())
 
     def _width(self, geom: int) -> float:
-        """Half width, m, of the flat edge of a blade; 0 of what is round."""
+        """Return the half width of the flat edge of a blade, m; 0 for a round geom."""
         if int(self._model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_BOX):
             return feature_size.feature_radius(self._model, geom)
         return 0.0
 
     def _end(self, geom: int, outward: Array) -> float:
-        """Radius, m, of the flat end with which a pin presses along the unit vector `outward` of
-        its frame; 0 of what presses otherwise."""
+        """Return the radius of a pin's flat end, m, if the pin touches with it; otherwise 0.
+
+        The contact direction is the unit vector `outward` in the geom's frame.
+        """
         on_end = abs(float(outward[2])) > feature_size.END
         if on_end and int(self._model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_CYLINDER):
             return float(self._model.geom_size[geom, 0])
         return 0.0
 
     def _is_far(self, geom: int, vertices: Array) -> bool:
-        """Whether the box around a geom, which fills little of its ball, is two cells away."""
+        """Return True if the box around a geom, which fills little of its ball, is two cells
+        away."""
         data = self._data
         p_WV = data.xpos[self._body] + vertices @ data.xmat[self._body].reshape(3, 3).T
         away = feature_size.box_distances(self._model, data, geom, p_WV)
@@ -377,8 +392,10 @@ class ContactPoints:
         return normals_of(p_SV, self._triangles)[self._interior]
 
     def _loads(self, tensions: Callable[[], Array], gauge_pressure: float) -> Array:
-        """Contact forces on the vertices beyond what the gas carries, over 2 pi times tension and
-        cell, (k,)."""
+        """Return the contact forces (k,) on the vertices in excess of the gas load.
+
+        They are divided by 2 pi times tension and cell size.
+        """
         contact = self._data.contact
         numbers = contact.geom - self._first
         mine = (numbers >= 0) & (numbers < len(self._sizes))
@@ -394,7 +411,7 @@ class ContactPoints:
 
 
 def _widen(model: mujoco.MjModel, bodies: NDArray[np.int64], size: float) -> None:
-    """Have MuJoCo look for contacts of each vertex as far as its sphere may be moved to."""
+    """Extend MuJoCo's contact search of each vertex to the maximum shift of its sphere."""
     for body in bodies:
         first = int(model.body_bvhadr[body])
         model.bvh_aabb[first : first + model.body_bvhnum[body], 3:] = size

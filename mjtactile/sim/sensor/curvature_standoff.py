@@ -1,11 +1,12 @@
-"""Touch of a curved object by a mesh of facets: how far from the object its vertices have to stay.
+"""Stand-off of the vertices of a faceted mesh from a curved object.
 
-Where the vertices lie on a convex object, the facets between them cut into it, and the membrane is
+If the vertices lie on a convex object, the facets between them cut into it, and the membrane is
 indented too little: the force of a sphere of 8 mm is 5-8 % low at 13 x 11 vertices. A membrane
-whose facets touch the object on the average stands off by their mean sagitta, (hx^2 + hy^2)/24
-times the sum of the curvatures; a quarter of it, measured, gives the force of a fine mesh
-(tests/physics/test_contact.py). The stand-off falls with the square of the spacing, so that it
-leaves what a mesh converges to; flat faces get none (docs/theory/simulation_contact.md, C2).
+whose facets touch the object on average stands off by their mean sagitta, (hx^2 + hy^2)/24 times
+the sum of the curvatures. A quarter of it, determined by measurement, gives the force of a fine
+mesh (tests/physics/test_contact.py). The stand-off falls with the square of the spacing, so that
+the limit of mesh convergence is unchanged. Flat faces get none (docs/theory/simulation_contact.md,
+C2).
 """
 
 from __future__ import annotations
@@ -21,19 +22,18 @@ from mjtactile.sim.sensor.feature_size import END, RESOLVED
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
 SHARE = 0.25  # of the facets' mean sagitta
-# s: how often to look at the contacts, and the time constant with which the stand-off follows
+# update period, and time constant of the stand-off, s
 _EVERY = 0.01
 _SETTLE = 0.02
-# s, where nothing touches: a contact that is gone for one step must not bounce by its own stand-off
+# time constant without contact, s: a contact lost for one step must not bounce by its own stand-off
 _RELEASE = 0.2
 
 
 class StandOff:
-    """Contact margins of one sensor's vertex spheres, by the curvature of what each of them
-    touches.
+    """Contact margins of one sensor's vertex spheres, by the curvature of the touched objects.
 
-    Vertices that touch nothing are ready for what the others touch; without any contact the
-    stand-off goes to zero.
+    Vertices without contact use the mean of the others; without any contact the stand-off goes to
+    zero.
     """
 
     def __init__(
@@ -47,10 +47,10 @@ class StandOff:
         self._data = data
         self._first = int(vertex_geom_ids[0])  # one block, in the mesh's order
         self.margins: Array = np.zeros(len(vertex_geom_ids))
-        """Distances (k,) m of the vertices' spheres from what they touch."""
-        # m^2, per curvature: hx^2 + hy^2 is about 2 hx hy
+        """Distances (k,) m of the vertices' spheres from the touched object."""
+        # sagitta per curvature, m^2: hx^2 + hy^2 is about 2 hx hy
         self._sagitta = SHARE * float(mesh.areas[mesh.interior].mean()) / 12
-        # 1/m: what bends more is met by a vertex, not by facets
+        # maximum curvature, 1/m: a higher curvature is met by a vertex, not by facets
         self._most = 2 / (RESOLVED * mesh.spacing)
         self._time = float(data.time)
         self._kernel = bound(
@@ -81,8 +81,10 @@ class StandOff:
         self.margins += (goal - self.margins) * min(abs(elapsed) / settle, 1.0)
 
     def _curvatures(self) -> Array:
-        """Curvature kx + ky, 1/m, of what each vertex touches, or the others' mean where it touches
-        nothing."""
+        """Return the curvature kx + ky, 1/m, of the object at each vertex.
+
+        Without contact it is the mean of the other vertices.
+        """
         found = np.empty(len(self.margins))
         self._kernel(*listed(self._data), found)
         return found

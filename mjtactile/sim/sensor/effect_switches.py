@@ -1,5 +1,5 @@
-"""The switches behind the effects: what each adds to, or takes out of, model, run time and camera.
-No policy; see sim/effects/catalog.py.
+"""Switches of the effects: the additions to, and removals from, model, run time and camera. The
+choice of effects is made in sim/effects/catalog.py.
 
 An effect that is off leaves no element in the model and no call per step. A set of effects is a
 frozenset of `Effect`.
@@ -28,10 +28,12 @@ from mjtactile.sim.sensor.mesh import MembraneMesh
 
 
 class Effect(StrEnum):
-    """What a simulation can have or leave out; sim/effects/catalog.py says when each is needed. An
-    effect equals its name."""
+    """Optional effects of a simulation; sim/effects/catalog.py gives their activation rules.
 
-    SHEET = "sheet"
+    An effect equals its name.
+    """
+
+    SHEET = "mesh"
     GAS = "gas"
     LARGE_DEFLECTION = "large deflection"
     BENDING = "bending"
@@ -52,7 +54,7 @@ class Effect(StrEnum):
     SHADOWS = "shadows"
     LATENCY = "latency"
     IMAGES = "images"
-    CHAIN = "chain"
+    CHAIN = "pipeline"
     PLASTICITY = "plasticity"
     VOLUMETRIC_SOFTNESS = "volumetric softness"
 
@@ -67,7 +69,7 @@ PHYSICS = frozenset(
         Effect.HYPERELASTICITY,
     }
 )
-"""What a membrane does when nobody says otherwise."""
+"""Default effects of a membrane."""
 CAMERA = frozenset(
     {
         Effect.CAMERA_NOISE,
@@ -79,7 +81,7 @@ CAMERA = frozenset(
         Effect.CHAIN,
     }
 )
-"""What a camera shows when nobody says otherwise."""
+"""Default effects of a camera."""
 SERVO_LAG = 0.02
 """Time constant, s, of the current loop and gear of a small servo (docs/reference/effects.md)."""
 # MuJoCo `elastic2d`
@@ -120,8 +122,10 @@ def set_servo(spec: mujoco.MjSpec, actuator: str, on: frozenset[str]) -> None:
 
 
 def set_design(design: SensorDesign, on: frozenset[str]) -> SensorDesign:
-    """The design without what is off in the sheet's law, the chamber and the camera's geometry: for
-    simulator *and* sensing."""
+    """Return the design without the effects that are off, for simulator *and* sensing.
+
+    It covers the membrane's material law, the chamber and the camera's geometry.
+    """
     chamber = design.chamber
     camera = design.camera
     glass = design.glass
@@ -188,8 +192,7 @@ class FixedLoad:
 
 
 class FixedGas(ChamberGas):
-    """When "gas" is off: the closed valve keeps the pressure that was there, whatever the
-    volume."""
+    """Gas model when "gas" is off: the closed valve keeps the pressure, whatever the volume."""
 
     def advance(self, volume: float, elapsed: float) -> None:
         if self.is_open:
@@ -215,22 +218,24 @@ class FlatGeometry:
 
 
 def make_geometry(mesh: MembraneMesh, volume_flat: float, on: frozenset[str]) -> Any:
-    """What tells the gas's volume, m^3, and how the vertices change it: `volume_flat` m^3 behind
-    the flat sheet."""
+    """Return the model of the gas volume, m^3, and of its derivative by the vertices.
+
+    `volume_flat` m^3 is the volume behind the flat membrane.
+    """
     if Effect.FOLLOWER_PRESSURE in on:
         return ChamberGeometry(mesh, volume_flat)
     return FlatGeometry(mesh, volume_flat)
 
 
 def make_gas(chamber: Chamber, on: frozenset[str]) -> ChamberGas:
-    """What fills the chamber."""
+    """Return the gas model of the chamber."""
     return ChamberGas(chamber) if Effect.GAS in on else FixedGas(chamber)
 
 
 def make_load(
     model: mujoco.MjModel, data: mujoco.MjData, mesh: MembraneMesh, prefix: str, on: frozenset[str]
 ) -> Any:
-    """What carries the pressure onto the membrane: the implicit gas tendon, or a fixed load."""
+    """Return the pressure load on the membrane: the implicit gas tendon, or a fixed load."""
     if Effect.GAS in on:
         return GasTendon(model, data, model.tendon(prefix + TENDON).id, len(mesh.interior))
     return FixedLoad(

@@ -1,10 +1,10 @@
-"""How small the things are that may touch a membrane, against its mesh: which contact model can
-feel them, and how well.
+"""Feature size of geoms relative to a membrane's mesh: suitable contact model and expected
+accuracy.
 
-Small spheres on the vertices are right for whatever is larger than the mesh (an eighth of the error
-of triangles, which stick out beyond a round object, and they settle on flat faces, where triangles
-do not), but a pin slips between them. Triangles feel every pin; its force then depends on the mesh,
-because the sheet can bend only at the vertices.
+Small contact spheres on the vertices suit geoms larger than the mesh spacing. Their force error is
+an eighth of that of triangles, which protrude beyond a round object. Spheres also settle on flat
+faces, and triangles do not. A pin, however, slips between spheres. Triangles detect every pin, but
+its force then depends on the mesh, because the membrane can bend only at the vertices.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ RESOLVED = 2.0
 
 
 def touching_geoms(model: mujoco.MjModel, carrier: int = 0) -> NDArray[np.int64]:
-    """Geoms that the membrane on body `carrier` may feel.
+    """Return the geoms that the membrane on body `carrier` can touch.
 
     Args:
         model: The scene.
-        carrier: The sensor's body; 0 asks for what a sensor that is fixed to the world may feel.
+        carrier: The sensor's body; 0 stands for a sensor that is fixed to the world.
 
     Returns:
-        (n,) Geoms with a contype that are not fixed to the carrier; static ones are among them if
+        (n,) Geoms with a contype that are not fixed to the carrier. Static geoms are included if
         the carrier moves.
     """
     welds = np.array([_weld(model, body) for body in range(model.nbody)])
@@ -45,8 +45,10 @@ def touching_geoms(model: mujoco.MjModel, carrier: int = 0) -> NDArray[np.int64]
 
 
 def _weld(model: mujoco.MjModel, body: int) -> int:
-    """The body that `body` is fixed to: MuJoCo's, which takes mocap bodies for parts of the world,
-    or the mocap body."""
+    """Return the MuJoCo body to which `body` is fixed, or its mocap body.
+
+    MuJoCo itself counts mocap bodies as parts of the world.
+    """
     if model.body_weldid[body]:
         return int(model.body_weldid[body])
     while body and model.body_mocapid[body] < 0:
@@ -84,8 +86,11 @@ def box_distances(
 
 
 def smallest_feature(model: mujoco.MjModel, carrier: int = 0) -> tuple[float, str]:
-    """Radius, m, and name of the geom with the smallest feature that the membrane on body `carrier`
-    may feel; infinite when nothing can touch."""
+    """Return radius, m, and name of the geom with the smallest feature for the membrane on
+    `carrier`.
+
+    The radius is infinite when nothing can touch.
+    """
     found = [
         (feature_radius(model, int(g)), name_of(model, int(g)))
         for g in touching_geoms(model, carrier)
@@ -94,8 +99,10 @@ def smallest_feature(model: mujoco.MjModel, carrier: int = 0) -> tuple[float, st
 
 
 def filled_fraction(vertices: Array, faces: NDArray[np.int64]) -> float:
-    """Volume of a closed surface of triangles over that of its convex hull: what MuJoCo takes it
-    for. 1 where it has none."""
+    """Return the volume of a closed triangle surface over that of its convex hull.
+
+    MuJoCo uses the hull for contact. The result is 1 if there is no hull.
+    """
     from scipy.spatial import ConvexHull, QhullError
 
     a, b, c = (vertices[faces[:, k]] for k in range(3))
@@ -107,7 +114,8 @@ def filled_fraction(vertices: Array, faces: NDArray[np.int64]) -> float:
 
 
 def hull_flag(model: mujoco.MjModel, geom: int) -> str | None:
-    """Say when a geom, which touches, is a hollow mesh: its hull presses all the same."""
+    """Return a flag if a touching geom is a non-convex mesh, because its convex hull makes the
+    contact."""
     number = int(model.geom_dataid[geom])
     if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_MESH or number < 0:
         return None
@@ -130,8 +138,11 @@ def hull_flag(model: mujoco.MjModel, geom: int) -> str | None:
 def resolution_flag(
     model: mujoco.MjModel, geom: int, radius: float, mesh: MembraneMesh, contact: str
 ) -> str | None:
-    """Say when a geom of `feature_radius` m, which touches by the model `contact`, is too small for
-    the mesh, and which mesh would carry it."""
+    """Return a flag if a geom of `feature_radius` m is too small for the mesh under the model
+    `contact`.
+
+    The flag names a mesh that resolves the geom.
+    """
     if radius >= RESOLVED * mesh.spacing:
         return None
     name = name_of(model, geom)
@@ -165,12 +176,15 @@ def edge_half_width(model: mujoco.MjModel, geom: int, axial: float) -> float:
 
 
 def edge_flag(half_width: float, mesh: MembraneMesh) -> str | None:
-    """Say how much of a force hangs on where an edge falls between the vertices; None when the edge
-    is out of the frame."""
+    """Return a flag with the force error due to an edge's position between the vertices.
+
+    Return None when the edge is outside the frame.
+    """
     if half_width > np.abs(mesh.p_SV).max():
         return None
-    # Squares of 6 and 12 mm, where the ratio is 0.75 and 0.37, against an independent solver: 0.3
-    # to 1.4 and 0.5 to 1.2 times, by place and by what of the sheet touches
+    # Compared with an independent solver, squares of 6 and 12 mm (ratios 0.75 and 0.37) give 0.3 to
+    # 1.4 and 0.5 to 1.2 times the force, depending on position and on the touching part of the
+    # membrane.
     share = min(1.4 * mesh.spacing / half_width, 0.7)
     return (
         f"an edge presses, {half_width * 1e3:.2g} mm from the middle of its face, and the mesh has "
@@ -180,8 +194,11 @@ def edge_flag(half_width: float, mesh: MembraneMesh) -> str | None:
 
 
 def _error(ratio: float, contact: str) -> float:
-    """Force error of something round or thin of `ratio` vertex spacings: of triangles as the tests
-    have it, of vertices as `bench thin` does (docs/validation/benchmarks.md)."""
+    """Return the relative force error of a round or thin geom of `ratio` vertex spacings.
+
+    Values for triangles come from the tests, values for vertices from `bench thin-objects`
+    (docs/validation/benchmarks.md).
+    """
     of_triangles = [0.8, 0.5, 0.3, 0.05]
     of_vertices = [0.3, 0.3, 0.3, 0.05]
     errors = of_vertices if contact == "vertices" else of_triangles

@@ -1,10 +1,10 @@
-"""The gas behind the membrane: amount, temperature and pressure, its valve and its leaks. No MuJoCo
-in sight.
+"""The gas behind the membrane: amount, temperature, pressure, valve and leaks, independent of
+MuJoCo.
 
-The chamber is one well-stirred volume of ideal gas. Its state is the amount n R (J/K) and the
+The chamber is one well-mixed volume of ideal gas. Its state is the amount n R (J/K) and the
 temperature T (K); the pressure follows from p V = n R T. Between two calls of `advance` the volume
-is taken to change at a constant relative rate, for which the equations below are solved exactly, so
-that any time step is stable (docs/theory/gas.md, G4-G6).
+is assumed to change at a constant relative rate. The equations below are solved exactly for that
+rate, so that any time step is stable (docs/theory/gas.md, G4-G6).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import math
 from mjtactile.core.errors import InputError
 from mjtactile.core.sensor_parts import Chamber
 
-# Pa and K: both are 0.03 Pa of a gas that weighs on the sheet with 1000
+# Tolerances for equilibrium, Pa and K; both correspond to 0.03 Pa at a gauge pressure of 1000 Pa.
 _LEVEL = 0.01
 _WARM = 1e-4
 
@@ -71,8 +71,8 @@ class ChamberGas:
 
     @property
     def is_still(self) -> bool:
-        """Whether the pressure stays as it is while the volume does: nothing flows, and the gas is
-        as warm as its walls."""
+        """True if the pressure is constant at constant volume: no flow, and gas at wall
+        temperature."""
         if self._is_ideally_open:
             return True
         if self._warming:
@@ -84,7 +84,8 @@ class ChamberGas:
 
     @property
     def is_sealed(self) -> bool:
-        """Whether the gas stays in and has one exponent: p V^gamma is all that there is to know."""
+        """True if no gas flows and one exponent describes the gas completely: p V^gamma is
+        constant."""
         if self._is_open or self._leak or self._warming:
             return False
         return math.isinf(self._chamber.heat_exchange) or self._chamber.polytropic_exponent == 1
@@ -226,5 +227,6 @@ class ChamberGas:
 
 
 def _ramp_fraction(x: float) -> float:
-    """(1 - exp(-x)) / x: what is left of a ramp's effect after a decay of x time constants."""
+    """Return (1 - exp(-x)) / x, the remaining fraction of a ramp after a decay of x time
+    constants."""
     return -math.expm1(-x) / x if abs(x) > 1e-12 else 1.0

@@ -33,7 +33,8 @@ def core(model: mujoco.MjModel, geom: int, apart: float = np.inf) -> Array:
 
 
 def _grid(half: Array, apart: float) -> Array:
-    """Points (n, 3) m of a box of half sizes `half` m: nine or more along what has a length."""
+    """Return grid points (n, 3) m of a box of half-extents `half` m, at least nine along each
+    nonzero side."""
     counts = np.where(half > 0, np.maximum(np.ceil(2 * half / apart), 8), 0).astype(int) + 1
     axes = [
         np.linspace(-h, h, n) if n > 1 else np.zeros(1) for h, n in zip(half, counts, strict=True)

@@ -1,10 +1,9 @@
-"""The rubber membrane as a MuJoCo flex: its bodies in an `MjSpec`, its pre-stretch, and what
-touches it how.
+"""The rubber membrane as a MuJoCo flex: its MuJoCo bodies in an `MjSpec`, pre-stretch and contact.
 
-Every interior vertex is a small body on three slide joints *in the sensor's own frame S*, child of
-the sensor's body; the rim vertices belong to the sensor's body itself. Joint positions are
-therefore displacements in S, whatever carries the sensor, and forces between membrane and frame
-need no bookkeeping (docs/theory/simulation_contact.md).
+Every interior vertex is a small MuJoCo body on three slide joints *in the sensor's own frame S*. It
+is a child of the sensor's body. The rim vertices belong to the sensor's body itself. Joint
+positions are therefore displacements in S for any carrier of the sensor. Forces between membrane
+and frame need no bookkeeping (docs/theory/simulation_contact.md).
 """
 
 from __future__ import annotations
@@ -20,42 +19,42 @@ FLEX = "membrane"
 TENDON = "gas"
 BODY = "sensor"
 ANYTHING = 0x7FFFFFFF
-"""`conaffinity` of what is touched by every geom with a `contype`, whichever of its bits a scene
-uses."""
+"""Value of `conaffinity` for contact with every geom that has a nonzero `contype`."""
 
-# Viscous resistance of the sheet against motion relative to its frame, N s/m per m^2 of sheet and
-# per N/m of its stiffness (s/m^2). It stands for the rubber's internal friction, settles the shape
-# in about 10 ms whatever the rubber, and conditions the solver: it joins the diagonal of the
-# implicit system, which a membrane vertex of a few milligrams leaves almost empty; contact
-# stiffness scales with that diagonal.
+# Viscous resistance to membrane motion relative to the frame, N s/m per m^2 of membrane and per N/m
+# of its stiffness (s/m^2). It models the rubber's internal friction and settles the shape in about
+# 10 ms for any rubber. It also conditions the solver: it adds to the diagonal of the implicit
+# system, which is almost empty for a membrane vertex of a few milligrams. Contact stiffness scales
+# with that diagonal.
 SURFACE_DAMPING = 27.0
-# The same along the sheet, in multiples: the sheet is that much stiffer there, so that shear
-# settles no slower than a bulge, and the implicit solve needs a quarter less time.
+# Multiple of this damping in the membrane plane. The membrane is that much stiffer there, so that
+# shear settles as fast as a bulge. The implicit solve needs a quarter less time.
 IN_PLANE_DAMPING = 3.0
-SOFTEST = 100.0  # N/m; below this stiffness the damping stays, for the gas's sake
+SOFTEST = 100.0  # stiffness, N/m, below which the damping stays constant because of the gas
 # Inertia against motion relative to the frame, kg/m^2, without weight: about three times the
 # rubber's own mass.
 SURFACE_ARMATURE = 0.8
 GAS_FRACTION = 3.0  # pressure under a typical contact beyond the tension's, over the gas's
-# Contact of triangles: the share of the constraint that is rigid at first touch, and where it is
-# whole, and the depth between the two (MuJoCo `solimp`). Without the ramp a vertex that barely
-# touches is switched on and off from step to step; at 13 x 11 vertices that doubled the solver's
-# iterations and the noise of a held force.
+# Contact of triangles (MuJoCo `solimp`): impedance at first touch, final impedance, and the depth
+# between the two. Without the ramp a barely touching vertex switches on and off between steps. At
+# 13 x 11 vertices that doubled the solver's iterations and the noise of a held force.
 SOLIMP = (0.99, 0.9995, 10e-6, 0.5, 2.0)
 # Time constant of contact in steps: at 1 the solver takes twice the iterations.
 CONTACT_TIME = 1.5
 CONTACT_DEPTH = 20e-6
-"""Depth, m, to which contact should sink in under a pressure that is typical for the membrane. At
-12 um a free plate of 20 g on a membrane keeps the solver from converging at a step of 4 ms, and
-rattles; at 6 um a driven indenter is still fine."""
-# Contact of vertices, whose depth is taken back (stiction.py) and may therefore be larger: at
-# least, m, and as a speed times the step, m/s. A slide whose speed changes by more than about that
-# in a step lifts vertices out of contact.
+"""Contact depth, m, intended under a pressure that is typical for the membrane.
+
+At 12 um the solver fails to converge for a free plate of 20 g on a membrane at a step of 4 ms, and
+the plate rattles. A driven indenter still works at 6 um.
+"""
+# Contact depth of vertices: minimum, m, and speed, m/s, multiplied by the step. It may exceed the
+# depth of triangles because stiction.py compensates it. A larger speed change of a sliding contact
+# within one step lifts vertices out of contact.
 VERTEX_DEPTH = 160e-6
 VERTEX_SPEED = 0.04
-# Its spring and dashpot, times the step squared and the step: a spring more than a dashpot, so that
-# vertices keep in touch with a surface that recedes. MuJoCo's impedance, low enough that it does
-# not cap the stiffness.
+# Spring (times step squared) and dashpot (times step) of vertex contacts. The spring dominates, so
+# that vertices stay in contact with a receding surface. MuJoCo's impedance is low enough not to
+# limit the stiffness.
 VERTEX_SPRING = 10.0
 VERTEX_DASHPOT = 3.0
 VERTEX_IMPEDANCE = 0.98
@@ -64,19 +63,20 @@ VERTEX_IMPEDANCE = 0.98
 def add_membrane(
     spec: mujoco.MjSpec, body: mujoco.MjsBody, design: SensorDesign, mesh: MembraneMesh
 ) -> None:
-    """Add the flex, its vertex bodies with contact spheres, and the gas tendon to `spec` under the
-    sensor's `body`.
+    """Add the flex, its vertex bodies with contact spheres, and the gas tendon to `spec`.
 
-    Young's modulus is scaled by the square of the pre-stretch l: MuJoCo measures strain against the
+    All are placed under the sensor's `body`.
+
+    Young's modulus is scaled by the square of the pre-stretch l. MuJoCo measures strain against the
     *mounted* mesh, E' = (L^2 - L0^2) / 2 L_mounted^2, which is 1/l^2 of the Green strain against
-    the free sheet, and integrates over l^2 times the free sheet's area. The product leaves l^2 (see
-    `SensorDesign.membrane.pretension`).
+    the free membrane. It integrates over l^2 times the free membrane's area. The product leaves l^2
+    (see `SensorDesign.membrane.pretension`).
     """
     names = _add_vertices(body, design.membrane, mesh)
     _add_flex(spec, design.membrane, mesh, names)
-    # The chamber: a fixed tendon over the vertices' z joints, whose coefficients become dV/dz at
-    # run time (chamber.py). MuJoCo's time for a tendon grows with the square of its joints: all
-    # three axes are nine times as dear, for nothing.
+    # The chamber is a fixed tendon over the vertices' z joints, whose coefficients become dV/dz at
+    # run time (chamber.py). MuJoCo's time for a tendon grows with the square of its joint count:
+    # three axes would cost nine times as much without a benefit.
     tendon = spec.add_tendon(name=TENDON)
     tendon.stiffness = [1.0, 0.0, 0.0]
     tendon.springlength = [0.0, 0.0]
@@ -112,7 +112,7 @@ def _add_vertices(body: mujoco.MjsBody, sheet: Membrane, mesh: MembraneMesh) -> 
 
 
 def _add_flex(spec: mujoco.MjSpec, sheet: Membrane, mesh: MembraneMesh, names: list[str]) -> None:
-    """The rubber, with what of it may touch switched off."""
+    """Add the flex of the rubber with its contacts switched off."""
     flex = spec.add_flex(name=FLEX)
     flex.dim = 2
     flex.radius = sheet.thickness / 2
@@ -159,8 +159,10 @@ def _add_contact_sphere(vertex: mujoco.MjsBody, name: str, radius: float, fricti
 
 
 def membrane_stiffness(sheet: Membrane) -> float:
-    """N/m against stretching or, where pre-tension rules, against bulging; sets damping and contact
-    stiffness."""
+    """Return the stiffness, N/m, that sets damping and contact stiffness.
+
+    It is the stretching stiffness or, where pretension dominates, the bulging stiffness.
+    """
     return max(sheet.young * sheet.thickness, 10 * sheet.pretension, SOFTEST)
 
 
@@ -170,14 +172,16 @@ def contact_pressure(sheet: Membrane, gauge_pressure: float) -> float:
 
 
 class ContactStiffness:
-    """Keeps contact as stiff as pressure and tension ask: a vertex sinks in by a given depth under
-    `contact_pressure`.
+    """Contact stiffness adapted to pressure and tension.
 
-    MuJoCo's contact softness is proportional to the compiled `body_invweight0` of the bodies, times
-    M / (M + h D) of their joints; that of the vertices is therefore written such that the force on
-    a vertex is (stiffness per area) x (its area) x (depth), whatever step h and damping D. The
-    solver's effort depends on the ratio of this stiffness to the damping, which is the same for all
-    rubber. See `CONTACT_DEPTH`, and `VERTEX_DEPTH` for a membrane that `remembers`.
+    Under `contact_pressure` a vertex penetrates to a fixed depth.
+
+    MuJoCo's contact softness is proportional to the compiled `body_invweight0` of the MuJoCo
+    bodies, times M / (M + h D) of their joints. The values of the vertices are therefore set such
+    that the force on a vertex is (stiffness per area) x (its area) x (depth), for any step h and
+    damping D. The solver's effort depends on the ratio of this stiffness to the damping, which is
+    the same for all rubbers. See `CONTACT_DEPTH`, and `VERTEX_DEPTH` for a membrane that
+    `remembers`.
     """
 
     def __init__(

@@ -18,21 +18,25 @@ from mjtactile.quasistatic import QuasistaticMembrane
 from mjtactile.quasistatic.interpolation import carried
 
 GRADING = 0.0
-"""How much closer the vertices stand in the middle than on average; 0 is a uniform mesh. 0.25
-brings the force of a sphere 2-5 % nearer to the converged one at 13 x 11 vertices, but the coarser
-cells at the frame bend the markers' surface there, and what the cameras feel is then 10 % low (0: 1
-%)."""
+"""Grading of the mesh: relative refinement of the vertex spacing at the center; 0 is a uniform
+mesh.
+
+0.25 brings the force of a sphere 2-5 % closer to the converged one at 13 x 11 vertices. However,
+the coarser cells at the frame bend the markers' surface there. The force estimated from the camera
+images is then 10 % low (0: 1 %).
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class MembraneMesh:
-    """Structured triangle mesh of the flat, mounted membrane; vertex (i, j) has index i * ny + j, x
-    grows with i.
+    """Structured triangle mesh of the flat, mounted membrane.
 
-    `p_SV` (n, 3) m, `triangles` (m, 3) counter-clockwise seen from outside (+z), `interior` (k,)
-    vertex indices that move, `areas` (n,) m^2 of sheet that each vertex stands for. `knots` are the
-    mesh's own coordinates of its rows and columns: m for a rectangle; for another `outline` those
-    of the square that is mapped to it.
+    Vertex (i, j) has index i * ny + j; x grows with i.
+
+    `p_SV` (n, 3) m are the vertices. `triangles` (m, 3) are counter-clockwise seen from outside
+    (+z). `interior` (k,) are the indices of the moving vertices. `areas` (n,) m^2 is the membrane
+    area per vertex. `knots` are the mesh coordinates of its rows and columns: m for a rectangle;
+    for another `outline` those of the square that is mapped to it.
     """
 
     nx: int
@@ -143,11 +147,11 @@ def _triangles(nx: int, ny: int) -> NDArray[np.int64]:
 
 
 class MarkerInterpolator:
-    """Where the rigid marker circles ride on the deformed mesh.
+    """Poses of the rigid marker circles on the deformed mesh.
 
     Position and tangents come from a tensor-product cubic spline (not-a-knot) through the vertices,
-    over the mesh's own coordinates, a fixed linear operator: the normals are smooth, where the
-    facets' own would jump between triangles.
+    over the mesh coordinates. This is a fixed linear operator. The normals are smooth, while facet
+    normals would jump between triangles.
     """
 
     def __init__(self, mesh: MembraneMesh, p_SM: Array):

@@ -44,16 +44,19 @@ class TactileSensor(BaseSensor):
         contact: str = "auto",
         effects: frozenset[str] = PHYSICS,
     ):
-        """`contact`: what of the membrane touches, "vertices", "elements", "both", or "auto" by the
-        scene's smallest feature."""
+        """Bind the sensor to model and data.
+
+        `contact` selects the membrane elements in contact: "vertices", "elements", "both", or
+        "auto" (chosen from the scene's smallest feature).
+        """
         super().__init__(model, data, design, mesh, prefix, effects)
         self.flex_id = require(model, mujoco.mjtObj.mjOBJ_FLEX, prefix + FLEX)
         self.vertex_geom_ids = _vertex_geoms(model, mesh, prefix)
         self.contact_ids = np.array(
             [self.vertex_geom_ids[0], self.vertex_geom_ids[-1], self.flex_id]
         )
-        """What is the membrane's in a contact: from the first to the last of its spheres, which are
-        one block, and its flex."""
+        """Ids that identify the membrane in a contact: first and last contact sphere (one
+        contiguous block) and the flex."""
         pre_stretch(model, self.flex_id, mesh, design.membrane.pre_stretch)
         # a trace is needed to compile without a warning, none to simulate
         model.flex_damping[self.flex_id] = 0.0
@@ -65,13 +68,13 @@ class TactileSensor(BaseSensor):
         self._follow()
 
     def _make_contact(self, model: mujoco.MjModel, data: mujoco.MjData, contact: str) -> None:
-        """What touches, vertices or elements, and what keeps it true: stiffness, distances,
+        """Select the contact model (vertices or elements) and create its stiffness, margins and
         stiction."""
         mesh = self.mesh
         sheet = self.design.membrane
         vertices = self.vertex_geom_ids
         self.missed = missed(model, self.body_id, mesh)
-        """Radius, m, and name of what vertices alone would let slip between them."""
+        """Radius, m, and name of the thinnest geom that could slip between vertices."""
         if contact == "auto":
             contact = "elements" if np.isfinite(self.missed[0]) else "vertices"
         self.contact = contact
@@ -115,7 +118,7 @@ class TactileSensor(BaseSensor):
         self._flat = mesh.p_SV[mesh.interior].ravel()
         self._moved = np.empty_like(self._flat)
         self._geometry = make_geometry(mesh, design.chamber_volume_flat, effects)
-        # what the gas was last advanced to
+        # volume and time of the last gas update
         self._volume = design.chamber_volume_flat
         self._time = self.time
 
@@ -141,12 +144,12 @@ class TactileSensor(BaseSensor):
 
     @property
     def _is_still(self) -> bool:
-        """Whether neither gas nor rubber is on its way."""
+        """True if gas and rubber are in equilibrium."""
         return self._gas.is_still and (self._relaxing is None or self._relaxing.is_still)
 
     @property
     def is_touched(self) -> bool:
-        """Whether anything is in a contact with the membrane, at the last step."""
+        """True if the membrane had a contact at the last step."""
         contact = self._data.contact
         geom = contact.geom
         spheres = (geom >= self.vertex_geom_ids[0]) & (geom <= self.vertex_geom_ids[-1])
@@ -176,7 +179,8 @@ class TactileSensor(BaseSensor):
         self._time = time
         pressure = self._gas.gauge_pressure
         if self._relaxing:
-            self._tendon.resume()  # its forces are written anew, for others are added to them
+            # reset the load's forces, because relaxation forces are added to them
+            self._tendon.resume()
         self._tendon.apply(pressure, self._gas.stiffness(self._timestep), gradient)
         self._contact_stiffness.set_pressure(pressure)
         if self._rubber:
@@ -214,8 +218,8 @@ class TactileSensor(BaseSensor):
         return self._tendon.displacements.copy()
 
     def penetrations(self, rows: NDArray[np.int64]) -> Array:
-        """How deep (n,) m what touches has sunk in, in the contacts `rows` of MuJoCo's list, which
-        are this sensor's."""
+        """Return penetration depths (n,) m of the contacts `rows` of MuJoCo's list, which are this
+        sensor's."""
         contact = self._data.contact
         first = int(self.vertex_geom_ids[0])
         pairs = contact.geom[rows]
@@ -233,7 +237,8 @@ class TactileSensor(BaseSensor):
         return np.arange(self._tendon.dofs.start, self._tendon.dofs.stop)
 
     def marker_poses_before(self, seconds: float) -> tuple[Array, Array]:
-        """Where the markers were `seconds` ago, if they moved as they do now; for motion blur."""
+        """Return marker poses `seconds` ago, extrapolated from the present velocity; used for
+        motion blur."""
         p_SV = self.p_SV
         velocity = np.asarray(self._data.qvel)[self._tendon.dofs].reshape(-1, 3)
         p_SV[self.mesh.interior] -= seconds * velocity
@@ -265,7 +270,7 @@ class TactileSensor(BaseSensor):
 
     @property
     def gas_time(self) -> float:
-        """When `gauge_pressure` was so, s."""
+        """Time at which `gauge_pressure` was valid, s."""
         return self.time if self.is_asleep else self._time
 
     def inflate(self, displacements: Array, gauge_pressure: float) -> None:
@@ -281,11 +286,11 @@ class TactileSensor(BaseSensor):
         self._follow()
 
     def flags(self) -> validity_checks.Flags:
-        """What makes the present numbers less good than they look; empty when nothing does."""
+        """Return flags for reduced accuracy of the present state; empty when there are none."""
         return validity_checks.membrane_flags(self.design, self.gauge_pressure, *self.stretches())
 
     def failure(self) -> str | None:
-        """Say why this sensor's state is outside what the model describes, or None."""
+        """Return the reason why this sensor's state is outside the model's validity, or None."""
         if self.is_asleep:
             return None
         moved = self._tendon.displacements

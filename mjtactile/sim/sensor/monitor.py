@@ -1,5 +1,5 @@
-"""What is looked at now and then in a running scene: penetration, things that went through a
-membrane, things too small or sharp for its mesh, objects too fast for the step."""
+"""Periodic checks of a running scene: penetration, tunneling through a membrane, geoms too small or
+sharp for its mesh, objects too fast for the step."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from mjtactile.sim.sensor.tunneling_check import CorePoints
 from mjtactile.sim.sensor.validity_checks import Flags
 
 PENETRATION = 0.05  # share of the indentation
-_SUNK = 0.5  # share of the indentation at which a force means nothing
+_SUNK = 0.5  # ratio of penetration to indentation at which forces are meaningless
 _FAST = 0.5  # of its own size in a step
-_FRAMED = 0.2  # N on the frame for five looks
-_NEAR = 0.05  # m from the membrane's middle
-_MIN_INDENTATION = 3e-4  # m; below it, shares of the indentation say nothing
+_FRAMED = 0.2  # force on the frame over five checks, N
+_NEAR = 0.05  # distance from the membrane's center, m
+_MIN_INDENTATION = 3e-4  # minimum indentation, m, for meaningful ratios to it
 _QS_RARE_PERIOD = 20  # looks, of 0.1 s
 # looks: stretch and wrinkles come and go no faster than pressure does; speed is watched in every
 # step, too
@@ -31,8 +31,8 @@ _RARELY = 5
 
 
 class SceneMonitor:
-    """Looks at a running world now and then: penetration, things that went through, objects too
-    fast for the step."""
+    """Periodic monitor of a running world: penetration, tunneling, objects too fast for the
+    step."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, sensors: tuple[AnySensor, ...]):
         self._model = model
@@ -41,7 +41,7 @@ class SceneMonitor:
         felt = [feature_size.touching_geoms(model, sensor.body_id) for sensor in sensors]
         self._geoms = np.unique(np.concatenate([np.empty(0, int), *felt]))
         self._felt = [np.isin(self._geoms, own) for own in felt]
-        """Which of `_geoms` each sensor can feel."""
+        """Masks over `_geoms`, one per sensor, of the geoms that the sensor can touch."""
         self._sizes = np.array([feature_size.feature_radius(model, int(g)) for g in self._geoms])
         self._seen = [self._geoms[own] for own in self._felt]
         self._thin = [
@@ -73,15 +73,15 @@ class SceneMonitor:
         self._hurry = least / np.maximum(model.dof_length[self._movers], 1e-9)
         self._rest = [sensor.heights for sensor in sensors]
         self._deep = np.zeros((len(sensors), 5))  # shares at the last looks
-        self._framed = [deque([0.0] * 5, 5) for _ in sensors]  # N at the last looks
-        self._max_frame_area = 0.0  # N that lasted
+        self._framed = [deque([0.0] * 5, 5) for _ in sensors]  # force at the last checks, N
+        self._max_frame_area = 0.0  # largest lasting force reported, N
         self._looks = -1
         self._places = self._geoms_in(sensors)
         self._hulls: dict[int, str | None] = {}  # of those of `_geoms` that have touched
 
     @property
     def needs_every_step(self) -> bool:
-        """Whether something is so thin that every step must be looked at."""
+        """True if a geom is so thin that every step must be checked."""
         return self._any_thin and not self.only_quasistatic
 
     @property
@@ -99,7 +99,7 @@ class SceneMonitor:
                 continue
             radius, name = sensor.missed
             if np.isfinite(radius):
-                flags["feature"] = (
+                flags["small_feature"] = (
                     f"{name!r} (radius {radius * 1e3:.2g} mm) can slip between the membrane's "
                     "vertices, which alone touch; contact 'auto' or 'elements' feels it"
                 )
@@ -113,7 +113,8 @@ class SceneMonitor:
         if all(sensor.is_asleep for sensor in self._sensors):
             return flags, stop
         self._looks += 1
-        if self.only_quasistatic and self._looks % _QS_RARE_PERIOD:  # which see what goes through
+        # quasi-static membranes detect tunneling themselves
+        if self.only_quasistatic and self._looks % _QS_RARE_PERIOD:
             for number in range(len(self._sensors)):
                 flags |= self._frame(number)
             return flags, stop
@@ -143,8 +144,8 @@ class SceneMonitor:
         return flags, stop
 
     def _shapes(self, sensor: AnySensor, rows: NDArray[np.int64]) -> Flags:
-        """What is to be said of the geoms that touch in the contacts `rows`: too small for the
-        mesh, edges, hollows."""
+        """Return flags of the geoms in the contacts `rows`: too small for the mesh, edges,
+        non-convex meshes."""
         flags: Flags = {}
         contact = self._data.contact
         others = self._index[contact.geom[rows]].max(axis=1)  # -1: not one of `_geoms`
@@ -160,12 +161,12 @@ class SceneMonitor:
             sensor.contact,
         )
         if feature:
-            flags["feature"] = feature
+            flags["small_feature"] = feature
         if any(self._has_edges[k] for k in touching):
             edge = feature_size.edge_flag(
                 self._nearest_edge(rows[others >= 0], others[others >= 0]), sensor.mesh
             )
-            flags |= {"edge": edge} if edge else {}
+            flags |= {"sharp_edge": edge} if edge else {}
         for k in touching:
             if k not in self._hulls:
                 self._hulls[k] = feature_size.hull_flag(self._model, int(self._geoms[k]))
@@ -199,8 +200,10 @@ class SceneMonitor:
         return float(self._deep[number].min())
 
     def _frame(self, number: int) -> Flags:
-        """Say when the frame of a sensor carries force for some looks, which its camera cannot
-        see."""
+        """Return a flag when a sensor's frame carries force over several checks.
+
+        The camera cannot measure that force.
+        """
         load = contact_loads.frame_load(self._data, self._sensors[number])
         self._framed[number].append(load)
         lasting = min(self._framed[number])
@@ -208,12 +211,12 @@ class SceneMonitor:
             return {}
         self._max_frame_area = lasting
         return {
-            "frame": f"the frame of sensor {self._sensors[number].prefix!r} carries {lasting:.1f} "
-            "N, which touch does not tell: the camera sees the membrane alone"
+            "frame_contact": f"the frame of sensor {self._sensors[number].prefix!r} carries "
+            f"{lasting:.1f} N, which the camera cannot measure: it sees only the membrane"
         }
 
     def _geoms_in(self, sensors: tuple[AnySensor, ...]) -> list[Array]:
-        """Centres (g, 3) m of what may touch, in each sensor's frame."""
+        """Return the centers (g, 3) m of the geoms that can touch, in each sensor's frame."""
         data = self._data
         return [
             (data.geom_xpos[self._geoms] - data.xpos[s.body_id])
@@ -222,10 +225,11 @@ class SceneMonitor:
         ]
 
     def passed(self, every: bool = True) -> str | None:
-        """What went through a membrane, if anything did.
+        """Return a message for the first geom that went through a membrane, or None.
 
         Args:
-            every: Look at all that may touch, else only at what is thin, which a step suffices for.
+            every: Check all geoms that can touch; else only thin geoms, which can pass within one
+                step.
         """
         if not every and not self.needs_every_step:
             return None
@@ -260,7 +264,8 @@ class SceneMonitor:
         ]
 
     def _jumped(self, number: int, places: Array) -> str | None:
-        """What was before the membrane at the last look and is now behind the glass."""
+        """Return a message if a geom was in front of the membrane at the last check and is now
+        behind the glass."""
         sensor = self._sensors[number]
         frame = sensor.design.frame
         glass = -sensor.design.chamber.depth

@@ -1,9 +1,10 @@
-"""Neo-Hookean rubber in MuJoCo's flex, which knows no law but St. Venant-Kirchhoff's.
+"""Neo-Hookean rubber in MuJoCo's flex, which supports only the St. Venant-Kirchhoff law.
 
-In a plane, a neo-Hookean sheet's stress is S = 2 mu' E + lambda' tr(E) I, St. Venant-Kirchhoff's
-form, with moduli mu', lambda' that depend on the strain E (docs/theory/membrane_inverse.md, Eq.
-F4). Every triangle gets its own before every step: its force is then the law's, without error, and
-the stiffness that the step is implicit in is the secant, which rubber's tangent stays below.
+In plane stress, a neo-Hookean membrane has S = 2 mu' E + lambda' tr(E) I. This is the St.
+Venant-Kirchhoff form, with moduli mu', lambda' that depend on the strain E
+(docs/theory/membrane_inverse.md, Eq. F4). Every triangle gets its own moduli before every step, so
+that its force follows the law without error. The implicit step uses the secant stiffness, which is
+above rubber's tangent stiffness.
 """
 
 from __future__ import annotations
@@ -27,11 +28,10 @@ _MOST = 3.0
 
 
 class EdgeMatrices:
-    """A flex's triangles as MuJoCo sees them: by the squared lengths of their edges, in
-    `flex_elemedge`'s order.
+    """A flex's triangles in MuJoCo's form: squared edge lengths in the order of `flex_elemedge`.
 
-    `ends` (e, 2) vertices of each edge, `edges` (m, 3) those of each triangle, `metric` (m, 3, 3):
-    squared lengths to C_xx, C_yy, C_xy of the *mounted* sheet.
+    `ends` (e, 2) are the vertices of each edge, `edges` (m, 3) the edges of each triangle. `metric`
+    (m, 3, 3) maps squared lengths to C_xx, C_yy, C_xy of the *mounted* membrane.
     """
 
     def __init__(self, model: mujoco.MjModel, flex_id: int, mesh: MembraneMesh):
@@ -48,8 +48,12 @@ class EdgeMatrices:
 
 
 def stiffness_rows(model: mujoco.MjModel, flex_id: int) -> Array:
-    """A live view (m, 6) of the flex's stiffness: what (m, 3) squared edge lengths beyond the free
-    ones turn into force over length of the edges, N/m."""
+    """Return a live view (m, 6) of the flex's stiffness, the upper triangle of each element's
+    matrix.
+
+    The matrix maps a triangle's increase of squared edge lengths (m, 3) over the free ones to force
+    over length of the edges, N/m.
+    """
     return all_rows(model, flex_id)[:, :6]
 
 
@@ -99,11 +103,11 @@ class Rubber:
         )
 
     def update(self, p_SV: Array) -> None:
-        """Write the stiffness of the strain that the vertices at `p_SV` (n, 3) m mean; call before
-        every step.
+        """Write the stiffness for the strain of the vertices `p_SV` (n, 3) m; call before every
+        step.
 
-        Of each triangle: secant moduli mu', lambda', times what turns them into MuJoCo's matrix
-        (mjtactile/kernels/membrane_flex.c).
+        For each triangle, the secant moduli mu', lambda' are multiplied by the factors that form
+        MuJoCo's matrix (mjtactile/kernels/membrane_flex.c).
         """
         self._p_SV[:] = p_SV
         self._write()

@@ -13,13 +13,16 @@ from mjtactile.quasistatic.incremental import IncrementalMembrane, Sticking, emp
 
 QS_GRID = (21, 16)
 FEELER = "feeler"
-_TOLERANCE = 2  # place of it in a film's settings
-_CLOSE = 1e-9  # m
+_TOLERANCE = 2  # index in a membrane's settings
+_CLOSE = 1e-9  # tolerance, m
 
 
 def add_feeler(body: mujoco.MjsBody, design: SensorDesign) -> None:
-    """Give a sensor without a mesh the one geom that stands for its sheet: it touches nothing, and
-    distances of the sheet from other geoms can be measured with it."""
+    """Add the single geom that represents the membrane of a sensor without a mesh.
+
+    The geom makes no contacts. It serves to measure distances between the membrane and other
+    geoms.
+    """
     body.add_geom(
         name=FEELER,
         type=mujoco.mjtGeom.mjGEOM_SPHERE,

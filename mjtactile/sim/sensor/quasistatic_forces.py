@@ -1,10 +1,10 @@
-"""What films do to a scene: their forces in MuJoCo's `qfrc_applied`, beside what a user writes
-there, and damping of the bodies that they hold.
+"""Forces of quasi-static membranes in MuJoCo's `qfrc_applied`, in addition to those of the user,
+and damping of the MuJoCo bodies that the membranes hold.
 
-A film's force is computed from where things are, and acts until they are somewhere else. That alone
-is stable for sqrt(k / m) h < 2. Bodies that are free are therefore damped against the motion that
-they have against the films, by half of what the films' stiffness adds over a step; MuJoCo takes
-damping of joints implicitly, with which any stiffness is stable (decision 32).
+A membrane's force is computed from the present poses and stays constant during the step. That alone
+is stable for sqrt(k / m) h < 2. Free MuJoCo bodies are therefore damped against their motion
+relative to the membranes. The damping is half of the force that the membranes' stiffness adds over
+a step. MuJoCo treats joint damping implicitly, which makes any stiffness stable (decision 32).
 """
 
 from __future__ import annotations
@@ -18,11 +18,12 @@ from mjtactile.core.types import Array
 from mjtactile.kernels import bound, words
 
 HOLD = 43
-"""Numbers that say how a free body is held: its joint, stiffness (6, 6) and velocity (6,)."""
+"""Number of values that describe a held free body: joint, stiffness (6, 6) and velocity (6,)."""
 
 
 class QuasistaticForces:
-    """What all films of one `data` add; made by `pushes_of`."""
+    """Sum of the forces and damping of all quasi-static membranes of one `data`; created by
+    `pushes_of`."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData):
         self._model = model
@@ -47,10 +48,10 @@ class QuasistaticForces:
         return number
 
     def set(self, number: int, force: Array, hold: Array) -> None:
-        """Add `force` (nv,) from now on, and damping of the body of `hold` (HOLD,), in place of
-        what that row added before.
+        """Set row `number` to `force` (nv,) and to the damping of the body of `hold` (HOLD,).
 
-        What somebody else has written to `qfrc_applied` since is theirs, and stays.
+        Both replace the row's previous contribution. Values that others have written to
+        `qfrc_applied` since then are kept.
         """
         self._forces[number] = force
         self._holds[number] = hold
@@ -58,12 +59,12 @@ class QuasistaticForces:
         self._add()
 
     def words(self) -> Array:
-        """(12,) What `film_add` is called with; good until another joins."""
+        """Return the arguments (12,) of `film_add`; valid until another owner joins."""
         assert self._add is not None
         return words(self._add)
 
     def addresses(self, number: int) -> list[int]:
-        """Of what a row adds: its force and its hold."""
+        """Return the memory addresses of a row's force and hold."""
         return [rows[number].ctypes.data for rows in (self._forces, self._holds)]
 
     def _bind(self) -> None:
@@ -90,7 +91,7 @@ _known: weakref.WeakValueDictionary[int, QuasistaticForces] = weakref.WeakValueD
 
 
 def pushes_of(model: mujoco.MjModel, data: mujoco.MjData) -> QuasistaticForces:
-    """The one `QuasistaticForces` of `data`, which lives as long as somebody keeps it."""
+    """Return the single `QuasistaticForces` of `data`, which exists as long as it is referenced."""
     found = _known.get(id(data))
     if found is None or found._data is not data:
         found = _known[id(data)] = QuasistaticForces(model, data)

@@ -1,8 +1,8 @@
-"""`QuasistaticGas`: a chamber's gas, as the film over it feels it.
+"""`QuasistaticGas`: a chamber's gas coupled to a quasi-static membrane.
 
-Gas that stays in is p V^exponent to the film, whatever its volume does within a step. What flows,
-leaks or warms is told to the film once of each moment: so that the film is the same however often
-anybody looks.
+For sealed gas the membrane uses p V^exponent, for any volume change within a step. Gas that flows,
+leaks or warms is passed to the membrane once per time instant. The result is therefore independent
+of how often the state is read.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from mjtactile.quasistatic.incremental import HEAT_RATIO, IncrementalMembrane
 from mjtactile.sim.sensor.gas import ChamberGas
 from mjtactile.sim.sensor.quasistatic_state import QuasistaticState
 
-_FLAT = 1.0  # Pa, below which the sheet lies flat
-_SEALED = 1  # place of it in a film's settings
+_FLAT = 1.0  # pressure, Pa, below which the membrane is flat
+_SEALED = 1  # index in a membrane's settings
 
 
 class QuasistaticGas:
@@ -39,29 +39,29 @@ class QuasistaticGas:
         self._stiffness = stiffness
         self._timestep = timestep
         self._flat_volume = live.film.design.chamber_volume_flat
-        # what the gas was last advanced to
+        # volume and time of the last gas update
         self._volume = self._flat_volume
         self._time = time
         self._reported_at = math.nan
-        """s, when the film was last told what its gas does."""
+        """Time of the last update of the membrane's gas state, s."""
         self._detected_at: tuple[float, float] | None = None
-        """s and m^3, of what `at` last found."""
+        """Time, s, and volume, m^3, of the last evaluation by `at`."""
         self._found = gas
         gas.advance(self._volume, 0.0)
 
     @property
     def volume(self) -> float:
-        """m^3, at the film's last look."""
+        """Gas volume at the membrane's last update, m^3."""
         return self._flat_volume + self._live.volume
 
     def gauge_pressure(self, time: float) -> float:
-        """Pa, at the film's last look."""
+        """Return the gauge pressure at the membrane's last update, Pa."""
         if self._gas.is_sealed and self._is_sealed:
             return self._live.gauge_pressure  # the film rests on p V^gamma
         return self.at(time).gauge_pressure
 
     def at(self, time: float) -> ChamberGas:
-        """The gas at the film's present volume; to look at, for what looks changes nothing."""
+        """Return the gas at the membrane's present volume, without changing the state."""
         moment = time, self.volume
         if self._detected_at != moment:
             self._detected_at = moment
@@ -69,7 +69,7 @@ class QuasistaticGas:
         return self._found
 
     def wake(self) -> None:
-        """See the gas anew: its valve or its leak is another."""
+        """Evaluate the gas again after a change of valve or leak."""
         self._reported_at = math.nan
         self._detected_at = None
 
@@ -81,7 +81,7 @@ class QuasistaticGas:
         self._detected_at = None
 
     def tell(self, time: float) -> None:
-        """Tell the film what its gas does from now on."""
+        """Pass the present gas behavior to the membrane."""
         if self._gas.is_sealed:
             if not self._is_sealed:
                 self.breathe(time)
@@ -92,10 +92,10 @@ class QuasistaticGas:
             self._reported_at = time
 
     def hold(self, time: float) -> bool:
-        """Take the gas as sealed for some steps: what leaks or warms does so slowly.
+        """Treat the gas as sealed for some steps, because leaks and heat exchange are slow.
 
         Returns:
-            Whether that can be: not while the valve is open.
+            True if possible; False while the valve is open.
         """
         if self._gas.is_sealed:
             return self._is_sealed
@@ -105,7 +105,7 @@ class QuasistaticGas:
         return True
 
     def close(self) -> None:
-        """See to it that the film is told of a valve that has closed."""
+        """Mark the membrane's gas state as outdated after the valve has closed."""
         self._live.settings[_SEALED] = 0.0
 
     def trap(self, gauge_pressure: float, time: float) -> None:
@@ -117,7 +117,7 @@ class QuasistaticGas:
 
     @property
     def _is_sealed(self) -> bool:
-        """Whether the film takes the gas as sealed."""
+        """True if the membrane treats the gas as sealed."""
         return bool(self._live.settings[_SEALED])
 
     def _seal(self) -> None:
@@ -131,7 +131,7 @@ class QuasistaticGas:
         self._live.settings[:2] = absolute * self._volume**exponent, True
 
     def _let_flow(self) -> None:
-        """Set what the film feels of a gas that flows, leaks or warms, or of an open valve."""
+        """Set the membrane's gas state for gas that flows, leaks or warms, or for an open valve."""
         gas = self._gas
         live = self._live
         if gas.stiffness(self._timestep) > 0:

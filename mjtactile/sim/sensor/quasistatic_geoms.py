@@ -1,4 +1,4 @@
-"""What of a scene a film can rest on: geoms as the film's bodies, by their own formulas."""
+"""Geoms of a scene as obstacles of a quasi-static membrane, with their own formulas."""
 
 from __future__ import annotations
 
@@ -23,22 +23,25 @@ _KINDS = {
 
 
 class ContactGeoms:
-    """The geoms that a film may feel, as rows of bodies in its sensor's frame.
+    """Geoms that a quasi-static membrane can touch, as rows of obstacles in its sensor's frame.
 
     Attributes:
-        ids: (k,) of the geoms.
-        bodies: (k,) that they belong to.
-        rows: (k, NUMBERS) of bodies, whose poses the kernel writes.
-        pool: Planes of the meshes' hulls; None: there are none.
-        bounds: (k, 7) m^2, the squared distance from the sensor's origin within which each is near;
-            then middle and half sizes, m, of a box about it in its own frame.
+        ids: Ids (k,) of the geoms.
+        bodies: MuJoCo bodies (k,) of the geoms.
+        rows: Obstacles (k, NUMBERS), whose poses the kernel writes.
+        pool: Planes of the meshes' hulls; None if there are none.
+        bounds: Bounds (k, 7): squared distance from the sensor's origin within which each geom is
+            near, m^2, then center and half-extents, m, of its bounding box in its own frame.
     """
 
     def __init__(self, model: mujoco.MjModel, body: int, reach: float):
-        """`body` carries the sensor; a geom is near when it comes within `reach` m of its origin.
-        What is fixed to the world is left out: a table is near for ever, and dear.
+        """Collect the geoms that can come within `reach` m of the origin of the sensor's `body`.
 
-        Raises InputError for what a film cannot feel: soft bodies, height fields.
+        Geoms that are fixed to the world are left out: a table would be near permanently, at a high
+        cost.
+
+        Raises InputError for kinds that a quasi-static membrane does not support: soft bodies and
+        height fields.
         """
         felt = np.intersect1d(
             feature_size.touching_geoms(model, body), feature_size.touching_geoms(model)
@@ -66,7 +69,7 @@ def _body_of(model: mujoco.MjModel, geom: int) -> Obstacle:
     what = _G(kind).name.removeprefix("mjGEOM_").lower()
     raise InputError(
         f"{name!r} is a {what}, which a film cannot rest on: leave the sheet on",
-        field="--effects -sheet",
+        field="--effects -mesh",
     )
 
 
@@ -77,5 +80,5 @@ def _refuse_soft(model: mujoco.MjModel) -> None:
             raise InputError(
                 f"{model.flex(flex).name!r} is soft, and a film rests on rigid bodies: leave the "
                 "sheet on",
-                field="--effects -sheet",
+                field="--effects -mesh",
             )

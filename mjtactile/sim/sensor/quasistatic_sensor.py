@@ -1,9 +1,11 @@
-"""`QuasistaticSensor`: one attached sensor whose sheet is a film and no part of MuJoCo's model. It
-serves as `TactileSensor` does: call `update` before every `mj_step`; read markers and pressure.
+"""`QuasistaticSensor`: one attached sensor with a quasi-static membrane outside MuJoCo's model.
 
-The film lies on the bodies where they are (`mjtactile.quasistatic`), sticks to them and slides by
-Coulomb's law, and pushes them and its own frame with what it bears. It has no mass and no damping:
-it is always at rest. Gas and valve are the full sensor's.
+Its interface is that of `TactileSensor`: call `update` before every `mj_step`; read markers and
+pressure.
+
+The membrane rests on the obstacles at their present poses (`mjtactile.quasistatic`). It sticks to
+them, slides by Coulomb's law, and applies the contact forces to them and to its own frame. It has
+no mass and no damping: it is always in equilibrium. Gas and valve are those of the full sensor.
 """
 
 from __future__ import annotations
@@ -34,7 +36,7 @@ from mjtactile.sim.sensor.quasistatic_state import QuasistaticState
 _PATIENCE = 25  # steps without a solution in a row
 _LATE = 2  # such steps that are not worth a word
 _NO_FLEX = -2
-# places in what the kernel is given
+# indices in the kernel's input
 _GAS = 2
 _TIME = 6
 
@@ -53,7 +55,11 @@ class QuasistaticSensor(BaseSensor):
         prefix: str,
         effects: frozenset[str],
     ):
-        """`mesh` is as fine as the film. InputError: a scene that a film cannot feel."""
+        """Bind the sensor to model and data; `mesh` has the resolution of the quasi-static
+        membrane.
+
+        Raises InputError for a scene that a quasi-static membrane does not support.
+        """
         super().__init__(model, data, design, mesh, prefix, effects)
         self._model = model
         self.flex_id = _NO_FLEX
@@ -142,7 +148,8 @@ class QuasistaticSensor(BaseSensor):
     # -- before every step
 
     def update(self) -> None:
-        """Come to rest on what is there now, and push; call before every `mj_step`."""
+        """Solve for equilibrium at the present poses and apply the forces; call before every
+        `mj_step`."""
         self._look()
         pushes = self._find_push()
         if pushes or self._pushing[0]:
@@ -155,12 +162,15 @@ class QuasistaticSensor(BaseSensor):
         self.wake()
 
     def wake(self) -> None:
-        """See the gas anew: its valve or its leak is another."""
+        """Evaluate the gas again after a change of valve or leak."""
         self._qs_gas.wake()
 
     def _look(self) -> None:
-        """Bring film, gas and what sticks up to the present poses; of one moment the first look
-        alone does, so that nobody changes what happens by looking."""
+        """Update membrane, gas and sticking contact to the present poses.
+
+        Only the first call per time instant has an effect, so that reading the state does not
+        change the simulation.
+        """
         data = self._data
         mujoco.mj_kinematics(self._model, data)
         self._given[_TIME] = data.time
@@ -204,35 +214,36 @@ class QuasistaticSensor(BaseSensor):
     # -- for a kernel that goes on by itself (`film_stepper`)
 
     def hold_gas(self) -> bool:
-        """Take the gas as sealed for some steps: what leaks or warms does so slowly.
+        """Treat the gas as sealed for some steps, because leaks and heat exchange are slow.
 
         Returns:
-            Whether that can be: not while the valve is open.
+            True if possible; False while the valve is open.
         """
         return self._qs_gas.hold(self.time)
 
     def follow_message(self) -> Array:
-        """(34,) What `film_follow` is called with, and where it says whether it pushed."""
+        """Return the arguments (34,) of `film_follow` and the address of its flag for applied
+        forces."""
         return np.append(words(self._follow), self._pushing.ctypes.data)
 
     def push_message(self) -> Array:
-        """(19,) What `film_push` is called with, and where its two results go."""
+        """Return the arguments (19,) of `film_push` and the addresses of its two results."""
         return np.concatenate([words(self._find_push), self._pushes.addresses(self._number)])
 
     def add_messages(self) -> Array:
-        """(12,) What `film_add` is called with."""
+        """Return the arguments (12,) of `film_add`."""
         return self._pushes.words()
 
-    # -- what it is like now
+    # -- present state
 
     @property
     def is_asleep(self) -> bool:
-        """Whether nothing is near, so that nothing is computed."""
+        """True if no obstacle is near, so that no computation is needed."""
         return not self.is_touched and not self._memory.near
 
     @property
     def is_touched(self) -> bool:
-        """Whether anything touches the film."""
+        """True if an obstacle touches the membrane."""
         return self._memory.is_touched
 
     @property
@@ -243,43 +254,46 @@ class QuasistaticSensor(BaseSensor):
 
     @property
     def contact_area(self) -> float:
-        """m^2 of the film that lies on what touches it."""
+        """Contact area, m^2."""
         return self._live.area if self.is_touched else 0.0
 
     @property
     def depth(self) -> float:
-        """m by which the film is deepest below where it rests untouched."""
+        """Maximum indentation of the membrane below its untouched shape, m."""
         return float((self._film.rest.x[2] - self._live.x[2]).max()) if self.is_touched else 0.0
 
     @property
     def slid(self) -> float:
-        """m that what touches has slid over the film since it touched."""
+        """Sliding distance of the obstacle over the membrane since first touch, m."""
         return self._memory.slid
 
     @property
     def slides(self) -> bool:
-        """Whether what touches is at friction's limit."""
+        """True if the contact is at the friction limit."""
         return self._memory.slides
 
     def look(self) -> Array:
-        """The wrench of this very moment: what `wrench` is after the next `update`."""
+        """Return the wrench at the present time, equal to `wrench` after the next `update`."""
         self._look()
         return self.wrench
 
     @property
     def middle(self) -> Array:
-        """(3,) m in S, where what touches presses on the whole."""
+        """Center of pressure (3,), m, frame S."""
         return self._memory.middle
 
     @property
     def radius(self) -> float:
-        """m, the mean distance of what presses from that, in the frame's plane; 0: nothing
-        does."""
+        """Mean distance of the contact pressure from `middle` in the frame's plane, m; 0 without
+        contact."""
         return self._memory.radius
 
     def contact_forces(self) -> tuple[Array, Array]:
-        """Forces (n, 3) N on the film at its nodes that touch, and their places (n, 3) m in S;
-        what shears is shared out as the normal force is."""
+        """Return forces (n, 3) N on the membrane at its touching nodes and their positions (n, 3) m
+        in S.
+
+        The shear force is distributed in proportion to the normal force.
+        """
         force = self._live.force
         i, j = np.nonzero(force > 0)
         film = self._film
@@ -297,13 +311,15 @@ class QuasistaticSensor(BaseSensor):
         return self._positions()()
 
     def positions_now(self) -> Callable[[], Array]:
-        """`p_SV` of this moment, to be worked out later, if at all: what sticks takes longer than a
-        step."""
+        """Return a function that computes `p_SV` of the present time later, if needed.
+
+        The computation for sticking contact takes longer than a step.
+        """
         self._look()
         return self._positions()
 
     def _positions(self) -> Callable[[], Array]:
-        """What gives `p_SV` of the last look."""
+        """Return a function that computes `p_SV` of the last update."""
         x = self._live.x.copy()
         strain = self._memory.strain
         held = None
@@ -330,7 +346,7 @@ class QuasistaticSensor(BaseSensor):
         return np.ascontiguousarray(self._live.x.reshape(3, -1).T[self.mesh.interior]).ravel()
 
     def penetrations(self, rows: NDArray[np.int64]) -> Array:
-        """None: a film lies on what touches it."""
+        """Return zeros: a quasi-static membrane lies on the obstacle without penetration."""
         return np.zeros(len(rows))
 
     @property
@@ -339,18 +355,18 @@ class QuasistaticSensor(BaseSensor):
         return np.empty(0, np.int64)
 
     def marker_poses_before(self, seconds: float) -> tuple[Array, Array]:
-        """Where the markers are: a film at rest has no velocity, and images of it no motion
+        """Return the present marker poses: a membrane in equilibrium has no velocity and no motion
         blur."""
         return self.marker_poses()
 
     # -- its limits
 
     def flags(self) -> validity_checks.Flags:
-        """What makes the present numbers less good than they look."""
+        """Return flags for reduced accuracy of the present state."""
         flags: validity_checks.Flags = {}
         lost = self._memory.lost
         if lost > _LATE:
-            flags["film"] = f"the film found no rest for {lost} steps: {self._reason()}"
+            flags["quasistatic"] = f"the film found no rest for {lost} steps: {self._reason()}"
         if self._memory.near:
             narrow = self._live.doubt() if self.is_touched else 0.0
             flags |= validity_checks.quasistatic_flags(self._live.below_rim(), narrow)
@@ -364,7 +380,8 @@ class QuasistaticSensor(BaseSensor):
         )
 
     def failure(self) -> str | None:
-        """Say why this sensor's state is outside what the film describes, or None."""
+        """Return the reason why this sensor's state is outside the membrane model's validity, or
+        None."""
         lost = self._memory.lost
         if lost:
             pushed = self._memory.status == MembraneStatus.GLASS_CONTACT

@@ -1,4 +1,6 @@
-"""`QuasistaticState`: what a film's kernel remembers from look to look, by name."""
+"""`QuasistaticState`: named access to the kernel state of a quasi-static membrane between
+updates.
+"""
 
 from __future__ import annotations
 
@@ -38,12 +40,12 @@ class QuasistaticState:
 
     @property
     def is_touched(self) -> bool:
-        """Whether anything touches the film."""
+        """True if an obstacle touches the membrane."""
         return bool(self.numbers[_BODY] > 0)
 
     @property
     def near(self) -> int:
-        """How many bodies are near."""
+        """Number of near obstacles."""
         return int(self.numbers[_NEAR])
 
     @property
@@ -53,33 +55,34 @@ class QuasistaticState:
 
     @property
     def middle(self) -> Array:
-        """(3,) m, where what touches presses on the whole."""
+        """Center of pressure (3,), m."""
         return self.numbers[_MIDDLE].copy()
 
     @property
     def radius(self) -> float:
-        """m, the mean distance of what presses from that, in the frame's plane; 0: nothing
-        does."""
+        """Mean distance of the contact pressure from `middle` in the frame's plane, m; 0 without
+        contact."""
         return float(self.numbers[_RADIUS])
 
     @property
     def strain(self) -> Array:
-        """(3,) m, m and rad that what sticks has dragged and turned the sheet."""
+        """Shear displacement along x and y and rotation (3,) of the membrane by sticking contact,
+        m, m, rad."""
         return self.numbers[_STRAIN].copy()
 
     @property
     def slides(self) -> bool:
-        """Whether what touches is at friction's limit."""
+        """True if the contact is at the friction limit."""
         return bool(self.numbers[_SLIDES])
 
     @property
     def slid(self) -> float:
-        """m that what touches has slid over the film since it touched."""
+        """Sliding distance of the obstacle over the membrane since first touch, m."""
         return float(self.numbers[_SLID])
 
     @property
     def status(self) -> MembraneStatus:
-        """How the last solution ended."""
+        """Status of the last solution."""
         return MembraneStatus(int(self.numbers[_STATUS]))
 
     @property

@@ -1,8 +1,7 @@
-"""Where straight lines enter geoms: how high what may touch stands over many points of a sheet, at
-once.
+"""Entry points of many lines into a geom: heights of obstacles over many points of a membrane.
 
 A geom is a polytope (a box, the hull of a mesh), an ellipsoid (a sphere), a cylinder, or a capsule.
-MuJoCo's own rays are one point a call; tests compare with them.
+MuJoCo's own rays handle one point per call; tests compare with them.
 """
 
 from __future__ import annotations
@@ -15,7 +14,10 @@ import numpy as np
 from mjtactile.core.types import Array
 
 MAX_FACES = 400
-"""Of a mesh's hull; one with more is smooth where a membrane's vertices are apart, or too dear."""
+"""Maximum face count of a mesh's hull.
+
+A hull with more faces is smooth at the membrane's vertex spacing, or too expensive.
+"""
 MISSED = np.inf
 _TINY = 1e-12
 _BOX, _SPHERE, _ELLIPSOID, _CYLINDER, _CAPSULE, _MESH = (
@@ -24,13 +26,19 @@ _BOX, _SPHERE, _ELLIPSOID, _CYLINDER, _CAPSULE, _MESH = (
 )
 
 Entry = Callable[[Array, Array], Array]
-"""Of points (n, 3) m and unit directions (n, 3), in the geom's frame: signed distances (n,) m along
-the lines to where they enter the geom, `MISSED` where they do not."""
+"""Function of points (n, 3) m and unit directions (n, 3), in the geom's frame.
+
+It returns signed distances (n,) m along the lines to their entry into the geom, `MISSED` without
+intersection.
+"""
 
 
 def entry_of(model: mujoco.MjModel, geom: int, most: int | None = None) -> Entry | None:
-    """How lines enter a geom, or None for a kind that is not known (a plane, a height field) or a
-    hull of more than `most` faces (None: `MAX_FACES`)."""
+    """Return the entry function of a geom.
+
+    Return None for an unsupported kind (a plane, a height field) or a hull of more than `most`
+    faces (None: `MAX_FACES`).
+    """
     kind = int(model.geom_type[geom])
     size = np.asarray(model.geom_size[geom], float).copy()
     if kind == _BOX:
@@ -51,7 +59,7 @@ def _between(enters: Array, leaves: Array) -> Array:
 
 
 def _polytope(normals: Array, offsets: Array) -> Entry:
-    """Of all points x with normals (m, 3) x <= offsets (m,) m."""
+    """Return the entry function of all points x with normals (m, 3) x <= offsets (m,) m."""
 
     def entry(points: Array, directions: Array) -> Array:
         along = directions @ normals.T
@@ -74,8 +82,10 @@ def _ellipsoid(size: Array) -> Entry:
 
 
 def _roots(points: Array, directions: Array) -> tuple[Array, Array]:
-    """Where lines enter and leave the unit sphere, or the unit circle; `MISSED`, -`MISSED` where
-    they do not."""
+    """Return entry and exit distances of lines through the unit sphere or the unit circle.
+
+    They are `MISSED` and -`MISSED` without intersection.
+    """
     a, b, c = (
         (p * q).sum(axis=1)
         for p, q in ((directions, directions), (points, directions), (points, points))
@@ -104,7 +114,7 @@ def _cylinder(radius: float, half: float) -> Entry:
 
 
 def _slab(heights: Array, slopes: Array, half: float) -> tuple[Array, Array]:
-    """Where lines enter and leave the slab of +-`half` m."""
+    """Return entry and exit distances of lines through the slab of +-`half` m."""
     level = np.abs(slopes) <= _TINY
     inside = np.abs(heights) < half
     slope = np.where(level, 1.0, slopes)

@@ -1,5 +1,5 @@
-"""What of a scene is small or sharp beside a sensor's mesh: the geoms that `points` has its contact
-spheres follow."""
+"""Geoms that are small or sharp relative to a sensor's mesh; the contact spheres of `points` follow
+their shape."""
 
 from __future__ import annotations
 
@@ -22,17 +22,18 @@ KINDS = tuple(
 )
 """Geoms that have edges."""
 _MAX_FACES = 4000  # of the hull of something thin
-_APART = 0.15  # cells between points inside of what is thin
+_APART = 0.15  # spacing of interior points of a thin geom, in cells
 
 
 class SharpGeoms(NamedTuple):
-    """Geoms whose shape the spheres follow.
+    """Geoms whose shape the contact spheres follow.
 
     Args:
-        shapes: By geom, what tells where a line enters it.
-        round: Those of them that are cylinders much wider than the mesh: sharp at their ends alone.
-        cores: Of those that fit between vertices, points (m, 3) m inside, in the geom's frame: such
-            a geom may lie between all places where a cell looks.
+        shapes: Entry function of lines for each geom.
+        round: Those of them that are cylinders much wider than the mesh spacing; only their ends
+            are sharp.
+        cores: Interior points (m, 3) m, in the geom's frame, of geoms that fit between vertices.
+            Such a geom may lie between all sample points of a cell.
     """
 
     shapes: dict[int, ray_intersection.Entry]
@@ -41,8 +42,11 @@ class SharpGeoms(NamedTuple):
 
 
 def missed(model: mujoco.MjModel, carrier: int, mesh: MembraneMesh) -> tuple[float, str]:
-    """Radius, m, and name of the thinnest thing that could slip between vertices, since its shape
-    is not known here (a mesh of too many faces); infinite when there is none."""
+    """Return radius, m, and name of the thinnest geom that could slip between vertices.
+
+    Its shape is not available here (a mesh of too many faces). The radius is infinite when there is
+    no such geom.
+    """
     found = []
     for geom in map(int, feature_size.touching_geoms(model, carrier)):
         if (
@@ -56,8 +60,11 @@ def missed(model: mujoco.MjModel, carrier: int, mesh: MembraneMesh) -> tuple[flo
 
 
 def sharp_geoms(model: mujoco.MjModel, carrier: int, mesh: MembraneMesh, cell: float) -> SharpGeoms:
-    """What may touch the sensor on the body `carrier` and is small or sharp beside its mesh, whose
-    vertices stand for cells of `cell` m."""
+    """Return the geoms that can touch the sensor on body `carrier` and are small or sharp for its
+    mesh.
+
+    Each vertex of the mesh stands for a cell of `cell` m.
+    """
     found = SharpGeoms({}, set(), {})
     for geom in map(int, feature_size.touching_geoms(model, carrier)):
         if not _is_sharp(model, geom, mesh):
@@ -76,11 +83,11 @@ def sharp_geoms(model: mujoco.MjModel, carrier: int, mesh: MembraneMesh, cell: f
 
 
 def _is_thin(model: mujoco.MjModel, geom: int, mesh: MembraneMesh) -> bool:
-    """Whether it fits between vertices."""
+    """Return True if the geom fits between vertices."""
     return feature_size.feature_radius(model, geom) < feature_size.SLIPS * mesh.spacing
 
 
 def _is_sharp(model: mujoco.MjModel, geom: int, mesh: MembraneMesh) -> bool:
-    """Whether it has edges, or is small."""
+    """Return True if the geom has edges or is small."""
     is_small = feature_size.feature_radius(model, geom) < feature_size.RESOLVED * mesh.spacing
     return is_small or int(model.geom_type[geom]) in KINDS

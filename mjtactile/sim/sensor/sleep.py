@@ -1,11 +1,10 @@
-"""Sleep of a sensor that touches nothing: its membrane is taken out of the solve, and put back
-exactly as it was.
+"""Sleep of an untouched sensor: its membrane is removed from the solve and restored exactly.
 
-MuJoCo's own sleep takes whole kinematic trees; a sensor shares its tree with the finger that
-carries it, and its gas is a force from outside, so it would never sleep. Here the sheet is declared
-rigid, the gas tendon loses its joints and every vertex is held where it is by a spring of its own,
-which couples nothing: 0.04 ms a step instead of 0.25. What is left out is the sheet's own inertia
-and weight, whose changes therefore wake it.
+MuJoCo's own sleep applies to whole kinematic trees. A sensor shares its tree with the finger that
+carries it, and its gas is an external force, so it would never sleep. Here the membrane is declared
+rigid, the gas tendon loses its joints, and a separate spring holds every vertex in place. These
+springs couple no vertices: a step takes 0.04 ms instead of 0.25. The membrane's own inertia and
+weight are left out; their changes therefore wake the sensor.
 """
 
 from __future__ import annotations
@@ -23,23 +22,29 @@ NEAR = 5e-3
 """Distance, m, of anything that may touch at which a sensor wakes: a step of 4 ms at 1 m/s."""
 STILL = 1e-4
 LEAST = 1e-9
-"""What vertices may move by between two looks, as a share of the largest displacement, and at
-least, m. Shapes settle within 10 ms, so that after three such looks less than a tenth of it is left
-to go."""
-# m/s^2: change of weight or acceleration of the frame that wakes; the sheet follows by about 0.5 um
+"""Limits of vertex motion between two checks: a fraction of the largest displacement, and a
+minimum, m.
+
+Shapes settle within 10 ms, so that less than a tenth of the motion remains after three such
+checks.
+"""
+# change of the frame's weight vector or acceleration that wakes the sensor, m/s^2; the membrane
+# responds by about 0.5 um
 SHAKEN = 0.5
 _TURNING = 0.1  # rad/s of the frame
-# s between two looks at an awake sensor; how many of them in a row must find it still
+# period of checks of an awake sensor, s; number of still checks in a row before sleep
 _LOOK = 0.01
 _TIMES = 3
-_HOLD = 0.1  # s that a woken sensor stays awake
+_HOLD = 0.1  # minimum time that a woken sensor stays awake, s
 _BULGED = 1.2  # distances between vertices of an inflated sheet, against the flat one's
-_STIFFNESS = 1e5  # N/m a vertex: its weight moves it by less than 1 nm
+_STIFFNESS = 1e5  # stiffness per vertex, N/m: its weight moves it by less than 1 nm
 
 
 class Sleeper:
-    """Puts one sensor's membrane to sleep and wakes it. `load` is what carries the pressure
-    (switches.make_load)."""
+    """Sleep and wake-up of one sensor's membrane.
+
+    `load` applies the pressure (switches.make_load).
+    """
 
     def __init__(
         self,
@@ -83,8 +88,10 @@ class Sleeper:
         self._undo()
 
     def wakes(self) -> bool:
-        """Whether a sleeping sensor is disturbed by what is near, by its frame's motion, or by
-        hand. For every step."""
+        """Return True if a sleeping sensor is disturbed; call every step.
+
+        Disturbances are near geoms, motion of the frame, applied forces, and moved vertices.
+        """
         data = self._data
         return bool(
             self._is_near()
@@ -95,7 +102,7 @@ class Sleeper:
         )
 
     def may_sleep(self, gas_is_still: bool) -> bool:
-        """Whether an awake sensor has been at rest for some looks in a row; call every step."""
+        """Return True if an awake sensor was still for several checks in a row; call every step."""
         time = float(self._data.time)
         if 0 <= time - self._time < _LOOK:
             return False
@@ -130,7 +137,7 @@ class Sleeper:
         self.asleep = True
 
     def wake(self) -> None:
-        """Back to the state in which it fell asleep, or to where somebody has moved the vertices
+        """Restore the state before sleep, or keep the vertex positions if they were changed
         meanwhile."""
         model = self._model
         if np.abs(self._load.displacements - self._springs).max() <= 1e-6:
@@ -150,8 +157,8 @@ class Sleeper:
         self._calm = 0
 
     def _undo(self) -> None:
-        """Take back what another run time's sleep has left in the model, so that a model can be
-        bound again at any time."""
+        """Undo changes of the model by another run time's sleep, so that a model can be bound
+        repeatedly."""
         model = self._model
         model.geom_gap[self._geoms] = model.body_margin[self._bodies] = 0.0
         # the geoms' own and the flex's: `touch_with`
@@ -162,8 +169,8 @@ class Sleeper:
         self._load.resume()
 
     def _collision(self) -> tuple[Array, ...]:
-        """Views of the model's numbers that say what touches the membrane, and from how far it is
-        noticed."""
+        """Return views of the model's values that set the membrane's contacts and detection
+        distance."""
         model = self._model
         geoms = self._geoms
         bodies = self._bodies
@@ -177,7 +184,7 @@ class Sleeper:
         )
 
     def _is_settled(self) -> bool:
-        """Whether the vertices are where they were at the last look."""
+        """Return True if the vertices have not moved since the last check."""
         now = self._load.displacements.copy()
         before = self._before
         self._before = now
@@ -193,8 +200,11 @@ class Sleeper:
         )
 
     def _is_moved(self) -> bool:
-        """Whether the frame accelerates, turns, or has turned against gravity since the last call,
-        or since it fell asleep."""
+        """Return True if the frame accelerates, rotates, or has changed its direction relative to
+        gravity.
+
+        The direction is compared with that at the last call, or at the start of sleep.
+        """
         option = self._model.opt
         velocity = self._data.cvel[self._body].tolist()
         axes = self._data.xmat[self._body].tolist()

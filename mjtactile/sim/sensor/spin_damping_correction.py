@@ -1,11 +1,11 @@
-"""A sensor that turns keeps turning: the torque with which the implicit step resists is given back.
+"""Compensation of the torque with which the implicit step brakes a rotating sensor.
 
-MuJoCo's `discrete` integrator takes the sheet's forces from where the step will end, to first
-order: -h K v. Turning as a whole, the sheet's tension turns along, so that K v is not zero although
-nothing deforms; and since the lever arms are those of the step's beginning, a torque -h Q w is
-left, which brakes a sensor spinning in vacuum within 0.4 s at a step of 4 ms. Q is the sum over the
-edges d of all triangles of c (|d|^2 I - d d^T), where c is the edge's force over its length, N/m,
-of which MuJoCo's stiffness keeps what is positive (docs/theory/simulation_contact.md, C4).
+MuJoCo's `discrete` integrator evaluates the membrane's forces at the end of the step, to first
+order: -h K v. In a rigid rotation the membrane's tension rotates too, so that K v is not zero
+although nothing deforms. The lever arms are those at the start of the step. A torque -h Q w
+remains, which stops a sensor spinning in vacuum within 0.4 s at a step of 4 ms. Q is the sum over
+the edges d of all triangles of c (|d|^2 I - d d^T). Here c is the edge's force over its length,
+N/m, of which MuJoCo's stiffness keeps the positive part (docs/theory/simulation_contact.md, C4).
 """
 
 from __future__ import annotations
@@ -46,16 +46,18 @@ class SpinCorrection:
         self._gives = False
 
     def update(self, p_SV: Array) -> None:
-        """Give back what the next step will take, with the vertices at `p_SV` (n, 3) m; call before
-        every step, when the flex's stiffness is that of the step."""
+        """Apply the compensating torque for the next step, with the vertices at `p_SV` (n, 3) m.
+
+        Call before every step, after the flex's stiffness for that step is set.
+        """
         data = self._data
         turning = data.cvel[self._body, :3]  # at the last step's beginning
         if turning.dot(turning) < _SLOW**2 and not self._gives:
             return
         mujoco.mj_jacBody(self._model, data, None, self._jacobian, self._body)
         velocity = self._jacobian @ data.qvel
-        # What counts is the velocity at the step's end. Where nothing was given back yet, somebody
-        # may have set the velocity.
+        # The velocity at the end of the step is relevant. Without a previous compensation the
+        # velocity may have been set externally.
         expected = 2 * velocity - self._velocity if self._gives else velocity
         self._velocity = velocity
         R_WS = data.xmat[self._body].reshape(3, 3)
@@ -70,7 +72,7 @@ class SpinCorrection:
         """Q (3, 3) N m in S."""
         ends = self._elements.ends[self._elements.edges]
         xx, xy, xz, yy, yz, zz = self._rows.T
-        edges = p_SV[ends[..., 1]] - p_SV[ends[..., 0]]  # (m, 3, 3)
+        edges = p_SV[ends[..., 1]] - p_SV[ends[..., 0]]  # shape (m, 3, 3)
         lengths2 = (edges * edges).sum(axis=2)
         a, b, c = (lengths2 - self._free).T
         force = np.maximum(

@@ -1,13 +1,12 @@
-"""Contact that remembers what it holds: static friction that does not creep, and no depth that a
-force costs.
+"""Contact with memory: static friction without creep, and normal force without penetration.
 
 MuJoCo's contacts are soft and have no memory. Below the friction cone, friction resists only a
-velocity, so that a held object sinks for ever; along the normal, a force needs a depth. Here a
-contact's rows carry only what *changes* in a step; what they carried before is put into their
-reference: along the normal by the vertex's margin, along the sheet by the surface velocity of its
-sphere (MuJoCo's conveyor belt), the one that drives the friction which was there. Friction stays
-inside its cone, which the solver sees to, and acts on both bodies, whatever they are. This is the
-method of multipliers (docs/theory/simulation_contact.md, C3; decision 10).
+velocity, so that a held object sinks continuously; along the normal, a force needs a depth. Here a
+contact's rows carry only the *change* within a step. The previous force enters through their
+reference. Along the normal this is the vertex's margin. Along the membrane it is the surface
+velocity of its sphere (MuJoCo's conveyor belt) that produces the previous friction. The solver
+keeps friction inside its cone. Friction acts on both MuJoCo bodies, of any kind. This is the method
+of multipliers (docs/theory/simulation_contact.md, C3; decision 10).
 
 The arithmetic is in mjtactile/kernels/membrane_flex.c.
 """
@@ -27,24 +26,24 @@ from mjtactile.sim.sensor.contact_list import listed
 _GIVE_FRACTION = 0.3
 _SHIFT_FRACTION = 0.2
 _KEPT = 0.5  # of a shift that is still to be mended when the contact slides on
-# How far, as a share of the force along the normal, friction may aim beyond its cone, times the
-# coefficient: at 1 the solver lifts a sliding vertex out of contact (its cone is convex: sliding
-# along it is also sliding up it); at 0.1 friction drops below the cone's edge whenever sliding
+# Limit of the friction target beyond its cone, as a fraction of the normal force times the
+# coefficient. At 1 the solver lifts a sliding vertex out of contact (its cone is convex: sliding
+# along it also means sliding up it). At 0.1 friction drops below the cone's edge whenever sliding
 # slows down.
 _EXCESS = 0.25
-_WAIT = 5e-3  # s; twice a longer step is too long
+_WAIT = 5e-3  # limit of the step, s, for updates every other step
 _ON_CONE = 0.999  # of the cone: the solver's tolerance
 
 
 class Stiction:
     """Memory of one sensor's vertex contacts. Call `update` before every step.
 
-    A row of friction gives f = -mass (v' - (1 - drag) v + drag s) / step, with the velocities v
-    before and v' after the step, and s of the surface. A vertex that sticks should have v' = 0 and
-    a friction that also takes it back to where it began to stick; one that slides, nearly the
-    velocity that it has, with friction on the edge of the cone. One that stops sliding begins with
-    the friction that it slid with: its velocity was foreseen too large, its friction came out too
-    small. A vertex that touches two things at once remembers what one of them held.
+    A friction row gives f = -mass (v' - (1 - drag) v + drag s) / step, with the velocities v before
+    and v' after the step, and s of the surface. A sticking vertex should have v' = 0 and a friction
+    that also returns it to its initial sticking position. A sliding vertex should nearly keep its
+    velocity, with friction on the edge of the cone. A vertex that stops sliding starts with its
+    sliding friction: its predicted velocity was too large and its friction too small. A vertex that
+    touches two objects at the same time remembers the force of one of them.
     """
 
     def __init__(
@@ -70,13 +69,13 @@ class Stiction:
         self._waits = False
         # every other step will do while nothing slides, for half the price
         self._may_wait = self._step < _WAIT
-        # what all coordinates have moved by since the last look, in steps
+        # motion of all coordinates since the last update, in steps
         self._travel = np.zeros(model.nv)
-        # m that the margin is advanced by
+        # advance of the margin, m
         self._give = np.zeros(self._count)
         self._goal = np.zeros(self._count)
-        # of each vertex: N, friction on it, in S; m that it has moved over what it sticks to since
-        # it began to stick
+        # per vertex: friction force on it in S, N; displacement relative to the sticking surface
+        # since sticking started, m
         self._memory = np.zeros((self._count, 6))
         self._slides = np.zeros(self._count, np.uint8)
         self._belt = np.zeros((self._count, 3))
@@ -96,8 +95,8 @@ class Stiction:
         self._forget()
 
     def update(self, stand_off: Array) -> None:
-        """Take over what the contacts of the last step held; `stand_off` (k,) m is where the
-        vertices should touch."""
+        """Store the contact forces of the last step; `stand_off` (k,) m is the intended contact
+        distance."""
         time = float(self._data.time)
         before = self._time
         if time == before:
@@ -109,7 +108,7 @@ class Stiction:
         )
         if self._waits:
             return
-        if time < before:  # somebody has put back the clock
+        if time < before:  # the clock was reset
             self._forget()
         if self._data.ncon and self._take():
             self._empty = False
@@ -119,9 +118,11 @@ class Stiction:
         self._travel[:] = 0.0
 
     def _take(self) -> bool:
-        """Advance the margins by the depths of the contacts, so that vertices come to lie where
-        they should touch, and set the surface velocities with which friction begins the next step
-        as it ended the last one; is anything touched?"""
+        """Advance margins and surface velocities from the last contacts; return True if any exist.
+
+        Margins change by the depths of the contacts, which moves vertices to their intended contact
+        distance. Surface velocities are set so that the next step starts with the last friction.
+        """
         data = self._data
         velocity = np.empty(data.nefc)
         travel = np.empty(data.nefc)

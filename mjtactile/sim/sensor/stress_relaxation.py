@@ -1,15 +1,15 @@
-"""Rubber that relaxes, in MuJoCo's flex: what `mjtactile.core.relaxation` says, one state a term
-and triangle.
+"""Stress relaxation in MuJoCo's flex by the law of `mjtactile.core.relaxation`, with one state per
+term and triangle.
 
-The flex carries the quick stress, (1 + sum a_i) S: its stiffness rows are those of the lasting
-rubber times a factor, and implicit in the step. What has faded, sum r_i, is taken away by forces on
-the vertices, which change no faster than the terms do. Between steps a term follows the mean of the
-stresses at both ends exactly,
+The flex carries the instantaneous stress, (1 + sum a_i) S: its stiffness rows are those of the
+long-term rubber times a factor, and implicit in the step. Forces on the vertices subtract the
+relaxed part, sum r_i. They change no faster than the terms do. Between steps a term follows the
+mean of the stresses at both ends exactly,
 
     r_i <- e r_i + (1 - e) a_i (S_before + S) / 2,    e = exp(-h / tau_i),
 
-which neither grows for any step nor any tau_i, since 0 < e < 1 and each r_i stays between the
-stresses that it has seen.
+which is stable for any step and any tau_i: since 0 < e < 1, each r_i stays within the range of
+previous stresses.
 """
 
 from __future__ import annotations
@@ -26,17 +26,20 @@ from mjtactile.kernels import bound
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
 _STILL = 1e-4
-"""Share of the shear modulus by which any term is off its end below which a sheet counts as at
-rest: 0.6 um of a bulge of 3 mm."""
+"""Tolerance for equilibrium: deviation of any term from its limit, as a fraction of the shear
+modulus.
+
+It corresponds to 0.6 um of a bulge of 3 mm.
+"""
 
 
 class RelaxingMesh:
-    """What one sheet remembers. It begins as one that has been mounted, flat, for ever.
+    """Relaxation state of one membrane. It starts fully relaxed in the flat, mounted shape.
 
     Args:
-        mesh: Its triangles.
-        sheet: Its rubber.
-        relaxation: How that fades.
+        mesh: Triangles of the membrane.
+        sheet: Rubber of the membrane.
+        relaxation: Relaxation law of the rubber.
     """
 
     def __init__(self, mesh: MembraneMesh, sheet: Membrane, relaxation: Relaxation):
@@ -47,7 +50,7 @@ class RelaxingMesh:
         self._kept = np.zeros(len(self._shares))
         self._shear = shear_modulus(sheet.young, sheet.poisson)
         self._p_SV = mesh.p_SV.copy()
-        # lasting stress, then what each term has faded by: S_xx, S_yy, S_xy of each triangle
+        # long-term stress, then the relaxed part of each term: S_xx, S_yy, S_xy of each triangle
         self._memory = np.zeros((len(self._shares) + 1, 3, count))
         law = [
             self._shear,
@@ -81,19 +84,19 @@ class RelaxingMesh:
         self.settle(mesh.p_SV)
 
     def carry(self, thin: Array, rows: Array, forces: Array) -> None:
-        """Name the arrays that `update` reads and changes, for good.
+        """Set the arrays that `update` reads and changes, permanently.
 
         Args:
-            thin: (m,) of the lasting rubber, which is updated first (`Rubber.thin`).
-            rows: Its stiffness (m, 21), which becomes the present one's.
-            forces: Generalised forces (3 k,) N of the interior vertices, to which those are added
-                that take the faded stress away.
+            thin: Array (m,) of the long-term rubber, which is updated first (`Rubber.thin`).
+            rows: Stiffness (m, 21) of the long-term rubber, which is replaced by the present one.
+            forces: Generalised forces (3 k,) N of the interior vertices. The forces that subtract
+                the relaxed stress are added to them.
         """
         self._act = bound("rubber_remembers", *self._sheet, thin, *self._state, rows, forces)
 
     def settle(self, p_SV: Array) -> None:
         """Forget all but a shape (n, 3) m that has been there for ever."""
-        for _ in range(2):  # the first tells the stress, the second what it has faded by
+        for _ in range(2):  # the first pass sets the stress, the second its relaxed part
             self._advance(p_SV, np.inf)
 
     def update(self, p_SV: Array, elapsed: float) -> None:
@@ -104,12 +107,12 @@ class RelaxingMesh:
 
     @property
     def is_still(self) -> bool:
-        """Whether all terms have come to their ends."""
+        """True if all terms have reached their limits."""
         off = self._memory[0] * self._shares[:, None, None] - self._memory[1:]
         return bool(np.abs(off).max(initial=0.0) < _STILL * self._shear)
 
     def _advance(self, p_SV: Array, elapsed: float) -> None:
-        """As `update`, of a sheet that carries nothing."""
+        """Update the state only, without writing stiffness or forces."""
         self._come_to(p_SV, elapsed)
         self._remember()
 

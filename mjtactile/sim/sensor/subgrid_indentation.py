@@ -1,8 +1,8 @@
-"""How much deeper a small contact pushes a sheet than the sheet's mesh can show
+"""Additional indentation by a small contact that the membrane's mesh cannot resolve
 (docs/theory/simulation_contact.md, C6). Pure functions.
 
-All lengths are in cells of the mesh (the root of the area that a vertex stands for), loads are
-forces over 2 pi times the tension and a cell.
+All lengths are in cells of the mesh (the square root of a vertex's area). Loads are forces over 2
+pi times the tension and a cell.
 """
 
 from __future__ import annotations
@@ -12,8 +12,10 @@ import numpy as np
 from mjtactile.core.types import Array
 
 MESH_RADIUS = 0.198
-"""Of the point at which a five-point lattice's response to a force equals ln(1/a): exp(-(gamma +
-1.5 ln 2)), gamma Euler's."""
+"""Radius at which a five-point lattice's response to a point force equals ln(1/a).
+
+It is exp(-(gamma + 1.5 ln 2)) with Euler's gamma.
+"""
 WIDEST = 0.5
 """Radius of contact from which neighbours share it."""
 _LINE = 0.31  # deepening of contact on a line: 1 - ln 2
@@ -54,11 +56,11 @@ def contact_radius(load: Array, slope: Array, curvature: Array) -> Array:
 def depth_beyond_mesh(
     load: Array, slope: Array, curvature: Array, width: float = 0.0
 ) -> tuple[Array, Array]:
-    """How much deeper (k,) a sheet is under each `load` (k,) than its mesh, and the radii (k,) of
-    contact.
+    """Return the additional indentation (k,) under each `load` (k,), and the contact radii (k,).
 
-    `slope` and `curvature` (k, d) are the shape's in d directions around the contact, evenly spread
-    over half a turn; `width` is half of that of a flat edge, on whose rim the sheet hangs.
+    `slope` and `curvature` (k, d) describe the shape in d directions around the contact, evenly
+    spread over half a turn. `width` is the half-width of a flat edge; the membrane then hangs on
+    its rim.
     """
     radii = contact_radius(load[:, None], slope, curvature)
     on_rim = radii.max(axis=1) < width
@@ -75,21 +77,24 @@ def depth_beyond_mesh(
 
 
 def depth_under_end(load: Array, width: float, vertices: Array) -> Array:
-    """How much deeper (k,) a sheet is than its mesh under a flat round end of radius `width`, on
-    whose rim it hangs, by the `load` (k,) on each of the vertices (k, 2) that bear on it. Below 0:
-    an end that is wider than the mesh's point goes less deep."""
+    """Return the additional indentation (k,) under a flat round end of radius `width`.
+
+    The membrane hangs on its rim. `load` (k,) acts on each of the touching vertices (k, 2). The
+    result is negative for an end that is wider than the mesh's effective point: it indents less.
+    """
     apart = np.linalg.norm(vertices[:, None] - vertices, axis=-1)
     np.fill_diagonal(apart, MESH_RADIUS)
     return np.log(apart / width) @ load
 
 
 def _deepening(mean: Array, steep: Array) -> Array:
-    """Beyond ln(mesh/a), of a round contact from whose rim the shape falls to its tip with the
-    slope `mean`, and that the sheet leaves with the slope `steep`: 1/2 of a shallow ball, 1 of a
-    shallow cone.
+    """Return the indentation of a round contact beyond ln(mesh/a).
 
-    Tangents of the sheet's angle, integrated outward from the rim where tension times the sine of
-    the angle times the radius is the load, and the tension is 1 + k (1/cos - 1).
+    The shape falls from the contact's rim to its tip with the mean slope `mean`; the membrane
+    leaves it with the slope `steep`. The result is 1/2 for a shallow ball, 1 for a shallow cone.
+
+    Tangents of the membrane's angle are integrated outward from the rim. There the load is tension
+    times radius times the sine of the angle. The tension is 1 + k (1/cos - 1).
     """
     k = _TIGHTENING
     c = 1 / np.sqrt(1 + steep * steep)
@@ -101,9 +106,11 @@ def _deepening(mean: Array, steep: Array) -> Array:
 
 
 def depth_of_neighbours(load: Array, radius: Array, vertices: Array, touches: Array) -> Array:
-    """The same (k,) for what the other vertices' loads do at each, where several vertices at
-    `vertices` (k, 2) bear on one place: they touch at `touches` (k, 2), closer to each other than
-    the mesh has them."""
+    """Return the additional indentation (k,) at each vertex due to the loads of the other vertices.
+
+    Several vertices at `vertices` (k, 2) may bear on one location. They touch at `touches` (k, 2),
+    which are closer to each other than the vertices are.
+    """
     apart, close = (np.linalg.norm(p[:, None] - p, axis=-1) for p in (vertices, touches))
     one_place = (close < _ONE_PLACE) & ~np.eye(len(load), dtype=bool)
     close = np.maximum(close, _MUTUAL * (radius[:, None] + radius))

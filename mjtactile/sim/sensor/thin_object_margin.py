@@ -1,9 +1,10 @@
-"""Thin things that come fast: triangles are met ahead of time, by the way of a step.
+"""Contact margin for fast thin objects: triangles make contact early, by the motion in one step.
 
-A wire of 0.3 mm radius at 0.1 m/s moves by more than its radius in a step of 4 ms: it would be
-beyond the sheet before its contact is found, and be pushed out on the wrong side. While something
-thin comes near, the margin of the triangles' contact is therefore the way that it goes in a step;
-it goes back to nothing when the thing rests, so that a force at rest is that of the contact itself.
+A wire of 0.3 mm radius at 0.1 m/s moves by more than its radius in a step of 4 ms. It would be
+beyond the membrane before its contact is detected, and be pushed out on the wrong side. While a
+thin object approaches, the margin of the triangles' contact is therefore its motion in one step.
+The margin returns to zero when the object stops, so that a static force is that of the contact
+itself.
 """
 
 from __future__ import annotations
@@ -18,12 +19,13 @@ from mjtactile.sim.sensor import feature_size
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
 _STEPS = 1.5  # of its way
-_MOST = 1e-3  # m: at 4 ms, of 0.17 m/s
-_BACK = 2e-6  # m in a step, by which the margin goes back: contact must not be lost for a step, in
-# which a sheet under pressure jumps past what is thin; it sinks in by 20 um (CONTACT_DEPTH)
-_NEAR = 2e-3  # m of air, beyond which nothing is met in the next steps
+_MOST = 1e-3  # maximum margin, m: at 4 ms, for 0.17 m/s
+_BACK = 2e-6  # decrease of the margin per step, m: contact must not be lost for a step, in
+# which a membrane under pressure jumps past a thin object; the contact depth is 20 um
+# (CONTACT_DEPTH)
+_NEAR = 2e-3  # distance, m, beyond which no contact occurs in the next steps
 _PRIMITIVES = (int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_CAPSULE))
-_CORE = 1e-6  # m, half the thickness of the triangles themselves
+_CORE = 1e-6  # half the thickness of the triangles themselves, m
 
 
 class ThinObjectMargin:
@@ -48,13 +50,14 @@ class ThinObjectMargin:
         ]
         self._step = float(model.opt.timestep)
         self._margin = 0.0
-        # of the sheet's thickness, half is margin: what touches is apart, and its normal certain
+        # half of the membrane's thickness becomes margin: contacts keep a distance and a
+        # well-defined normal
         self.skin = float(model.flex_radius[flex_id]) - _CORE + float(model.flex_margin[flex_id])
         model.flex_radius[flex_id] = _CORE
         model.flex_margin[flex_id] = self.skin
 
     def update(self, p_SV: Array) -> None:
-        """Follow what is near the vertices at `p_SV` (n, 3) m."""
+        """Adapt the margin to thin objects near the vertices at `p_SV` (n, 3) m."""
         if not self._thin:
             return
         speed = max((self._closing_speed(geom, p_SV) for geom in self._thin), default=0.0)
@@ -92,8 +95,10 @@ class ThinObjectMargin:
 
 
 def refuse_thin(model: mujoco.MjModel, carrier: int, mesh: MembraneMesh) -> None:
-    """Raise InputError for a thin box or capsule that the triangles on body `carrier` would miss:
-    MuJoCo's routines for these look at corners, ends and the triangle's vertices."""
+    """Raise InputError for a thin box or capsule that the triangles on body `carrier` would miss.
+
+    MuJoCo's routines for these check only corners, ends and the triangle's vertices.
+    """
     for geom in feature_size.touching_geoms(model, carrier):
         if int(model.geom_type[geom]) not in _PRIMITIVES:
             continue

@@ -1,4 +1,4 @@
-"""How far a sheet is stretched, triangle by triangle."""
+"""Principal stretches of a membrane, triangle by triangle."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ from mjtactile.sim.sensor.mesh import MembraneMesh
 
 
 def stretches_of(design: SensorDesign, mesh: MembraneMesh, p_SV: Array) -> tuple[Array, Array]:
-    """Principal stretches (m, 2), small and large, of each triangle of a mesh whose vertices are at
-    `p_SV` (n, 3) m against the free sheet, and its area (m,) m^2."""
+    """Return principal stretches (m, 2), small and large, and the area (m,) m^2 of each triangle.
+
+    The vertices are at `p_SV` (n, 3) m; stretches are relative to the free membrane.
+    """
     now = p_SV[mesh.triangles]
     moved = now[:, 1:] - now[:, :1]
     F = mesh.inverse_edges @ moved  # rows: dx/dX and dx/dY, (m, 2, 3)

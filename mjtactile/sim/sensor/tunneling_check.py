@@ -1,5 +1,4 @@
-"""What went through a membrane, by geometry: points inside of an object that are behind the
-sheet."""
+"""Geometric check for tunneling: interior points of an object that are behind the membrane."""
 
 from __future__ import annotations
 
@@ -11,15 +10,16 @@ from mjtactile.core.types import Array
 from mjtactile.sim.sensor.interior_points import core
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
-_SLACK = 0.3e-3  # m: triangles may stand in a thin thing by so much while they find their place
-_BETWEEN = 0.6  # spacings that a sharp thing may stand between vertices, where only they are met
+_SLACK = 0.3e-3  # tolerance, m: triangles may overlap a thin object by this much while they settle
+# tolerance, in vertex spacings, for sharp geoms between vertices, where only vertices make contact
+_BETWEEN = 0.6
 
 
 class CorePoints:
-    """Points inside of what a sensor may feel, about as deep below its surface as it is thin.
+    """Interior points of the geoms that a sensor can touch, about as deep as each geom is thin.
 
-    An object that is held is above the sheet with all of them; one that went through, or sticks
-    through, is not.
+    All points of a held object are above the membrane. Points of an object that went or sticks
+    through are not.
     """
 
     def __init__(
@@ -33,19 +33,20 @@ class CorePoints:
         self._inside: set[int] = set()
 
     def forget(self, data: mujoco.MjData, body: int, p_SV: Array, depth: float) -> None:
-        """Leave out what is behind the sheet from the start: parts of what carries the sensor."""
+        """Exclude geoms that are behind the membrane from the start: parts of the sensor's
+        carrier."""
         behind = [geom for geom in self._points if self.behind(data, body, p_SV, geom, depth)]
         self._inside.update(behind)
 
     def behind(self, data: mujoco.MjData, body: int, p_SV: Array, geom: int, depth: float) -> bool:
-        """Whether a point inside `geom` is behind the sheet.
+        """Return True if a point inside `geom` is behind the membrane.
 
         Args:
             data: The scene's state.
             body: The sensor's body.
-            p_SV: Vertices (n, 3) m of the sheet, in S.
-            geom: One of the geoms that the sensor may feel.
-            depth: Of the chamber behind the sheet, m.
+            p_SV: Vertices (n, 3) m of the membrane, in S.
+            geom: One of the geoms that the sensor can touch.
+            depth: Depth of the chamber behind the membrane, m.
         """
         core = self._points[geom]
         if geom in self._inside or not len(core):

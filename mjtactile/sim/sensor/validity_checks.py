@@ -1,8 +1,8 @@
-"""Where the method ends: what is refused when a scene is built, flagged while it runs, or stops it.
+"""Limits of the method: refusals when a scene is built, flags and stops while it runs.
 
-A refusal (InputError) or a stop (SimulationError) is for numbers that would be wrong; a flag is for
-numbers that are worse than usual, with the reason and the nearest setting that works. Never a wrong
-number silently.
+A refusal (InputError) or a stop (SimulationError) prevents wrong numbers. A flag marks numbers of
+reduced accuracy, with the reason and the nearest setting that works. Wrong numbers are never
+returned silently.
 """
 
 from __future__ import annotations
@@ -16,21 +16,23 @@ from mjtactile.core.neo_hookean import Law, principal_stresses
 from mjtactile.core.types import Array
 
 Flags = dict[str, str]
-"""Kind of doubt ("stretch", "wrinkles", "penetration", "mesh", "feature", "edge", "hull",
-"bending", "speed", "solver", "frame", "rim", "unsettled", "strain" of a soft object) to its
-reason."""
+"""Map from the kind of flag to its reason.
 
-GROWS = frozenset({"frame"})
-"""Kinds whose reason says how much: it is replaced when there is more."""
+Kinds are "stretch", "wrinkles", "penetration", "mesh", "feature", "edge", "hull", "bending",
+"speed", "solver", "frame", "rim", "unsettled", and "strain" of a soft object.
+"""
+
+GROWS = frozenset({"frame_contact"})
+"""Kinds whose reason contains an amount: the reason is replaced when the amount grows."""
 STVK_ERROR = 0.02  # share of a height
 # against the free sheet; beyond, real rubber (Treloar 1944) is more than about 10 % off the
 # neo-Hookean law
 STRETCHED = 1.4
-WRINKLED = 0.01  # share of the sheet under compression
+WRINKLED = 0.01  # fraction of the membrane under compression
 SLACKEST = 0.95
 _BENDING = 0.05  # share of the bulge's stiffness
 _THICKEST = 0.1  # of the frame's shorter side
-_NARROW = 0.1  # share of a film's force: squares and discs are within, rods as thin as a cell not
+_NARROW = 0.1  # relative force error; squares and discs are below, rods as thin as a cell are above
 
 
 def check_design(design: SensorDesign, mesh: tuple[int, int]) -> None:
@@ -60,7 +62,7 @@ def check_design(design: SensorDesign, mesh: tuple[int, int]) -> None:
 
 
 def design_flags(design: SensorDesign, nx: int, ny: int) -> Flags:
-    """What a design's numbers suffer from whatever happens to it."""
+    """Return flags for errors of a design that occur under any load."""
     flags: Flags = {}
     sheet = design.membrane
     frame = design.frame
@@ -86,14 +88,14 @@ def design_flags(design: SensorDesign, nx: int, ny: int) -> Flags:
 def membrane_flags(
     design: SensorDesign, gauge_pressure: float, stretches: Array, areas: Array
 ) -> Flags:
-    """What makes the present state of the sheet less good than it looks: stretch, compression.
+    """Return flags for reduced accuracy of the membrane's present state: stretch, compression.
 
     Args:
         design: The sensor.
-        gauge_pressure: Of its chamber, Pa.
-        stretches: Principal stretches (m, 2), small and large, of the triangles against the free
-            sheet.
-        areas: Their areas (m,) m^2.
+        gauge_pressure: Gauge pressure of its chamber, Pa.
+        stretches: Principal stretches (m, 2), small and large, of the triangles relative to the
+            free membrane.
+        areas: Areas of the triangles (m,) m^2.
     """
     flags: Flags = {}
     sheet = design.membrane
@@ -126,16 +128,19 @@ def membrane_flags(
 
 
 def quasistatic_flags(below_rim: float, doubt: float) -> Flags:
-    """Flags of a film: what is `below_rim` m where the frame bears it, and the share of the force
-    by which what is narrow for its grid may be off."""
+    """Return flags of a quasi-static membrane.
+
+    `below_rim` is the depth, m, below the rim at which the frame carries the contact. `doubt` is
+    the relative force error for a contact that is narrow for the grid.
+    """
     flags: Flags = {}
     if below_rim > 0:
-        flags["rim"] = (
+        flags["rim_contact"] = (
             f"what touches lies on the frame's rim ({1e3 * below_rim:.2f} mm below the sheet's "
             "middle there): what the sheet bears on it is the frame's, not the film's"
         )
     if doubt > _NARROW:
-        flags["feature"] = (
+        flags["small_feature"] = (
             "what is near is narrow for the film's grid: 9 of 10 forces are within "
             f"{100 * doubt:.0f} %; mjtactile.Film on a finer grid says more"
         )

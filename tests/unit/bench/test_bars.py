@@ -55,7 +55,7 @@ def test_chi_square_is_that_of_errors_drawn_from_the_error_bars():
 
 def test_what_is_far_is_counted_and_what_is_no_touch_is_not():
     far = np.array([0, 0, -6.0, 0, 0, 0])
-    lost = image(far, status="no shape", wrench=None, sd=None)
+    lost = image(far, status="fit failed", wrench=None, sd=None)
     rows = [
         image(np.zeros(6)),
         image(far),

@@ -25,7 +25,7 @@ def lines(controller, outcomes, **more):
             "outcome": outcome,
             "margin_true": 1.5,
             "break_force_N": 2.0,
-            "varied": {},
+            "randomized": {},
             "flags": {},
             **more,
         }
@@ -71,7 +71,11 @@ def test_levels_are_compared_over_the_episodes_that_ended_at_both():
 
 def test_a_level_says_what_it_leaves_out_and_is_a_suite_of_its_own(tmp_path):
     known = {level: suite_of(level) for level in ("mesh", "film", "drawn")}
-    assert {one.effects for one in known.values()} == {"-images", "-sheet,-images", "-sheet,-chain"}
+    assert {one.effects for one in known.values()} == {
+        "-images",
+        "-mesh,-images",
+        "-mesh,-pipeline",
+    }
     assert len({one.name for one in known.values()}) == 3
     with pytest.raises(InputError, match=r"'fine' is unknown .valid: mesh, film, drawn"):
         run(tmp_path, level="fine")

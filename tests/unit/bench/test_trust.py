@@ -23,7 +23,7 @@ def test_far_is_beyond_five_sd_and_a_twentieth_of_a_newton():
     found = numbers(grasp, ReplayResult((*touches, touch(9.0, 0.01, lost))))
     assert (found["images"], found["ok"], found["far"]) == (5, 4, 1)
     assert found["worst_N"] == pytest.approx(0.3)
-    assert found["status"] == {"no shape": 1, "ok": 4}
+    assert found["status"] == {"fit failed": 1, "ok": 4}
     row = {"sensor": "dense", "name": "x", "when": RUN, "strength": {"gamma": 1.3}, **found}
     row["without"] = found
     shown = table({"rows": [row], "sums": _sums([row]), "air": []})

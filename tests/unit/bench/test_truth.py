@@ -1,4 +1,4 @@
-"""Cases of `bench truth` are read strictly, and a number that is off is said to be off."""
+"""Cases of `bench references` are read strictly, and a number that is off is said to be off."""
 
 import pytest
 

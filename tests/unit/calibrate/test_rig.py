@@ -66,7 +66,7 @@ def test_offset_scale_and_backlash_come_back():
     [
         ({"scale": 1.05}, "mm_per_rad"),
         ({"backlash": 2e-3}, "loose horn"),
-        ({"noise": 1e-3}, "off the fit"),
+        ({"noise": 1e-3}, "deviate from the fit"),
         ({"backlash": -3e-4}, "mixed up"),
     ],
 )

@@ -33,25 +33,25 @@ def finger(down, side=0.0, normal=0.4, state: SlipState = "sticking"):
     return Touch(0.0, 0.01, normal, 0.003, normal > 0.05, traction=traction, slip=slip)
 
 
-def run(command, feel, count, told=None):
-    """`count` cycles on a gripper that is where it was told to be; `feel(k, command)` is felt."""
+def run(command, feel, count, goal=None):
+    """`count` cycles on a gripper that is where it was goal to be; `feel(k, command)` is felt."""
     for k in range(count):
         state = GripperState(command.opening, 0.0, 0.4, command.lift_height)
         felt = feel(k, command)
         command = step(
-            Observation(k * PERIOD, PERIOD, felt, state, (), command, told or TaskGoal())
+            Observation(k * PERIOD, PERIOD, felt, state, (), command, goal or TaskGoal())
         )
     return command
 
 
-def holding(load=0.2, told=None):
+def holding(load=0.2, goal=None):
     """A command that has lifted `load` N on each finger, gripped as it asked for, and holds."""
     start = Command(0.04, 5.0, 0.0, "lift")
-    told = told or TaskGoal(hold_time=60.0)
+    goal = goal or TaskGoal(hold_time=60.0)
     both = lambda k, c: (finger(load, normal=c.memory.get("target", 0.3)),) * 2  # noqa: E731
-    command = run(start, both, 150, told)
+    command = run(start, both, 150, goal)
     assert command.phase == "hold"
-    return command, told
+    return command, goal
 
 
 @pytest.mark.parametrize("friction", [0.3, 0.6, 1.0])
@@ -88,31 +88,31 @@ def test_it_weighs_what_it_lifts():
 
 
 def test_the_grip_goes_with_the_load_and_comes_back_slowly():
-    command, told = holding(0.2)
+    command, goal = holding(0.2)
     before = command.memory["target"]
-    more = run(command, lambda k, c: (finger(0.4, normal=1.0),) * 2, 10, told)
+    more = run(command, lambda k, c: (finger(0.4, normal=1.0),) * 2, 10, goal)
     assert more.memory["target"] == pytest.approx(2 * before, rel=0.1)
-    less = run(more, lambda k, c: (finger(0.2, normal=1.0),) * 2, 6, told)
+    less = run(more, lambda k, c: (finger(0.2, normal=1.0),) * 2, 6, goal)
     assert less.memory["target"] > 1.5 * before  # half of a shake is light
-    less = run(less, lambda k, c: (finger(0.2, normal=1.0),) * 2, 120, told)
+    less = run(less, lambda k, c: (finger(0.2, normal=1.0),) * 2, 120, goal)
     assert less.memory["target"] == pytest.approx(before, rel=0.15)
 
 
 def test_a_thing_that_leans_in_the_grip_is_no_load():
     """One finger is dragged up and the other down, the more the harder they press: gripping for
     that would never end."""
-    command, told = holding(0.2)
+    command, goal = holding(0.2)
     before = command.memory["target"]
 
     def lean(k, now):
         inner = 0.5 * now.memory["target"]
         return finger(0.2 + inner, normal=1.0), finger(0.2 - inner, normal=1.0)
 
-    assert run(command, lean, 60, told).memory["target"] == pytest.approx(before, rel=0.1)
+    assert run(command, lean, 60, goal).memory["target"] == pytest.approx(before, rel=0.1)
 
 
 def test_a_slip_that_all_fingers_say_teaches_friction():
-    command, told = holding(0.2)
+    command, goal = holding(0.2)
     kept: Any = command.memory
     belief = {**kept["belief"], "proven": 0.0, "wrong": 0.0}  # nothing was tried
     command = replace(command, memory={**command.memory, "belief": belief})
@@ -125,26 +125,26 @@ def test_a_slip_that_all_fingers_say_teaches_friction():
     def both(k, now):
         return (finger(0.2, normal=grip, state="slipping"),) * 2
 
-    assert believed(run(command, one, 3, told)) > 0.5  # it may roll
-    reported_once = run(command, both, 1, told)
+    assert believed(run(command, one, 3, goal)) > 0.5  # it may roll
+    reported_once = run(command, both, 1, goal)
     assert believed(reported_once) == pytest.approx(0.8 * believed(command), rel=0.01)
     # it closes at once, by what a quarter more takes of two membranes
     more = reported_once.memory["target"] - command.memory["target"]
     stiffness = kept["spring"]["hardness"] * (110 + 260 * grip)
     assert reported_once.opening == pytest.approx(command.opening - more / stiffness, abs=1.2e-4)
-    again = run(reported_once, both, 5, told)
+    again = run(reported_once, both, 5, goal)
     assert believed(again) == believed(reported_once)  # the same slip, not another
 
 
 def test_it_lets_go_where_somebody_pulls_and_not_at_a_bump():
-    told = TaskGoal(hold_time=60.0, handover=True)
-    command, _ = holding(0.2, told)
+    goal = TaskGoal(hold_time=60.0, handover=True)
+    command, _ = holding(0.2, goal)
 
     def pulled(count):
         return lambda k, c: (finger(0.0 if k < count else 0.2, normal=0.5),) * 2
 
-    assert run(command, pulled(2), 10, told).phase == "hold"  # 0.07 s
-    assert run(command, pulled(99), 10, told).phase == "release"
+    assert run(command, pulled(2), 10, goal).phase == "hold"  # 0.07 s
+    assert run(command, pulled(99), 10, goal).phase == "release"
     alone, plain = holding(0.2)
     assert run(alone, pulled(99), 10, plain).phase == "hold"  # nobody was announced
 
@@ -166,8 +166,8 @@ def test_it_sets_down_where_the_table_takes_the_load(load):
 
 
 def test_what_is_not_known_stops_it():
-    command, told = holding(0.2)
+    command, goal = holding(0.2)
     blind = replace(finger(0.2), force_normal=math.nan, traction=None, status="too dark")
-    assert run(command, lambda k, c: (blind, finger(0.2)), 6, told).phase == "hold"
-    over = run(command, lambda k, c: (blind, finger(0.2)), 20, told)
+    assert run(command, lambda k, c: (blind, finger(0.2)), 6, goal).phase == "hold"
+    over = run(command, lambda k, c: (blind, finger(0.2)), 20, goal)
     assert over.phase == "abort" and over.reason == "no force is known: too dark"

@@ -28,7 +28,7 @@ def touch(force, state: SlipState = "sticking"):
 
 
 def run(command, felt, count=1):
-    """`count` cycles with the touches `felt`, on a gripper that is where it was told to be."""
+    """`count` cycles with the touches `felt`, on a gripper that is where it was goal to be."""
     for i in range(count):
         state = GripperState(command.opening, 0.0, 0.6, command.lift_height)
         command = controller.step(

@@ -8,12 +8,12 @@ from mjtactile.core.fidelity_levels import LEFT_OUT, disabled_effects, fidelity_
 @pytest.mark.parametrize(
     ("effects", "said"),
     [
-        ({"sheet", "chain", "images"}, []),
-        ({"sheet", "chain"}, ["images"]),
-        ({"chain", "images"}, ["sheet"]),
+        ({"mesh", "pipeline", "images"}, []),
+        ({"mesh", "pipeline"}, ["images"]),
+        ({"pipeline", "images"}, ["mesh"]),
         # where touch is drawn there are no markers, and nobody misses images of them
-        ({"images"}, ["sheet", "chain"]),
-        (set(), ["sheet", "chain"]),
+        ({"images"}, ["mesh", "pipeline"]),
+        (set(), ["mesh", "pipeline"]),
     ],
 )
 def test_a_result_says_what_was_left_out(effects, said):

@@ -56,27 +56,27 @@ def test_what_is_no_pace(text):
         check=False,
         text=True,
         capture_output=True,
-        env={**os.environ, "MJTACTILE_SLOW": text},
+        env={**os.environ, "MJTACTILE_TIME_SCALE": text},
     )
     assert (
         done.returncode == 2
-        and "MJTACTILE_SLOW" in done.stderr
+        and "MJTACTILE_TIME_SCALE" in done.stderr
         and len(done.stderr.splitlines()) == 1
     )
 
 
 @pytest.mark.parametrize(
     "arguments",
-    [("--rig", "sim"), ("--rig", "replay:somewhere"), ("--rig", "emulated", "--slow", "0.1")],
+    [("--rig", "sim"), ("--rig", "replay:somewhere"), ("--rig", "emulated", "--time-scale", "0.1")],
 )
 def test_only_the_emulated_rig_is_slow(arguments):
     done = subprocess.run(
-        [sys.executable, "-m", "mjtactile", "grasp", "--slow", "3", *arguments],
+        [sys.executable, "-m", "mjtactile", "grasp", "--time-scale", "3", *arguments],
         check=False,
         text=True,
         capture_output=True,
     )
-    assert done.returncode == 2 and "--slow" in done.stderr
+    assert done.returncode == 2 and "--time-scale" in done.stderr
 
 
 def test_real_servos_have_a_clock_of_their_own(five):

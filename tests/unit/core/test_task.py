@@ -34,7 +34,7 @@ def test_the_shipped_ones_are_read_and_say_what_they_are(name):
 def test_lift_is_what_it_was_and_shows_every_field():
     """Every result so far was of this task: nothing drawn, nothing happens."""
     task = load_task("lift")
-    assert task.is_plain and task.orders.told() == TaskGoal() and task.time_limit == 60.0
+    assert task.is_plain and task.orders.goal() == TaskGoal() and task.time_limit == 60.0
     assert task == replace(Task("lift", ()), about=task.about, version=task.version)
     text = resources.find("lift", "models/tasks", ".toml").read_text()
     whole = "\n".join(
@@ -56,7 +56,7 @@ def test_what_is_drawn_is_within_its_range_and_the_file_s_own_units():
         low, high = table["object"]["mass_g"]
         assert low <= drawn.values["task.mass_g"] <= high
         assert drawn.mass == pytest.approx(1e-3 * drawn.values["task.mass_g"], rel=1e-5)
-        low, high = table["happens"][0]["final_mass_g"]
+        low, high = table["disturbance"][0]["final_mass_g"]
         assert low <= drawn.values["task.fill1.final_mass_g"] <= high
         # nothing that the fingers cannot hold: heaviest of both, two fingers
         heaviest = max(drawn.mass, drawn.events[0].values["mass"])
@@ -98,22 +98,22 @@ def test_when_somebody_pulls_with_three_tenths_of_a_newton():
 @pytest.mark.parametrize(
     ("text", "parts"),
     [
-        ("[tell]", ["tell: unknown section", "told"]),
-        ("[told]\nhold_time_s = 0", ["told.hold_time_s", "0 is outside 0.1"]),
+        ("[tell]", ["tell: unknown section", "goal"]),
+        ("[goal]\nhold_time_s = 0", ["goal.hold_time_s", "0 is outside 0.1"]),
         ("[object]\nmass_g = 5", ["object.mass_g"]),
         ("[object]\nbreak_force_factor = [2, 3]", ["break_force_factor", "rests on friction"]),
         (
-            '[[happens]]\nkind = "rain"\nstart_s = [0, 1]\nduration_s = [1, 1]',
-            ["happens[0].kind", "fill"],
+            '[[disturbance]]\nkind = "rain"\nstart_s = [0, 1]\nduration_s = [1, 1]',
+            ["disturbance[0].kind", "fill"],
         ),
         (
-            '[[happens]]\nkind = "push"\nstart_s = [0, 1]\nduration_s = [1, 1]',
+            '[[disturbance]]\nkind = "push"\nstart_s = [0, 1]\nduration_s = [1, 1]',
             ["impulse_N_s", "is missing"],
         ),
         (
-            '[[happens]]\nkind = "push"\nstart_s = [0, 1]\nduration_s = [1, 1]\nimpulse_N_s = [0, 1]\n'
+            '[[disturbance]]\nkind = "push"\nstart_s = [0, 1]\nduration_s = [1, 1]\nimpulse_N_s = [0, 1]\n'
             "rate_Hz = [1, 2]",
-            ["happens[0].rate_Hz"],
+            ["disturbance[0].rate_Hz"],
         ),
         ("[object]\nmass_g = [50, 20]", ["object.mass_g", "low above its high"]),
     ],
@@ -128,7 +128,7 @@ def test_what_is_wrong_is_one_line_with_file_field_value_and_choices(tmp_path, t
 
 
 def test_the_robot_is_told_what_the_file_says_and_no_more():
-    told = load_task("place").orders.told()
+    told = load_task("place").orders.goal()
     assert (told.lift_height, told.place_height) == (0.06, 0.02)
     assert {one.name for one in fields(TaskGoal)} == {one.name for one in fields(GoalSettings)}
     assert {one.name for one in fields(Disturbance)}.isdisjoint(fields(TaskGoal))

@@ -132,7 +132,7 @@ def test_markers_out_of_the_picture_are_refused():
     ("options", "words"),
     [
         (["--force-N", "0"], "--force-N"),
-        (["--feel-mN", "-3"], "--feel-mN"),
+        (["--detect-force-mN", "-3"], "--detect-force-mN"),
         (["--edge-mm", "0.1", "--count", "0"], "--count"),
         (["--frame-mm", "3,3"], "--frame-mm"),
         (["--sensor", "no_such"], "no_such"),
@@ -145,7 +145,7 @@ def test_bad_input(capsys, options, words):
 
 @pytest.mark.slow(10)
 def test_a_wish_becomes_sensor_files(tmp_path, capsys):
-    options = ["--sensor", "paper16", "--feel-mN", "12", "--count", "2", "--json"]
+    options = ["--sensor", "paper16", "--detect-force-mN", "12", "--count", "2", "--json"]
     assert main(["design", *options, "--out", str(tmp_path / "out")]) == 0
     result = json.loads(capsys.readouterr().out)
     assert len(result["tried"]) == 2 and any(one["on_front"] for one in result["tried"])
@@ -182,5 +182,5 @@ def test_a_round_sensor_reaches_as_much_where_it_is_turned(capsys):
     assert here.felt == pytest.approx(0.5, rel=0.02)  # 1 mN is what it is off
     outside = reacher.at(np.array([12e-3, 12e-3]), 0.5)  # within the rectangle about it
     assert np.isnan([outside.felt, outside.force_sd, outside.edge_sd]).all()
-    assert main(["design", "--sensor", "round30", "--feel-mN", "20"]) != 0
+    assert main(["design", "--sensor", "round30", "--detect-force-mN", "20"]) != 0
     assert "handles rectangles only" in capsys.readouterr().err

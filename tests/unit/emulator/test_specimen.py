@@ -71,15 +71,15 @@ def test_a_finger_without_a_specimen_is_as_its_sensor_file_says():
     ],
 )
 def test_a_wrong_field_is_named(table, key, value, message):
-    table["emulator"]["specimen"]["left"][key] = value
+    table["emulator"]["as_built"]["left"][key] = value
     with pytest.raises(InputError, match=message) as caught:
         rig_from_table(table, Path("test.toml"))
-    assert f"emulator.specimen.left.{key}" in str(caught.value)
+    assert f"emulator.as_built.left.{key}" in str(caught.value)
 
 
 def test_a_finger_that_does_not_exist_is_named(table):
-    table["emulator"]["specimen"]["middle"] = {}
-    with pytest.raises(InputError, match=r"emulator\.specimen\.middle: unknown section"):
+    table["emulator"]["as_built"]["middle"] = {}
+    with pytest.raises(InputError, match=r"emulator\.as_built\.middle: unknown section"):
         rig_from_table(table, Path("test.toml"))
 
 

@@ -51,7 +51,7 @@ def ran(kind, folder, task, outcomes, **changes):
             "break_force_N": 2.0,
             "peak_force_true_N": 1.0,
             "hold_force_true_N": 0.5,
-            "varied": {},
+            "randomized": {},
             "flags": {},
         }
         for name, words in outcomes.items()

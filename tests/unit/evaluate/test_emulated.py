@@ -37,8 +37,8 @@ def test_what_came_along_and_stands_again_was_held_whatever_is_believed():
 def test_what_no_emulated_world_does_is_refused():
     assert emulated.check(Scenario(rig="emulated"))
     assert emulated.check(Scenario(rig="emulated", task="place"))
-    assert not emulated.check(Scenario(rig="sim", task="pour", vary="default"))
+    assert not emulated.check(Scenario(rig="sim", task="pour", randomization="default"))
     with pytest.raises(InputError, match="--task: what happens in 'pour'"):
         emulated.check(Scenario(rig="emulated", task="pour"))
-    with pytest.raises(InputError, match="--vary: an emulated world"):
-        emulated.check(Scenario(rig="emulated", vary="default"))
+    with pytest.raises(InputError, match="--randomization: an emulated world"):
+        emulated.check(Scenario(rig="emulated", randomization="default"))

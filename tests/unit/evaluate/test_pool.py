@@ -95,12 +95,12 @@ def test_a_controller_that_does_not_end_well_has_failed(tmp_path, monkeypatch, t
     leak = 1.0 if text.endswith(LEAKS) else 0.0
     world.write_text(f"[object]\nsize_percent = 5\n[gas]\nleak_mL_s_kPa = {leak}\n")
     line = run_episode(
-        episode(str(path), "vial", 3, sensor="paper16", vary=str(world), time_limit=0.5)
+        episode(str(path), "vial", 3, sensor="paper16", randomization=str(world), time_limit=0.5)
     )
     assert line["outcome"] == kind and reason in line["reason"] and "\n" not in line["reason"]
     assert (
-        line["varied"]["object.size_percent"]
-        and f"--vary={world}" in line["again"]
+        line["randomized"]["object.size_percent"]
+        and f"--randomization={world}" in line["rerun_command"]
         and json.dumps(line)
     )
 
@@ -109,13 +109,15 @@ def test_what_cannot_be_built_or_breaks_inside_is_an_error_too(tmp_path, monkeyp
     (tmp_path / "huge.toml").write_text("[object]\nsize_percent = 100\nplace_mm = 30\n")
     wide = run_episode(
         replace(
-            episode(quick[0], "random:3", 3, sensor="paper16", vary=str(tmp_path / "huge.toml")),
+            episode(
+                quick[0], "random:3", 3, sensor="paper16", randomization=str(tmp_path / "huge.toml")
+            ),
             recording=str(tmp_path / "recordings" / "a"),
         )
     )
     assert not (tmp_path / "recordings" / "a").exists()  # it never began
     assert wide["outcome"] == "error" and "stands in the way of a sensor" in wide["reason"]
-    assert wide["object"] == "random" and wide["varied"]["random.shape"] == "cylinder"
+    assert wide["object"] == "random" and wide["randomized"]["random.shape"] == "cylinder"
     monkeypatch.setattr("mjtactile.evaluate.episodes.run_grasp", lambda *_, **__: 1 / 0)
     broken = run_episode(episode(quick[0], "vial", 3))
     assert (
@@ -199,7 +201,7 @@ def test_the_manifest_says_how_to_run_it_again(tmp_path):
     )
     assert read["controller"] == options["controllers"] and read["objects"] == "egg,cup.xml"
     parsed.controller = None  # there are several
-    assert scenario_of(parsed, Scenario(vary="default")).to_dict() == options["scenario"]
+    assert scenario_of(parsed, Scenario(randomization="default")).to_dict() == options["scenario"]
 
 
 def test_what_was_crushed_before_the_simulation_failed_is_crushed(tmp_path, monkeypatch, quick):

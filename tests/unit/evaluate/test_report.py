@@ -37,8 +37,8 @@ def lines(count=300, controller="gentle", seed=0):
             "hold_force_true_N": 0.6,
             "hold_force_N": 0.6 + 1e-4 * tilt[k],
             "slip_mm_true": 0.1,
-            "again": f"mjtactile grasp --seed {k}",
-            "varied": {
+            "rerun_command": f"mjtactile grasp --seed {k}",
+            "randomized": {
                 "object.mass_percent": mass[k],
                 "left.camera_tilt_deg": [tilt[k], 0.0, 0.0],
                 "left.noise_percent": noise[k],
@@ -83,7 +83,9 @@ def test_what_makes_grasps_fail_stands_out_alone():
 def test_what_is_bad_on_both_sides_is_found():
     table = lines(100)
     for line in table:
-        line["outcome"] = "dropped" if abs(line["varied"]["left.noise_percent"]) > 40 else "held"
+        line["outcome"] = (
+            "dropped" if abs(line["randomized"]["left.noise_percent"]) > 40 else "held"
+        )
     first = against(table)[0]
     assert (
         first["name"] == "left.noise_percent"
@@ -116,10 +118,10 @@ def test_both_controllers_are_binned_alike_and_errors_left_out():
         "slip_mm_true": None,
     }
     summary = summarise([*first, *second])
-    (a, b) = (summary["controllers"][name]["varied"][0]["bins"] for name in ("gentle", "other"))
+    (a, b) = (summary["controllers"][name]["randomized"][0]["bins"] for name in ("gentle", "other"))
     assert [one["from"] for one in a] == [one["from"] for one in b]
     assert sum(one["episodes"] for one in b) == 299 and measures(second[0])["force_error_N"] is None
-    assert summary["controllers"]["gentle"]["peak_share_of_breaking"]["most"] == pytest.approx(0.35)
+    assert summary["controllers"]["gentle"]["peak_to_break_ratio"]["most"] == pytest.approx(0.35)
     json.dumps(summary)
 
 
@@ -193,13 +195,13 @@ def test_a_worst_episode_is_run_again_and_drawn(tmp_path):
         controller=str(tmp_path / "quick.py"),
         seed=3,
         sensor="paper16",
-        vary="default",
+        randomization="default",
     )
     episode = Episode(0, scenario)
     picture = draw(episode, tmp_path / "worst")
     assert picture is not None and picture.read_bytes()[:4] == b"\x89PNG"
     assert "--seed 3" in Balanced(picture.with_suffix(".html").read_text()).text  # and its page
-    assert '"varied"' in (tmp_path / "worst" / "recording" / "log.jsonl").read_text()
+    assert '"randomized"' in (tmp_path / "worst" / "recording" / "log.jsonl").read_text()
     (tmp_path / "bad.py").write_text("def step(observation):\n    return None\n")
     bad = Scenario(controller=str(tmp_path / "bad.py"), seed=3, sensor="paper16")
     assert draw(Episode(0, bad), tmp_path / "other") is not None

@@ -91,7 +91,7 @@ def test_errors_count_apart():
     assert (a["held"], a["dropped"], a["crushed"], a["error"]) == (1, 1, 1, 1) and a[
         "success"
     ] == pytest.approx(1 / 3)
-    assert b["success"] == 1.0 and a["peak_share_of_breaking"]["most"] == 0.5
+    assert b["success"] == 1.0 and a["peak_to_break_ratio"]["most"] == 0.5
     assert a["peak_N"]["median"] == pytest.approx(1.15) and a["hold_N"]["median"] is None
     (pair,) = summary["paired"]
     # an error of either leaves the episode out
@@ -114,12 +114,14 @@ def test_outcomes_are_counted_with_and_without_each_doubt():
     """Six episodes by hand: the three with an edge hold twice, the three without once."""
     some = lines(["held", "held", "dropped", "held", "dropped", "error"])
     for line in some[:3]:
-        line["flags"] = {"edge": "an edge presses"}
-    some[1]["flags"] |= {"frame": "the frame carries 3.0 N"}
+        line["flags"] = {"sharp_edge": "an edge presses"}
+    some[1]["flags"] |= {"frame_contact": "the frame carries 3.0 N"}
     found = summarise(some)
-    edge = found["controllers"]["a"]["flags"]["edge"]
+    edge = found["controllers"]["a"]["flags"]["sharp_edge"]
     assert (edge["with"]["held"], edge["with"]["dropped"], edge["with"]["episodes"]) == (2, 1, 3)
     assert (edge["without"]["held"], edge["without"]["error"]) == (1, 1)
     assert edge["without"]["success"] == 0.5  # an error counts apart
-    assert "doubts its own numbers in 3 of 6 episodes (edge 3, frame 1)" in table(found)
+    assert "doubts its own numbers in 3 of 6 episodes (frame_contact 1, sharp_edge 3)" in table(
+        found
+    )
     assert summarise(lines(["held"]))["controllers"]["a"]["flags"] == {}

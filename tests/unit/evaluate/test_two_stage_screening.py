@@ -17,7 +17,7 @@ FAILS_IN_FULL = {3, 8, 14}
 def pretended(episode):
     """A line without a grasp: number 3 and 8 fail at both levels, 11 when cheap alone, 14 in full
     alone."""
-    cheap = "-chain" in episode.scenario.effects
+    cheap = "-pipeline" in episode.scenario.effects
     fails = episode.index in (FAILS_WHEN_CHEAP if cheap else FAILS_IN_FULL)
     return {
         "episode": episode.index,
@@ -72,10 +72,12 @@ def test_the_sample_is_any_and_the_same_each_time():
 def test_bad_input(tmp_path, capsys):
     with pytest.raises(InputError, match="nothing is left to screen"):
         two_stage_screening.screen(
-            tmp_path, Scenario(effects="-sheet"), sample=1, controllers=["gentle"], count=1,
+            tmp_path, Scenario(effects="-mesh"), sample=1, controllers=["gentle"], count=1,
             objects=["egg"],
         )  # fmt: skip
-    assert main(["evaluate", "--screen", "3"]) == 2
-    assert "--screen N --out DIR" in capsys.readouterr().err
-    assert main(["evaluate", "--screen", "3", "--shard", "1/2", "--out", str(tmp_path)]) == 2
+    assert main(["evaluate", "--screening-sample", "3"]) == 2
+    assert "--screening-sample N --out DIR" in capsys.readouterr().err
+    assert (
+        main(["evaluate", "--screening-sample", "3", "--shard", "1/2", "--out", str(tmp_path)]) == 2
+    )
     assert "--shard" in capsys.readouterr().err

@@ -115,7 +115,7 @@ def box_patch(way, noise=2e-5, half=HALF):
     axis = int(np.argmax(np.abs(way)))
     points = np.asarray(way) * half + rng.uniform(-3e-3, 3e-3, (17, 3))
     points[:, axis] = way[axis] * half[axis] + noise * rng.normal()
-    return Patch(points @ TURN.T + PLACE, np.zeros((0, 3)), TURN @ way, "face", 0.3)
+    return Patch(points @ TURN.T + PLACE, np.zeros((0, 3)), TURN @ way, "flat", 0.3)
 
 
 def test_a_box_of_five_touched_faces_is_a_box_whose_sixth_is_unknown():

@@ -12,7 +12,7 @@ DENSE = load_sensor("dense")
 TRUE = replace(
     DENSE,
     camera=replace(DENSE.camera, blur_px=0.9, noise_dn=2.6),
-    leds=replace(DENSE.leds, membrane_dn=170.0, marker_dn=52.0, falloff=0.31),
+    leds=replace(DENSE.leds, membrane_dn=170.0, marker_dn=52.0, vignetting=0.31),
 )
 
 
@@ -36,7 +36,7 @@ def found():
         ),  # a million differences; the rounding's part is exact to less
         ("leds.membrane_DN", 170.0, 0.005),
         ("leds.marker_DN", 52.0, 0.02),
-        ("leds.falloff", 0.31, 0.02),
+        ("leds.vignetting", 0.31, 0.02),
     ],
 )
 def test_what_was_drawn_is_found(found, field, true, share):

@@ -42,7 +42,7 @@ def test_two_numbers_of_which_one_follows_the_other_cannot_be_told_apart():
     apart = correlations(names, cov, {"membrane.thickness_mm": "not in these recordings"})
     assert apart == [
         "modulus and thickness cannot be told apart from this (correlation -0.98): no recording "
-        "tells it from the modulus: measure the sheet, then --known membrane.thickness_mm=…"
+        "tells it from the modulus: measure the sheet, then --fix membrane.thickness_mm=…"
     ]
     assert "known better together" in correlations(names, cov, {})[0]
 

@@ -55,8 +55,8 @@ def test_a_press_that_is_held_and_let_go_says_what_fades(tmp_path, capsys):
     (tmp_path / "steps.csv").write_text(STEPS)
     nominal = str(tmp_path / "nominal.toml")
     command = ["record", "--rig", "stage", "--sensor", nominal, "--indenter", "sphere:8"]
-    command += ["--specimen", str(tmp_path / "specimen.toml")]
-    command += ["--steps", str(tmp_path / "steps.csv"), "--seconds", "30"]
+    command += ["--as-built", str(tmp_path / "specimen.toml")]
+    command += ["--protocol", str(tmp_path / "steps.csv"), "--seconds", "30"]
     assert main([*command, "--out", str(tmp_path / "held")]) == 0
     found = fit_relaxation(tmp_path / "held", load_sensor(nominal), "left")
     begin, end = found.within

@@ -22,7 +22,7 @@ from mjtactile.sim import ground_truth
 
 CLOSE = np.array([-1.0, 0.0, 0.0], np.float32)
 GRIP = np.array([-0.05, 0.0, 0.5], np.float32)
-DRAWN = "-sheet,-chain"
+DRAWN = "-mesh,-pipeline"
 FORCE = policy_observation_names().index("finger1.force_normal_N")
 
 
@@ -200,9 +200,9 @@ def test_several_at_once_are_each_its_own(env, mode):
 
 @pytest.mark.slow
 def test_a_world_that_varies_is_a_new_one():
-    with make(vary="default") as varied:
+    with make(randomization="default") as varied:
         infos = [varied.reset(seed=seed)[1] for seed in (1, 2, 1)]
-    assert infos[0]["varied"] == infos[2]["varied"] != infos[1]["varied"]
+    assert infos[0]["randomized"] == infos[2]["randomized"] != infos[1]["randomized"]
 
 
 @pytest.mark.parametrize(
@@ -231,20 +231,23 @@ def episodes(count, seed, steps, **how):
     return np.array(shown)
 
 
-@pytest.mark.parametrize("vary", ["none", pytest.param("default", marks=pytest.mark.slow)])
-def test_what_an_environment_does_is_the_same_however_many_there_are(vary):
+@pytest.mark.parametrize("randomization", ["none", pytest.param("default", marks=pytest.mark.slow)])
+def test_what_an_environment_does_is_the_same_however_many_there_are(randomization):
     """Bit for bit, in threads, over the end of an episode: the squeezed egg breaks."""
-    alone = episodes(1, 5, 60, vary=vary, threads=1)
-    np.testing.assert_array_equal(episodes(2, 5, 60, vary=vary, threads=2), alone)
+    alone = episodes(1, 5, 60, randomization=randomization, threads=1)
+    np.testing.assert_array_equal(episodes(2, 5, 60, randomization=randomization, threads=2), alone)
     assert len(np.unique(alone[:, FORCE])) > 10  # it was touched
 
 
 def test_drawn_touch_says_its_level_and_begins_again_as_in_a_new_world():
     """After another episode; with what varies drawn anew."""
     actions = [CLOSE] * 30
-    for vary in ("none", "default"):
-        with make(effects=DRAWN, vary=vary) as first, make(effects=DRAWN, vary=vary) as other:
+    for randomization in ("none", "default"):
+        with (
+            make(effects=DRAWN, randomization=randomization) as first,
+            make(effects=DRAWN, randomization=randomization) as other,
+        ):
             shown, _, info = roll(first, 3, actions)
-            assert info["sheet"] is info["chain"] is info["images"] is False
+            assert info["mesh"] is info["pipeline"] is info["images"] is False
             roll(other, 4, actions[:20])
             np.testing.assert_array_equal(roll(other, 3, actions)[0], shown)

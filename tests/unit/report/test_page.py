@@ -133,7 +133,7 @@ def test_what_was_simulated_and_why_and_nothing_in_it_is_markup(tmp_path):
         effects = [EFFECT, EFFECT | {"effect": "x", "on": False}]
         recorder.note(
             simulated={"mesh": [13, 11], "timestep_ms": 4.17, "effects": effects},
-            varied={"object.mass_percent": 4.2},
+            randomized={"object.mass_percent": 4.2},
             fingers=["</script>", "b"],
         )
         cycles = [fake_cycle(k) for k in range(3)]

@@ -23,7 +23,7 @@ OTHER = Scenario(
     sensors={"finger1": "dense"},
     effects="+bending,-friction",
     accuracy="0.02N",
-    vary="default",
+    randomization="default",
     seed=12345,
     time_limit=7.5,
 )
@@ -52,7 +52,7 @@ def test_a_result_gives_the_same_scenario_again(tmp_path, scenario):
         ('object = "eg"', ["object", "'eg' is unknown", "egg"]),
         ('sensor = "nowhere.toml"', ["sensor", "no such file: 'nowhere.toml'", "dense"]),
         ('controller = "strong"', ["controller", "'strong' is unknown", "gentle"]),
-        ('vary = "wild"', ["vary", "'wild' is unknown", "none"]),
+        ('randomization = "wild"', ["randomization", "'wild' is unknown", "none"]),
         ('task = "juggle"', ["task", "'juggle' is unknown", "lift"]),
         ("seed = -1", ["seed", "-1 is outside 0"]),
         ("seed = 1.5", ["seed", "1.5 is not a whole number"]),

@@ -36,7 +36,7 @@ def test_the_shipped_ones_load_with_their_units(name):
 def test_the_crank_of_three_fingers_is_read_with_its_units():
     (jaw,) = load_sim_rig("sim_three_finger").gripper.actuators
     # twice 25 mm + 60 mm sin(30 degrees)
-    assert jaw.law.part(math.radians(30)) == pytest.approx(0.110)
+    assert jaw.transmission.part(math.radians(30)) == pytest.approx(0.110)
 
 
 def test_a_sensor_file_is_found_beside_the_rig_file(table, tmp_path):
@@ -67,7 +67,7 @@ def test_a_sensor_file_is_found_beside_the_rig_file(table, tmp_path):
         (lambda t: t["sim"].update(model="no.xml"), r"sim\.model: no such file: .*no\.xml"),
         (lambda t: t["sim"].update(tabel=False), r"unknown field, did you mean 'table'"),
         (
-            lambda t: t["gripper"]["actuator"][0].update(law="rod"),
+            lambda t: t["gripper"]["actuator"][0].update(transmission="rod"),
             r"'rod' is unknown \(valid: rack, slide, " r"tendon, crank, table\)",
         ),
         (
@@ -75,7 +75,7 @@ def test_a_sensor_file_is_found_beside_the_rig_file(table, tmp_path):
             r"actuator\[0\]\.mm_per_rad: 0 moves " r"nothing",
         ),
         (
-            lambda t: t["gripper"]["actuator"][0].update(law="slide"),
+            lambda t: t["gripper"]["actuator"][0].update(transmission="slide"),
             r"mm_per_mm: missing field; there is " r"'mm_per_rad'",
         ),
         (lambda t: t["gripper"].update(opening_start_mm=200), r"opening_start_mm: 200 is outside"),

@@ -293,7 +293,7 @@ def test_a_chain_that_fails():
     assert message == "singular matrix" and world.has_set_down()
     assert (
         math.isnan(cycles[-1].touch[0].force_normal)
-        and cycles[-1].touch[0].status.code == "no answer"
+        and cycles[-1].touch[0].status.code == "perception timeout"
     )
 
 

@@ -43,7 +43,7 @@ def closed(tmp_path_factory):
 
 def test_a_doubt_is_in_the_line_the_recording_and_the_export(closed):
     line, folder = closed
-    assert "an edge presses" in line["flags"]["edge"]
+    assert "an edge presses" in line["flags"]["sharp_edge"]
     recording = load_recording(folder / "recording")
     assert dict(recording.flags) == line["flags"]
     assert Exported(folder / "recording").facts["notes"]["flags"] == line["flags"]
@@ -52,9 +52,9 @@ def test_a_doubt_is_in_the_line_the_recording_and_the_export(closed):
 def test_a_doubt_is_on_the_pages_and_the_command_prints_it(closed, capsys):
     line, folder = closed
     assert main(["summary", str(folder), "--out", str(folder / "one.html")]) == 0
-    assert f"doubt (edge): {line['flags']['edge']}\n" in capsys.readouterr().out
+    assert f"warning (sharp_edge): {line['flags']['sharp_edge']}\n" in capsys.readouterr().out
     for text in ((folder / "one.html").read_text(), _report(line)):
-        assert line["flags"]["edge"] in text
+        assert line["flags"]["sharp_edge"] in text
 
 
 def _report(line):
@@ -68,7 +68,9 @@ def test_a_doubt_is_in_what_grasp_says(closed, tmp_path, capsys):
     options = [f"--{key}={value}" for key, value in SCENE.items()]
     controller = f"--controller={folder / 'closes.py'}"
     main(["grasp", *options, controller, "--out", str(tmp_path / "run")])
-    assert capsys.readouterr().out.count(f"doubt (edge): {line['flags']['edge']}") == 1
+    assert (
+        capsys.readouterr().out.count(f"warning (sharp_edge): {line['flags']['sharp_edge']}") == 1
+    )
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert summary["flags"] == line["flags"]  # the same world, bit for bit
 
@@ -81,7 +83,7 @@ def test_an_environment_says_its_doubts_and_forgets_them_with_the_episode():
         assert info["flags"] == {}
         for _ in range(45):
             *_, info = env.step(close)
-        assert "edge" in info["flags"]
+        assert "sharp_edge" in info["flags"]
         assert env.reset(seed=1)[1]["flags"] == {}
 
 
@@ -95,9 +97,9 @@ def test_notes_are_taken_when_doubts_grow_and_at_the_end():
 
     with FlagObserver(lambda: flags, Keeps()) as notes:
         notes.on_images()
-        flags["edge"] = "an edge presses"
+        flags["sharp_edge"] = "an edge presses"
         notes.on_images()
         notes.on_images()
-        flags["frame"] = "the frame carries 3.0 N"
-    both = {"edge": "an edge presses", "frame": "the frame carries 3.0 N"}
-    assert noted == [{"flags": {"edge": "an edge presses"}}, {"flags": both}]
+        flags["frame_contact"] = "the frame carries 3.0 N"
+    both = {"sharp_edge": "an edge presses", "frame_contact": "the frame carries 3.0 N"}
+    assert noted == [{"flags": {"sharp_edge": "an edge presses"}}, {"flags": both}]

@@ -160,7 +160,7 @@ def test_the_jaws_open_at_once_when_the_hand_has_come_down_with_its_command(supe
 def test_an_empty_hand_over_the_place_it_was_told_is_not_driven_into_it(
     supervisor, place, touch, lands
 ):
-    rig = SimpleNamespace(told=TaskGoal(place_height=place))
+    rig = SimpleNamespace(goal=TaskGoal(place_height=place))
     last = Command(0.06, 4.0, 0.025, "done")
     gripper = GripperState(0.06, 0.0, 0.0, 0.025)
     cycle = SimpleNamespace(
@@ -309,7 +309,7 @@ def test_a_hand_that_is_measured_in_the_air_has_not_landed(supervisor):
     """A lift that lags: its command is down, the hand is not."""
     up = GripperState(0.06, 0.0, 0.0, 0.02)
     cycle = SimpleNamespace(
-        rig=SimpleNamespace(told=TaskGoal()),
+        rig=SimpleNamespace(goal=TaskGoal()),
         last=Command(0.06, 4.0, 0.0, "done"),
         touch=(OK,),
         supervisor=supervisor,

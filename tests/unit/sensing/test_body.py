@@ -111,7 +111,7 @@ def test_a_flat_face_with_a_rim_has_its_own_area(sensor, radius_mm, depth_mm):
     cylinder = film.obstacle("cylinder", (radius, 0.02), (1e-3, -0.5e-3, 0.02 + height))
     places = in_order(benchmarks.quasistatic._markers(film, film.solve(cylinder)))
     shape = shape_of(sensor, touch_of(sensor, places))
-    assert shape.kind == "face" and shape.family == "disc"
+    assert shape.kind == "flat" and shape.family == "disc"
     # markers are 3 and 4 mm apart: half a millimetre of a rim's place
     assert shape.radius == pytest.approx(radius, rel=0.12)
     # 0.3 mm of rim, by which a simulated sheet's vertices meet a face within its rim
@@ -209,7 +209,7 @@ def test_two_balls_at_once_are_two_balls(sensor, fine_membrane):
     assert len(touch.patches) == 2
     found = follow(sensor, [touch])[0]
     shape = found.shape
-    assert shape.kind == "several" and len(shape.parts) == 2
+    assert shape.kind == "multiple" and len(shape.parts) == 2
     by_place = sorted(shape.parts, key=lambda part: part.p_SO[0])
     for part, radius, at in zip(by_place, radii, x, strict=True):
         # 0.2 N on each, where markers are 4 mm apart and few beside the frame
@@ -276,7 +276,7 @@ def test_shear_that_acts_above_the_pressure_is_no_part_of_what_a_body_bears(sens
         return borne(films, press, touch.traction.wrench, 2.0, s).rows @ shear
 
     # of a ball: edge and tip are a thousandth
-    assert press.kinds(("smooth", "edge", "tip", "face", "several"))["smooth"] > 0.99
+    assert press.kinds(("smooth", "edge", "point", "flat", "multiple"))["smooth"] > 0.99
     assert taken(s) == pytest.approx(0.0, abs=1e-6 * 0.05)
     lower = replace(s, shear_above=(0.0, 0.0))
     by_height = s.shear_above[0] * np.array([0.0, force[1], -force[0]])

@@ -62,7 +62,7 @@ def test_a_ball_is_a_ball_of_its_radius(sensor, radius, at):
 
 def test_a_face_is_a_face_and_a_lying_rod_goes_on_to_the_rim(sensor):
     face = sensor.film.obstacle("cylinder", (4e-3, 6e-3), (2e-3, -1e-3, sensor.top + 4.5e-3))
-    assert sensor.shape(face, 8)[1].kind == "face"
+    assert sensor.shape(face, 8)[1].kind == "flat"
     lying = [[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]  # along y
     at = (1e-3, 0, sensor.top + 8.2e-3)
     rod = sensor.film.obstacle("capsule", (10e-3, 12e-3), at, lying)

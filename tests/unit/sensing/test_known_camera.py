@@ -270,8 +270,8 @@ def replace_ids(seen, count):
 @pytest.mark.parametrize(("light", "gamma", "black"), [(1.0, 1.3, 0.0), (0.7, 1.0, 30.0)])
 def test_the_tone_is_that_of_a_curve_that_is_known(light, gamma, black):
     rng = np.random.default_rng(0)
-    falloff = rng.uniform(0.7, 1.0, 10)
-    then = 40 * falloff, 185 * falloff
+    vignetting = rng.uniform(0.7, 1.0, 10)
+    then = 40 * vignetting, 185 * vignetting
     now = [black + light * 255 * (level / 255) ** (1 / gamma) for level in then]
     tone = tone_of(*now, *then)
     assert tone.light == pytest.approx(light, abs=1e-3)

@@ -23,7 +23,7 @@ SPEED = 4e-3  # m/s of opening
 
 
 def squeeze(law, *, noise=10e-6, second=True, seed=0):
-    """Drive the jaws in, hold, out, and in again. `law` is a generator: it gets the force and
+    """Drive the jaws in, hold, out, and in again. `transmission` is a generator: it gets the force and
     yields the deformation.
 
     The opening less the membranes' give, F / GRIP, is the object's width.

@@ -50,7 +50,7 @@ def test_a_number_that_was_tried_has_its_row_on_the_page():
         for field in dataclasses.fields(owner)
         if any(text in field.metadata.get("source", "") for text in TRIALS)
     }
-    # else: mjtactile bench settings (or gauge, seen, bodies) --readme docs/reference/parameters.md
+    # else: mjtactile bench setting-sensitivity (or gauge, seen, bodies) --readme docs/reference/parameters.md
     assert tried == set(re.findall(r"^\| `([\w.]+)` \|", page, re.M))
 
 

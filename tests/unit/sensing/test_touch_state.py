@@ -176,7 +176,7 @@ def test_zero_is_frozen_in_contact_and_a_lost_zero_is_said():
         touch, state = chain.feel(state, pulled, surface, 10 + k * FRAME)
         if touch.status != "ok":
             break
-    assert touch.status.code in ("reference lost", "no shape") and np.isnan(touch.force_normal)
+    assert touch.status.code in ("reference lost", "fit failed") and np.isnan(touch.force_normal)
 
 
 @pytest.fixture
@@ -207,7 +207,7 @@ def test_after_a_torn_picture_it_goes_on_where_it_was(loaded):
     chain, strong, surface, state = loaded
     before = chain.feel(state, strong, surface, 0.3)[0]
     touch, lost = chain.feel(state, torn(strong), surface, 0.3)
-    assert touch.status.code == "no shape" and lost.shape is state.shape
+    assert touch.status.code == "fit failed" and lost.shape is state.shape
     again, state = chain.feel(lost, strong, surface, 0.3)
     assert again.status == "ok" and state.unexplained == 0
     assert again.force_normal == pytest.approx(before.force_normal, abs=1e-3)
@@ -219,7 +219,7 @@ def test_what_fits_no_shape_after_a_large_force_is_an_overload_and_says_of_how_m
     for k in range(20):
         touch, state = chain.feel(state, torn(strong), surface, 0.3 + k * FRAME)
         said.append(touch.status)
-    assert [status.code for status in said[:3]] == ["no shape", "overloaded", "overloaded"]
+    assert [status.code for status in said[:3]] == ["fit failed", "overloaded", "overloaded"]
     assert "1.5 N of pressing and 0.0 N of shear" in said[-1]
     assert state.shape is None  # half a second ago is forgotten
     touch, state = chain.feel(state, strong, surface, 1.0)

@@ -107,11 +107,11 @@ def test_shipped_table_can_be_read_and_orders_by_mesh():
 
 
 @pytest.mark.parametrize(
-    ("accuracy", "effects", "grasped", "sheet"),
+    ("accuracy", "effects", "grasped", "mesh"),
     [
         ("0.03N", "auto", "egg", False),
         ("0.03N", "-friction", "egg", False),
-        ("0.03N", "+sheet", "egg", True),
+        ("0.03N", "+mesh", "egg", True),
         ("realtime", "auto", "egg", True),
         ("", "auto", "egg", True),
         ("0.03N", "auto", "vial", True),  # it has edges: its error was not measured
@@ -119,14 +119,14 @@ def test_shipped_table_can_be_read_and_orders_by_mesh():
     ],
 )
 def test_a_force_error_may_be_had_from_a_film_where_the_object_is_round(
-    monkeypatch, accuracy, effects, grasped, sheet
+    monkeypatch, accuracy, effects, grasped, mesh
 ):
     """And the rig says which it took."""
-    film = fidelity.row_from_json(_row([21, 16], 0.01, 10.0) | {"effects": "-sheet"})
+    film = fidelity.row_from_json(_row([21, 16], 0.01, 10.0) | {"effects": "-mesh"})
     monkeypatch.setattr(fidelity, "load_membranes", lambda: [film])
     rig = build_sim_rig(Scenario(object=grasped, accuracy=accuracy, effects=effects))
     rig.close()
-    assert (Effect.SHEET in rig.scene.effects) is sheet
-    if not sheet:
+    assert (Effect.SHEET in rig.scene.effects) is mesh
+    if not mesh:
         assert tuple(rig.simulated["mesh"]) == QS_GRID
     assert (Effect.FRICTION in rig.scene.effects) is (effects != "-friction")

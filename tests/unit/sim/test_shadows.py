@@ -228,7 +228,7 @@ def test_the_frame_s_wall_throws_its_edge_onto_the_membrane():
     # all that is left in full shadow is what the walls scatter: the part of the light that does not
     # fall off
     assert row[x > border + 2.5e-3][0] == pytest.approx(
-        1 - design.leds.falloff / light._loss, abs=1e-3
+        1 - design.leds.vignetting / light._loss, abs=1e-3
     )
     # 2 px; the light's own fall over the penumbra shifts the middle
     assert middle == pytest.approx(border, abs=0.15e-3)

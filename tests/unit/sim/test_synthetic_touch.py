@@ -20,7 +20,7 @@ from mjtactile.sim.synthetic_touch import SensingErrorSampler
 
 DENSE = load_sensor("dense")
 PERIOD = 1 / 30
-DRAWN = "-sheet,-chain"
+DRAWN = "-mesh,-pipeline"
 
 
 def test_errors_have_the_mean_spread_and_memory_that_the_model_says():
@@ -95,7 +95,7 @@ def test_a_grasp_with_drawn_touch_is_held_says_its_level_and_is_the_same_again()
     results = [run_grasp(Scenario(object="egg", effects=DRAWN, seed=5)) for _ in range(2)]
     first, again = (result.summary() for result in results)
     assert first["outcome"] == "held"
-    assert not (first["sheet"] or first["chain"] or first["images"])
+    assert not (first["mesh"] or first["pipeline"] or first["images"])
     assert first["hold_force_true_N"] == again["hold_force_true_N"]
     assert first["hold_force_N"] != first["hold_force_true_N"]  # a measurement
 
@@ -103,21 +103,26 @@ def test_a_grasp_with_drawn_touch_is_held_says_its_level_and_is_the_same_again()
 def test_without_a_chain_there_are_no_images_and_no_mesh():
     on = choose(DENSE, overrides=DRAWN).on
     assert not on & {Effect.SHEET, Effect.CHAIN, Effect.IMAGES}
-    for refused, says in (("-chain", "of a film"), ("-sheet,-chain,+images", "looks at images")):
+    for refused, says in (
+        ("-pipeline", "needs the quasi-static"),
+        ("-mesh,-pipeline,+images", "images are not used"),
+    ):
         with pytest.raises(InputError, match=says):
             choose(DENSE, overrides=refused)
 
 
 def test_who_needs_the_chain_is_told():
-    reads = Controller(Path("mine.py"), lambda _: None, reads=("shape",))
+    reads = Controller(Path("mine.py"), lambda _: None, reads=("contact_shape",))
     with (
         open_session(Scenario(effects=DRAWN)) as session,
-        pytest.raises(InputError, match=r"mine.py: .*reads shapes needs the chain"),
+        pytest.raises(
+            InputError, match=r"mine.py: .*requires contact_shape needs the sensing pipeline"
+        ),
     ):
         session.run(reads, time_limit=1.0)
     with pytest.raises(InputError, match="in grasps only"):
         SimCamera(None, 0, frozenset({Effect.IMAGES}))  # type: ignore[arg-type]
-    with pytest.raises(InputError, match=r"paper16: .*bench drawn --sensor paper16"):
+    with pytest.raises(InputError, match=r"paper16: .*bench error-model --sensor paper16"):
         load_errors(load_sensor("paper16"))
     other = dataclasses.replace(DENSE, membrane=dataclasses.replace(DENSE.membrane, thickness=4e-4))
     with pytest.raises(InputError, match="of another design"):

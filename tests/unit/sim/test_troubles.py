@@ -150,13 +150,13 @@ def test_jpeg_is_that_of_the_codec(pictures):
 def test_a_rig_file_and_a_variation_name_them():
     table = {
         **_table("emulated"),
-        "emulator": {"specimen": {"left": {"camera": {"gamma": 1.3, "scale_percent": 0.3}}}},
+        "emulator": {"as_built": {"left": {"camera": {"gamma": 1.3, "scale_percent": 0.3}}}},
     }
     emulator = rig_from_table(table, Path("my.toml")).emulator
     assert emulator.specimen("left").camera == CameraFaults(gamma=1.3, zoom=0.003)
     assert emulator.specimen("right").camera == UNTROUBLED
     assert load_rig_file("emulated_specimen").emulator.specimen("left").camera == UNTROUBLED
-    table["emulator"]["specimen"]["left"]["camera"] = {"gama": 1.3}
+    table["emulator"]["as_built"]["left"]["camera"] = {"gama": 1.3}
     with pytest.raises(InputError, match=r"camera.gama: unknown field, did you mean 'gamma'"):
         rig_from_table(table, Path("my.toml"))
 

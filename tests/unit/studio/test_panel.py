@@ -74,7 +74,7 @@ def show():
     )
     show = SessionBridge(Scenario(seed=4))
     show.fastest = np.inf
-    flags = {"edge": "an edge presses"}
+    flags = {"sharp_edge": "an edge presses"}
     show.begin(SimpleNamespace(rig=rig, perceptions=[rest, rest], holes=holes, flags=flags))
     for i in range(40):
         show.on_images()
@@ -103,7 +103,7 @@ def test_the_panels_numbers_are_the_sessions(gui, show):
         ):
             assert any(text in said for said in gui.said), text
     assert "gas    closed, 1.00 kPa" in " ".join(gui.said)
-    assert "doubt (edge): an edge presses" in gui.said
+    assert "warning (sharp_edge): an edge presses" in gui.said
     time, force = gui.plot.drawn["left, felt"]
     assert (
         time[-1] == show.moment().time and force[-1] == show.moment().fingers[0].touch.force_normal

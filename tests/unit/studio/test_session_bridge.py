@@ -56,12 +56,14 @@ def test_a_doubt_is_said_once_and_stays_beside_the_numbers():
     said = []
     show = SessionBridge(say=said.append)
     session = fake_session()
-    session.flags = {"edge": "an edge presses"}
+    session.flags = {"sharp_edge": "an edge presses"}
     show.begin(session)
     for _ in range(2):
         show.note(flags=session.flags)
         show.add(fake_cycle(0))
-    assert said == ["doubt (edge): an edge presses"] and show.moment().flags == session.flags
+    assert (
+        said == ["warning (sharp_edge): an edge presses"] and show.moment().flags == session.flags
+    )
 
 
 def test_the_plots_show_the_last_seconds_only():

@@ -96,7 +96,7 @@ def test_fingers_are_shown_anew_when_there_is_a_new_image():
         design=None,
         sensor=SimpleNamespace(body_id=1),
         seen=seen(0),
-        flags={"edge": "one presses"},
+        flags={"sharp_edge": "one presses"},
     )
     fingers = []
     own = UserFingers(fingers)

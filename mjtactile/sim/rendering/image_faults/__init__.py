@@ -1,10 +1,11 @@
-"""Camera troubles: pure functions from picture to picture, one after the other.
+"""Camera faults: pure functions from image to image, applied one after the other.
 
     shown = FaultyImage(CameraFaults(gamma=1.3, jpeg=80), seed=1)
     image = shown(image)          # images of one camera, in their order
 
-What each is and its range stand on the fields of `mjtactile.rig.camera_faults.CameraFaults`; what
-is random (where dust lies, which picture tears) follows from the seed and the picture's number.
+The meaning and range of each fault are given by the fields of
+`mjtactile.rig.camera_faults.CameraFaults`. Random choices (position of dust, torn images) follow
+from the seed and the image number.
 """
 
 from __future__ import annotations
@@ -21,12 +22,13 @@ from mjtactile.sim.rendering.image_faults.fault_context import FaultContext, Flo
 STEPS: tuple[Step, ...] = (*optics.STEPS, *image_sensor.STEPS, *image_processing.STEPS)
 """In the order of light, chip, processor and wire."""
 _FORGOTTEN = 0.15
-"""s: a camera that is not read goes on taking pictures, of which the last is like the next."""
+"""Time after which the last image is discarded, s: a camera that is not read keeps taking images,
+the last of which resembles the next."""
 _DEFAULTS = {field.name: field.default for field in fields(CameraFaults)}
 
 
 class FaultyImage:
-    """The troubles of one camera, and what they keep from one picture to the next."""
+    """Faults of one camera, and their state from one image to the next."""
 
     def __init__(self, troubles: CameraFaults, seed: int = 0):
         self.troubles = troubles
@@ -37,7 +39,7 @@ class FaultyImage:
 
     @property
     def are_any(self) -> bool:
-        """Whether it does anything to pictures."""
+        """True if any fault is enabled."""
         return bool(self._steps)
 
     def __call__(self, image: Image) -> Image:
@@ -58,5 +60,5 @@ class FaultyImage:
 
 
 def is_on(step: Step, troubles: CameraFaults) -> bool:
-    """Whether any of the step's switches is not at its default."""
+    """Return True if any of the step's switches differs from its default."""
     return any(getattr(troubles, name) != _DEFAULTS[name] for name in step.switches)

@@ -1,4 +1,4 @@
-"""What a step of a troubled picture is given."""
+"""Input of one fault step."""
 
 from __future__ import annotations
 
@@ -16,9 +16,12 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class FaultContext:
-    """One picture at one step: the camera's `seed`, the picture's `number` and `time` s, the step's
-    `name`, and of the picture before time, and levels before and after this step (None: there was
-    none)."""
+    """One image at one step: the camera's `seed`, the image's `number` and `time` s, the step's
+    `name`.
+
+    `last` holds the previous image's time and its levels before and after this step (None: there
+    was none).
+    """
 
     seed: int
     number: int
@@ -28,12 +31,12 @@ class FaultContext:
 
     @property
     def fixed(self) -> np.random.Generator:
-        """For what is the same in all pictures of this camera."""
+        """Random generator for values that are the same in all images of this camera."""
         return np.random.default_rng([self.seed, zlib.crc32(self.name.encode())])
 
     @property
     def own(self) -> np.random.Generator:
-        """For what is another in each picture."""
+        """Random generator for values that differ in each image."""
         return np.random.default_rng([self.seed, zlib.crc32(self.name.encode()), self.number + 1])
 
 

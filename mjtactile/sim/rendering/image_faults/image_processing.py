@@ -1,4 +1,5 @@
-"""The camera's processor, and the wire: filters, curves, compression, what gets lost."""
+"""Faults of the camera's processor and of the transmission: filters, curves, compression, data
+loss."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ _QUALITY = 90  # of JPEGs that break where none is asked for
 
 
 def less_noisy(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """A share of what was shown last: noise falls, and what moves lags."""
+    """Mix in a fraction of the last output: noise falls, and motion lags."""
     if shot.last is None:
         return pixels
     mixed = (1 - t.noise_reduction) * pixels + t.noise_reduction * shot.last[2]
@@ -25,7 +26,7 @@ def less_noisy(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
 
 
 def sharpened(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """What a blur would take is added: edges overshoot."""
+    """Apply an unsharp mask: edges overshoot."""
     return np.clip(
         pixels + t.sharpening * (pixels - cv2.GaussianBlur(pixels, (0, 0), _MASK)), 0, 255
     )
@@ -61,7 +62,8 @@ def studio_range(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
 
 
 def compressed(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """As JPEG and back; a broken one is what the decoder makes of it, or the picture before."""
+    """Encode as JPEG and decode; a damaged one gives the decoder's result, or the previous
+    image."""
     eight = np.clip(np.rint(pixels), 0, 255).astype(np.uint8)
     quality = round(t.jpeg) or _QUALITY
     data = cv2.imencode(".jpg", eight, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].copy()
@@ -84,8 +86,8 @@ def torn(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
 
 
 def without_lines(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """Some lines got lost: what is below them moves up, and the last lines are those of the picture
-    before."""
+    """Remove some lines: the lines below move up, and the last lines are those of the previous
+    image."""
     rng = shot.own
     if shot.last is None or rng.random() >= t.lost_lines:
         return pixels

@@ -14,7 +14,7 @@ _SMEAR_WIDTH = 4.0  # px, sd
 
 
 def exposed(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """More light; what is too much is white."""
+    """Increase the light; excess levels become white."""
     return np.clip((1 + t.exposure) * pixels, 0, 255)
 
 
@@ -62,8 +62,10 @@ def with_dead_rows(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Float
 
 
 def mosaic(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """Every pixel sees one colour, of which the others are interpolated; the balance is then as it
-    should be."""
+    """Simulate a color mosaic: every pixel records one color, the others are interpolated.
+
+    The white balance is correct afterwards.
+    """
     share = np.float32(1 - t.bayer)
     raw = pixels.copy()
     raw[::2, ::2] *= share

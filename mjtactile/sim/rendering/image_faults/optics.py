@@ -1,4 +1,4 @@
-"""Before the chip: the camera's place, its lens, what lies on the pane, the light."""
+"""Faults in front of the image sensor: camera pose, lens, dirt on the glass, light."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from mjtactile.rig.camera_faults import CameraFaults
 from mjtactile.sim.rendering.image_faults.fault_context import FaultContext, Floats, Step
 
 _FOG_DN = 160.0
-_SPECK_EDGE = 1.5  # px, sd: the pane is out of focus
+_SPECK_EDGE = 1.5  # edge blur, px, sd: the glass is out of focus
 _SCRATCH_TAKES = 0.35  # of the light
-# a fingertip's print, px: its size (sd), its ridges' period, what grease blurs by
+# fingerprint, px: size (sd), period of the ridges, blur by grease
 _PRINT = 45.0
 _RIDGE = 9.0
 _GREASE_BLUR = 4.0
@@ -23,8 +23,11 @@ _BANDS = 2.0  # of mains light from the first row to the last, whatever the rate
 
 
 def placed(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """Zoom, shift and turn about the picture's middle, by cubic splines: places that are rounded to
-    a 32nd of a pixel, as fast resampling does, make circles larger and smaller by their place."""
+    """Zoom, shift and rotate about the image center, by cubic splines.
+
+    Fast resampling rounds positions to a 32nd of a pixel, so that circles would become larger or
+    smaller depending on their position.
+    """
     from scipy.ndimage import affine_transform  # takes a while to import
 
     height, width = pixels.shape
@@ -96,7 +99,7 @@ STEPS = (
 
 @lru_cache(maxsize=8)
 def _specks(shape: tuple[int, int], count: int, radius: float, seed: int) -> Floats:
-    """How much (H, W), 0 to 1, specks cover."""
+    """Return the coverage (H, W) by specks, 0 to 1."""
     from scipy.special import ndtr  # takes a while to import
 
     rng = np.random.default_rng(seed)
@@ -111,7 +114,7 @@ def _specks(shape: tuple[int, int], count: int, radius: float, seed: int) -> Flo
 
 @lru_cache(maxsize=8)
 def _lines(shape: tuple[int, int], count: int, seed: int) -> Floats:
-    """How much (H, W), 0 to 1, scratches cover."""
+    """Return the coverage (H, W) by scratches, 0 to 1."""
     rng = np.random.default_rng(seed)
     cover = np.zeros(shape, np.float32)
     for _ in range(count):
@@ -122,7 +125,7 @@ def _lines(shape: tuple[int, int], count: int, seed: int) -> Floats:
 
 @lru_cache(maxsize=8)
 def _fingertip(shape: tuple[int, int], seed: int) -> tuple[Floats, Floats]:
-    """Where (H, W) a fingertip was, 0 to 1, and its ridges, 0 to 1."""
+    """Return the mask (H, W) of a fingerprint, 0 to 1, and its ridges, 0 to 1."""
     rng = np.random.default_rng(seed)
     v, u = np.mgrid[: shape[0], : shape[1]]
     at = rng.uniform(0.3, 0.7, 2) * shape
