@@ -21,11 +21,13 @@ TOP_LEVEL = {
     "CHANGELOG.md": "changelog.md",
 }
 """Pages beside docs/, and where they are in the site."""
+MATH = re.compile(r"(```.*?```|`[^`\n]*`)|\$\$(.+?)\$\$|\$([^\s$](?:[^$\n]*[^\s$])?)\$", re.DOTALL)
+"""Code, which stays as it is; a displayed equation; an equation in the text."""
 _FENCE = "````"
 _LANGUAGES = {".py": "python", ".toml": "toml", ".xml": "xml"}
 _DOORS = {
     "Touch in a MuJoCo scene": ("sim.attach", "plugin.attach", "plugin.sim_finger"),
-    "A scenario": ("core.scenario", "rig.scenario"),
+    "Scenarios": ("core.scenario", "rig.scenario"),
     "Rigs and sessions": (
         "rig.finger",
         "rig.registry",
@@ -34,7 +36,7 @@ _DOORS = {
         "runtime.session",
         "runtime.controller",
     ),
-    "What a controller sees and says": (
+    "Observations, touch and commands": (
         "core.types.control",
         "core.types.touch",
         "core.types.contact_shape",
@@ -50,7 +52,7 @@ _DOORS = {
         "core.optics",
     ),
     "Sensors and their calibration": ("core.design", "core.calibration", "core.calibration_parts"),
-    "The film": (
+    "Quasi-static membrane": (
         "quasistatic.membrane",
         "quasistatic.obstacles",
         "quasistatic.sensitivities",
@@ -79,7 +81,7 @@ def pages() -> dict[str, str]:
         "decisions/index.md": "# Decisions\n\n"
         + "\n".join(f"- [{_title(path)}]({path.name})" for path in decisions)
         + "\n",
-        "api.md": _api(),
+        **_api(),
     }
     for path in linked_files():
         made[f"files/{path}.md"] = (
@@ -132,23 +134,47 @@ def _address(target: str) -> str:
     return f"files/{target}.md"
 
 
-def _api() -> str:
+def _api() -> dict[str, str]:
+    """Return the pages of the API: one for each heading of `_DOORS`, and an index."""
     homes: dict[str, list[str]] = {}
     for name in mjtactile.__all__:
         homes.setdefault(mjtactile._HOME[name].removeprefix("mjtactile."), []).append(name)
     if left := set(homes) - {module for modules in _DOORS.values() for module in modules}:
         raise ValueError(f"mkdocs_hooks.py: no heading for {sorted(left)}")
-    parts = ["# API\n\n`import mjtactile` is the whole import. Everything else is private."]
+    index = ["# Python API\n\n`import mjtactile` provides all public names.\n"]
+    made = {}
     for heading, modules in _DOORS.items():
-        parts += [
-            f"## {heading}",
-            *(f"::: mjtactile.{name}" for module in modules for name in homes.get(module, ())),
-        ]
-    return "\n\n".join(parts) + "\n"
+        address = f"{heading.lower().replace(' ', '_').replace(',', '')}.md"
+        names = [name for module in modules for name in homes.get(module, ())]
+        blocks = [f"::: mjtactile.{name}" for name in names]
+        made[f"api/{address}"] = f"# {heading}\n\n" + "\n\n".join(blocks) + "\n"
+        listed = ", ".join(f"`{name}`" for name in names)
+        index.append(f"- [{heading}]({address}): {listed}")
+    return made | {"api/index.md": "\n".join(index) + "\n"}
 
 
-# -- MkDocs calls these
-# --------------------------------------------------------------------------------
+def typeset(markdown: str) -> tuple[str, list[str]]:
+    """Replace LaTeX by marks and return the text and the MathML of each mark.
+
+    Markdown would read parts of an equation as markup, so equations are inserted at the end.
+    """
+    from latex2mathml.converter import convert  # pyright: ignore[reportMissingImports]
+
+    made: list[str] = []
+
+    def mark(match: re.Match[str]) -> str:
+        code, display, inline = match.groups()
+        if code is not None:
+            return code
+        kind = "block" if display else "inline"
+        made.append(convert((display or inline).strip(), display=kind))
+        text = f"mathml{len(made) - 1}end"
+        return f"\n\n{text}\n\n" if display and "\n|" not in match[0] else text
+
+    return MATH.sub(mark, markdown), made
+
+
+# -- MkDocs calls these -----------------------------------------------------------------
 
 
 def on_files(files: Any, config: Any) -> Any:
@@ -163,6 +189,7 @@ def on_files(files: Any, config: Any) -> Any:
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     address = page.file.src_uri
+    markdown, page.meta["equations"] = typeset(markdown)
     if page.file.generated_by:
         return markdown
     if address == "about/gallery.md" and GRASP.is_file():
@@ -171,3 +198,8 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
             "its recording](../egg.html).\n"
         )
     return _moved(markdown, posixpath.join("docs", posixpath.dirname(address)), address)
+
+
+def on_post_page(output: str, page: Any, config: Any) -> str:
+    equations = page.meta.get("equations", [])
+    return re.sub(r"mathml(\d+)end", lambda match: equations[int(match[1])], output)

@@ -86,13 +86,15 @@ def step(observation: Observation) -> Command:
         command = _remember(command, blind_time=memory["blind_time"] + period)
         blind = next(touch for touch in observation.touch if not isfinite(touch.force_normal))
         if command.memory["blind_time"] > MAX_BLIND_TIME:
-            return _give_up(command, f"no force is known: {blind.status}")
+            return _give_up(command, f"the contact force is unknown: {blind.status}")
         return command
     lost_time = 0.0 if max(felt) > TOUCH_FORCE / 2 else memory["lost_time"] + period
     command = _remember(command, blind_time=0.0, lost_time=lost_time)
     if command.phase in ("lift", "hold", "lower"):
         if lost_time > LOST_TIME:
-            return _release_now(replace(command, reason="what was gripped stayed behind"), lost=1.0)
+            return _release_now(
+                replace(command, reason="the object slipped out of the grasp"), lost=1.0
+            )
         command = grip_as_needed(observation, command)
     return _PHASES[command.phase](observation, command, felt)
 
@@ -170,9 +172,9 @@ def _approach(observation: Observation, command: Command, felt: list[float]) -> 
     narrowest = min(command.opening, command.memory["narrowest"])
     command = _remember(command, stuck_time=stuck_time, narrowest=narrowest)
     if stuck_time > STOP_TIME:
-        return _give_up(command, "closed on nothing")
+        return _give_up(command, "the jaws closed without contact")
     if command.phase == "close" and command.memory["phase_time"] > GRIP_TIMEOUT:
-        return _give_up(command, "only one finger touched it")
+        return _give_up(command, "only one finger touches the object")
     if command.phase == "approach" and max(felt) > TOUCH_FORCE:
         return _go(command, "close")
     speed = CLOSING_SPEED if command.phase == "approach" else 0.3 * CLOSING_SPEED
@@ -259,7 +261,7 @@ def _release(observation: Observation, command: Command, felt: list[float]) -> C
     if observation.gripper.opening > goal - 0.001 and max(felt) < TOUCH_FORCE:
         return _go(command, "abort" if "lost" in command.memory else "done")
     if command.memory["phase_time"] > GRIP_TIMEOUT:
-        return _give_up(command, "it sticks to a finger")
+        return _give_up(command, "the object sticks to a finger")
     return replace(command, opening=min(goal, command.opening + OPENING_SPEED * observation.period))
 
 

@@ -65,7 +65,7 @@ def step(observation: Observation) -> Command:
         return _blind(observation, command)
     if command.phase in ("lift", "hold", "lower") and _is_lost(observation, memory["lost_time"]):
         # release at this height, not down onto the fallen object
-        command = replace(command, reason="what was gripped stayed behind")
+        command = replace(command, reason="the object slipped out of the grasp")
         return _remember(_go(command, "release"), grip_opening=command.opening, lost=1.0)
     return _PHASES[command.phase](observation, command, felt)
 
@@ -89,7 +89,7 @@ def _blind(observation: Observation, command: Command) -> Command:
     command = _remember(command, blind_time=blind_time)
     if blind_time > BLIND_TIME_MAX:
         blind = next(touch for touch in observation.touch if not isfinite(touch.force_normal))
-        return _give_up(command, f"no force is known: {blind.status}")
+        return _give_up(command, f"the contact force is unknown: {blind.status}")
     return command
 
 
@@ -109,11 +109,11 @@ def _approach(observation: Observation, command: Command, felt: list[float]) -> 
     narrowest = command.opening if gets_on else command.memory["narrowest"]
     command = _remember(command, stuck_time=stuck_time, narrowest=narrowest)
     if stuck_time > STOP_TIME:
-        return _give_up(command, "closed on nothing")
+        return _give_up(command, "the jaws closed without contact")
     actual = observation.gripper.opening
     if actual - command.opening > BLOCKED:
         return _give_up(
-            replace(command, opening=actual), "something that no finger feels blocks the jaws"
+            replace(command, opening=actual), "an obstacle outside the membranes blocks the jaws"
         )
     return replace(command, opening=command.opening - CLOSING_SPEED * observation.period)
 
@@ -124,7 +124,7 @@ def _close(observation: Observation, command: Command, felt: list[float]) -> Com
     if min(felt) > TOUCH_FORCE or max(felt) > TARGET_FORCE:
         return _go(command, "regulate")
     if command.memory["phase_time"] > GRIP_TIMEOUT:
-        return _give_up(command, "only one finger touched it")
+        return _give_up(command, "only one finger touches the object")
     return replace(command, opening=command.opening - 0.3 * CLOSING_SPEED * observation.period)
 
 
@@ -199,7 +199,7 @@ def _release(observation: Observation, command: Command, felt: list[float]) -> C
     if observation.gripper.opening > goal - 0.001 and max(felt) < TOUCH_FORCE:
         return _go(command, "abort" if "lost" in command.memory else "done")
     if command.memory["phase_time"] > GRIP_TIMEOUT:
-        return _give_up(command, "it sticks to a finger")
+        return _give_up(command, "the object sticks to a finger")
     return replace(command, opening=min(goal, command.opening + OPENING_SPEED * observation.period))
 
 

@@ -93,7 +93,7 @@ def _release(observation: Observation, command: Command, felt: list[float]) -> C
     if opening < goal or max(felt) > TOUCH_FORCE:
         clearing = command.memory.get("clearing", 0.0) + observation.period
         if clearing > CLEAR_TIME_MAX and opening >= goal:
-            why = f"{max(felt):.2f} N are felt with the jaws open: is a finger calibrated?"
+            why = f"a finger measures {max(felt):.2f} N with open jaws; check its calibration"
             return replace(_go(command, "abort"), reason=why)
         memory = {**command.memory, "phase_time": 0.0, "clearing": clearing}
         return replace(command, opening=opening, memory=memory)

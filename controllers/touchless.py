@@ -83,7 +83,7 @@ def _approach(observation: Observation, command: Command, time: float, effort: f
     stuck = 0.0 if gets_on else command.memory["stuck"] + observation.period
     command = replace(command, memory={**command.memory, "narrowest": narrowest, "stuck": stuck})
     if stuck > STOP_TIME:
-        return replace(_go(command, "abort"), reason="closed on nothing")
+        return replace(_go(command, "abort"), reason="the jaws closed without contact")
     return replace(command, opening=command.opening - CLOSING_SPEED * observation.period)
 
 

@@ -22,13 +22,13 @@ from mjtactile.core.errors import MjtactileError
 from mjtactile.core.renamed import option_hint
 
 DESCRIPTION = """\
-A vision-based membrane touch sensor for MuJoCo, and a two-finger gripper that holds
-fragile things with it, seeing only through the cameras in its fingers."""
+A vision-based tactile membrane sensor for MuJoCo, and a two-finger gripper that grasps fragile
+objects with it, using only the cameras in its fingers."""
 
 EPILOG = """\
 examples:
   mjtactile grasp                                grasp an egg
-  mjtactile grasp --object strawberry --seed 3   another object, another noise
+  mjtactile grasp --object strawberry --seed 3   another object, other noise
   mjtactile grasp --json | python3 -m json.tool  one JSON object on stdout
   mjtactile grasp --help                         all options of a command
 
@@ -36,13 +36,13 @@ exit codes:
   0  done; for `grasp`: the object was held
   1  the object was dropped or crushed
   2  bad usage or bad input: the message names the file, the field and the valid choices
-  3  a device or the simulation failed, or the run was interrupted; what was recorded is kept
+  3  a device or the simulation failed, or the run was interrupted; recorded data are kept
 """
 _SHARED = (
     arguments.flag(
         "--json",
-        "print one JSON object to stdout, all else to stderr; "
-        'after an error it has the keys "error" and "exit_code"',
+        "print one JSON object to stdout, all other output to stderr; after an error it has "
+        'the keys "error" and "exit_code"',
     ),
     arguments.flag("--debug", "show the traceback of an error"),
 )
@@ -90,7 +90,7 @@ def build_parser(*wanted: str) -> argparse.ArgumentParser:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and end")
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name, text in COMMANDS.items():
         if name not in wanted:

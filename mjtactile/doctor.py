@@ -41,14 +41,15 @@ def fiducial_findings(what: str, design: SensorDesign, image: Image) -> Iterator
     known = chain.sight.known
     assert known is not None
     seen = 0 if state.fiducials is None else len(state.fiducials)
-    text = f"{seen} of {known.count} fiducials seen"
+    text = f"{seen} of {known.count} fiducials detected"
     if state.fiducials is None or seen < known.fewest:
         yield Finding(
             "bad",
             what,
-            f"{text}, {known.fewest} are needed: a camera that is knocked or warmed is not known",
-            "is the picture upright (`flipped`), in the middle, sharp and clean at its rim? is the "
-            "sensor file that of this sensor?",
+            f"{text}, {known.fewest} are needed: a shift of the camera by a knock or by heat "
+            "stays unknown",
+            "check that the image is upright (`flipped`), centered, sharp and clean at its "
+            "edges, and that the sensor file belongs to this sensor",
         )
         return
     (right, down), scale = known.stand(state.fiducials)
@@ -56,9 +57,9 @@ def fiducial_findings(what: str, design: SensorDesign, image: Image) -> Iterator
     yield Finding(
         level,
         what,
-        f"{text}; against the sensor file the picture stands {right:+.1f} px right and "
-        f"{down:+.1f} px down, and is {100 * (scale - 1):+.1f} % larger",
-        "" if level == "ok" else "clean the pane; is the light even?",
+        f"{text}; relative to the sensor file the image is shifted by {right:+.1f} px right "
+        f"and {down:+.1f} px down, and is {100 * (scale - 1):+.1f} % larger",
+        "" if level == "ok" else "clean the glass; check that the light is even",
     )
 
 

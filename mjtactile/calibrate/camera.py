@@ -66,7 +66,8 @@ class Board:
             )
         if self.columns * self.rows // 2 > len(dictionary.bytesList):
             raise InputError(
-                f"{self.columns} x {self.rows} squares need more markers than the dictionary has",
+                f"a board of {self.columns} x {self.rows} squares needs more markers than the "
+                "dictionary has",
                 field="--board",
             )
         return cv2.aruco.CharucoBoard(
@@ -150,8 +151,8 @@ def calibrate_camera(
     """
     if len(views) < 3:
         raise InputError(
-            f"the board was found in {len(views)} pictures; {VIEWS_MIN} are needed, 15 to 30 "
-            "are good",
+            f"the board was found in {len(views)} images; at least {VIEWS_MIN} are needed (15 "
+            "to 30 recommended)",
             field="pictures",
         )
     fit = fit_intrinsics(finder, views, size, k3=k3)
@@ -191,37 +192,38 @@ def _judge(c: CameraCalibration) -> list[str]:
     checks = [
         (
             len(c.view_rms) >= VIEWS_MIN,
-            f"{len(c.view_rms)} usable pictures, {VIEWS_MIN} are needed: take more",
+            f"only {len(c.view_rms)} images are usable; at least {VIEWS_MIN} are needed: take more",
         ),
         (
             len(c.dropped) <= len(c.view_rms) / 4,
-            f"{len(c.dropped)} pictures do not agree with the others: is the board flat, the lens "
-            "fixed, --square-mm right?",
+            f"{len(c.dropped)} images are inconsistent with the others: check that the board "
+            "is flat, the lens is fixed and --square-mm is right",
         ),
         (
             c.rms <= RMS_MAX_PX,
-            f"the corners are off by {c.rms:.2f} px (rms), at most {RMS_MAX_PX:g} is good: focus, "
-            "motion blur, a board that is not flat",
+            f"the corners deviate by {c.rms:.2f} px rms (allowed: {RMS_MAX_PX:g}): check "
+            "focus, motion blur and flatness of the board",
         ),
         (
             c.holdout_px <= HOLDOUT_MAX_PX,
-            f"in pictures that it was not fitted to it is off by {c.holdout_px:.2f} px, at most "
-            f"{HOLDOUT_MAX_PX:g} is good: take more pictures, all over the view",
+            f"in held-out images the corners deviate by {c.holdout_px:.2f} px rms (allowed: "
+            f"{HOLDOUT_MAX_PX:g}): take more images that cover the whole view",
         ),
         (
             focal_sd <= FOCAL_SD_MAX,
-            f"the focal length is known to {100 * focal_sd:.1f} % only, {100 * FOCAL_SD_MAX:g} % "
-            "is needed: tilt the board more",
+            f"the focal length has a standard deviation of {100 * focal_sd:.1f} % (allowed: "
+            f"{100 * FOCAL_SD_MAX:g} %): tilt the board more",
         ),
         (
             tilted >= TILTED_MIN,
-            f"the board is tilted by more than {TILT_MIN_DEG:g} degrees in {tilted} pictures, in "
-            f"{TILTED_MIN} it must be: tilt it left, right, up and down",
+            f"the board is tilted by more than {TILT_MIN_DEG:g} degrees in {tilted} images; "
+            f"at least {TILTED_MIN} are needed: tilt it left, right, up and down",
         ),
         (
             c.coverage >= COVERAGE_MIN,
-            f"corners were seen in {100 * c.coverage:.0f} % of the picture, "
-            f"{100 * COVERAGE_MIN:.0f} % are needed: bring the board to the edges and corners too",
+            f"the corners cover {100 * c.coverage:.0f} % of the image; at least "
+            f"{100 * COVERAGE_MIN:.0f} % are needed: move the board to the edges and corners "
+            "too",
         ),
     ]
     return [text for good, text in checks if not good]
@@ -240,7 +242,9 @@ def fit_intrinsics(
             objects, images, size, np.eye(3), np.zeros(5), flags=flags
         )
     except cv2.error as error:
-        raise InputError(f"no camera fits these pictures: {error.err}", field="pictures") from error
+        raise InputError(
+            f"no camera model fits these images: {error.err}", field="pictures"
+        ) from error
     return float(rms), K, np.ravel(distortion)[:5], rotations, np.ravel(sd)[:9], np.ravel(view_rms)
 
 

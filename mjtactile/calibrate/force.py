@@ -94,7 +94,10 @@ def feel(perception: StatefulPipeline, images: Sequence[Image]) -> tuple[float, 
         if np.isfinite(t.force_normal) and t.surface is not None and t.traction is not None
     ]
     if not good:
-        raise InputError(f"cannot be used: {touches[0].status if touches else 'no image'}")
+        raise InputError(
+            "the images of this load cannot be used: "
+            f"{touches[0].status if touches else 'no image'}"
+        )
     # Use the raw wrench: below its touch threshold the pipeline reports zero, which would bias the
     # line.
     force = float(np.mean([-t.traction.wrench[2] for t in good if t.traction is not None]))
@@ -109,8 +112,8 @@ def calibrate_force(true: Array, felt: Array, area: Array, area_rest: float) -> 
     """
     if len(true) < LOADS_MIN or len(np.unique(true)) < 3:
         raise InputError(
-            f"{len(np.unique(true))} different loads, at least {LOADS_MIN} rows and 3 different "
-            "loads are needed",
+            f"only {len(np.unique(true))} different loads are given; at least {LOADS_MIN} "
+            "loads, 3 of them different, are needed",
             field="force_N",
         )
     change = area - area_rest
@@ -156,35 +159,38 @@ def _judge(
 ) -> list[str]:
     largest = float(np.max(true))
     if largest < FORCE_MIN:
-        return [f"the largest load is {largest:.2f} N, at least {FORCE_MIN:g} is needed"]
+        return [f"the largest load is {largest:.2f} N; at least {FORCE_MIN:g} N is needed"]
     if np.ptp(felt) < 0.1 * np.ptp(true):
         return [
-            f"the sensor feels {np.min(felt):.2f} to {np.max(felt):.2f} N while the load goes from "
-            f"{np.min(true):.2f} to {largest:.2f} N: was it put on the membrane, and are the "
-            "images in the order of the loads?"
+            f"the sensor reports {np.min(felt):.2f} to {np.max(felt):.2f} N for loads of "
+            f"{np.min(true):.2f} to {largest:.2f} N: check that the load acts on the membrane "
+            "and that the images are in the order of the loads"
         ]
     checks = [
         (
             abs(scale - 1) <= SCALE_OFF_MAX,
-            f"the load is {scale:.2f} times the force felt, {1 - SCALE_OFF_MAX:g} to "
-            f"{1 + SCALE_OFF_MAX:g} is plausible: thickness, modulus or pressure in the sensor "
-            "file",
+            f"the load is {scale:.2f} times the estimated force ({1 - SCALE_OFF_MAX:g} to "
+            f"{1 + SCALE_OFF_MAX:g} is plausible): check thickness, modulus and pressure in "
+            "the sensor file",
         ),
         (
             rms <= RMS_FRACTION * largest,
-            f"the loads are off a line by {rms:.2f} N of {largest:.2f}: loads slid, load cell "
-            "tilted",
+            f"the loads deviate from a line by {rms:.2f} N rms of {largest:.2f} N: check for "
+            "sliding loads and a tilted load cell",
         ),
         (
             abs(offset) <= RMS_FRACTION * largest,
-            f"without a load it would feel {-offset / scale:.2f} N: the rest images were not free "
-            "of touch, or the load cell's zero is off",
+            f"without a load the estimated force would be {-offset / scale:.2f} N: the "
+            "membrane was touched in the rest images, or the zero of the load cell is off",
         ),
-        (constant is not None, "the membrane's area does not grow with the load: no constant c"),
+        (
+            constant is not None,
+            "the membrane area does not grow with the load, so the constant c is undefined",
+        ),
         (
             constant is None or constant.residual <= AREA_RMS_FRACTION * largest,
-            f"dF = c dA leaves {constant.residual if constant else np.nan:.2f} N of {largest:.2f}: "
-            "too few or too small loads",
+            f"dF = c dA leaves a residual of {constant.residual if constant else np.nan:.2f} "
+            f"N of {largest:.2f} N: use more or larger loads",
         ),
     ]
     return [text for good, text in checks if not good]

@@ -30,7 +30,7 @@ class AreaCalibration:
         F = np.asarray(force, dtype=float)
         if not np.isfinite(dA).all() or float(dA @ F) <= 0:
             raise InputError(
-                "the membrane's area does not grow with the force",
+                "the membrane area does not grow with the force",
                 source="calibration",
                 field="area_change",
             )

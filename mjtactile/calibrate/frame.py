@@ -69,8 +69,8 @@ def calibrate_frame(
         stiffness,
     )
     reasons = [
-        f"the marker centres are off by {found.residual_px:.2f} px (rms), at most "
-        f"{RESIDUAL_MAX_PX:g} is good: camera calibration, marker positions in the sensor file, "
-        "something that touches"
+        f"the marker centers deviate by {found.residual_px:.2f} px rms (allowed: "
+        f"{RESIDUAL_MAX_PX:g}): check the camera calibration, the marker positions in the "
+        "sensor file, and that nothing touches the membrane"
     ] * (found.residual_px > RESIDUAL_MAX_PX)
     return part, report, reasons

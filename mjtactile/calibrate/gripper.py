@@ -86,11 +86,12 @@ def calibrate_opening(
     """
     bad = next((text for text in direction if text not in DIRECTIONS), None)
     if bad is not None:
-        raise InputError(f"{bad!r} is no direction", field="direction", choices=DIRECTIONS)
+        raise InputError(f"{bad!r} is not a direction", field="direction", choices=DIRECTIONS)
     sign = np.array([1.0 if text == "opening" else -1.0 for text in direction])
     if len(reported) < 4 or np.ptp(reported) < 5e-3 or not (sign > 0).any() or not (sign < 0).any():
         raise InputError(
-            "needs at least two openings, 5 mm or more apart, each reached closing and opening",
+            "at least two openings are needed, 5 mm or more apart, each reached both closing "
+            "and opening",
             field="openings",
         )
     A = np.column_stack([np.ones_like(reported), reported, -0.5 * sign])
@@ -115,8 +116,8 @@ def _assess_opening(c: OpeningCalibration) -> list[str]:
     checks = [
         (
             abs(c.scale - 1) <= SCALE_OFF_MAX,
-            f"the jaws move {c.scale:.3f} times as far as the rig file says: mm_per_rad or law is "
-            "wrong",
+            f"the jaws move {c.scale:.3f} times the distance of the rig file: correct "
+            "mm_per_rad or law",
         ),
         (
             c.rms <= OPENING_RMS_MAX,
@@ -125,11 +126,11 @@ def _assess_opening(c: OpeningCalibration) -> list[str]:
         ),
         (
             c.backlash <= BACKLASH_MAX,
-            f"{1e3 * c.backlash:.2f} mm of backlash: loose horn, worn gear",
+            f"the backlash is {1e3 * c.backlash:.2f} mm: check for a loose horn or a worn gear",
         ),
         (
             c.backlash >= -3 * max(c.backlash_sd, 1e-5),
-            f"a backlash of {1e3 * c.backlash:.2f} mm: directions mixed up?",
+            f"the backlash is {1e3 * c.backlash:.2f} mm: the directions may be swapped",
         ),
     ]
     return [text for good, text in checks if not good]
@@ -139,7 +140,7 @@ def calibrate_force(reported: Array, measured: Array) -> GripperForceCalibration
     """Fit load cell readings, N, to closing forces computed from the currents, N. Raises InputError
     for fewer than 4."""
     if len(reported) < 4 or np.ptp(reported) < 0.2 * np.max(np.abs(reported)):
-        raise InputError("needs at least 4 forces that differ", field="forces")
+        raise InputError("at least 4 different forces are needed", field="forces")
     (offset, factor), (offset_sd, factor_sd), rms = fit_line(reported, measured)
     result = GripperForceCalibration(
         float(factor), float(factor_sd), float(offset), float(offset_sd), rms, ()
@@ -154,17 +155,17 @@ def _assess_force(c: GripperForceCalibration, largest: float) -> list[str]:
     checks = [
         (
             low <= c.factor <= high,
-            f"the force is {c.factor:.2f} times what the currents say, {low:g} to {high:g} is "
-            "plausible: wrong servo model, mm_per_rad or load cell range",
+            f"the force is {c.factor:.2f} times the value from the currents ({low:g} to "
+            f"{high:g} is plausible): check servo model, mm_per_rad and load cell range",
         ),
         (
             c.rms <= FORCE_RMS_FRACTION * largest,
-            f"the forces are off a line by {c.rms:.2f} N of {largest:.2f}: stick-slip, a jaw that "
-            "touches something else",
+            f"the forces deviate from a line by {c.rms:.2f} N rms of {largest:.2f} N: check "
+            "for stick-slip and other contacts of the jaws",
         ),
         (
             c.offset <= 0.1 * largest,
-            f"the load cell shows {c.offset:.2f} N more than the currents explain: its zero?",
+            f"the load cell reads {c.offset:.2f} N more than the currents explain: check its zero",
         ),
     ]
     return [text for good, text in checks if not good]

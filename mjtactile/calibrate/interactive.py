@@ -110,8 +110,8 @@ def _hint(taken: Sequence[BoardView], shape: tuple[int, ...]) -> str:
     )[0]
     empty = [str(names[i, j]) for i in (0, 1) for j in (0, 1) if quarter[3 * i, 3 * j] == 0]
     if empty:
-        return f"Now to the {empty[0]}, tilted."
-    return "Tilt it another way, or come closer."
+        return f"Move the tilted board to the {empty[0]}."
+    return "Tilt the board in another direction, or move it closer."
 
 
 # -- frame and force
@@ -139,11 +139,11 @@ def dropped_images(
     """
     gripper: Any = rig.gripper
     for force in sorted(forces):
-        say(f"squeezing with up to {force:.2f} N")
+        say(f"squeezing with a force limit of {force:.2f} N")
         _squeeze(gripper, force)
         with keepalive(gripper):
             shots = settled_images(rig.fingers, rig.clock)
-            measured = load_cell(f"load cell, N (squeezed with {force:.2f})")
+            measured = load_cell(f"load cell reading, N (force limit {force:.2f})")
         if measured is not None:
             yield f"{force:.2f} N", measured, shots
     _move(gripper, min(gripper.state().opening + 0.02, gripper.config.opening[1]), max(forces))
@@ -172,7 +172,8 @@ def measure_openings(
         reported = gripper.state().opening
         with keepalive(gripper):
             measured = ask(
-                f"caliper between the sensors' frames, mm (jaws at {1e3 * reported:.2f})"
+                "caliper reading between the sensors' frames, mm (jaws report "
+                f"{1e3 * reported:.2f})"
             )
         if measured is not None:
             rows.append((reported, direction, 1e-3 * measured))
@@ -187,11 +188,11 @@ def measure_forces(
     and the load cell readings, N."""
     rows = []
     for force in sorted(forces):
-        say(f"squeezing with up to {force:.2f} N")
+        say(f"squeezing with a force limit of {force:.2f} N")
         _squeeze(gripper, force)
         reported = float(np.mean([_pause(gripper, _PERIOD).effort for _ in range(10)]))
         with keepalive(gripper):
-            measured = ask(f"load cell, N (the currents say {reported:.2f})")
+            measured = ask(f"load cell reading, N (currents report {reported:.2f})")
         if measured is not None:
             rows.append((reported, measured))
     _move(gripper, min(gripper.state().opening + 0.01, gripper.config.opening[1]), max(forces))
@@ -258,7 +259,8 @@ def _squeeze(gripper: DynamixelGripper, force: float) -> None:
             still_since = scaled_clock.monotonic()
         if opening <= low + 1e-4 or scaled_clock.monotonic() - start > _CLOSE_TIME_MAX:
             raise DeviceError(
-                "the jaws met nothing: put the load cell between them, or `--forces FILE.csv`"
+                "the jaws closed without contact: put the load cell between them, or use "
+                "`--forces FILE.csv`"
             )
 
 
@@ -296,7 +298,7 @@ def step_valve(
             reading = valve.board.measure(valve.config.channel)
             if reading.gauge_pressure is None:
                 raise InputError(
-                    "the board has no pressure sensor: nothing to calibrate",
+                    "the board has no pressure sensor, so the valve cannot be calibrated",
                     field=f"valve.{valve.config.finger}",
                 )
             if not rows or reading.time > rows[-1][0]:

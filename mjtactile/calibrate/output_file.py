@@ -60,7 +60,9 @@ def find_targets(
             for camera in _fingers_of(finger, rig_file)
         ]
     if out is not None and len(targets) > 1:
-        raise InputError("one file for several fingers: give --finger too", field="--out")
+        raise InputError(
+            "one output file is given for several fingers: add --finger", field="--out"
+        )
     return targets
 
 
@@ -92,9 +94,9 @@ def _target(
     if path is None:
         number = rig_file.cameras.index(camera)
         raise InputError(
-            f"names no file for the {camera.finger} finger: write calibration = "
-            f'"{camera.finger}.json" into this '
-            "[[camera]] (of a copy, if the rig is a shipped one), or give --out",
+            f"no calibration file is named for the {camera.finger} finger: write calibration "
+            f'= "{camera.finger}.json" into this [[camera]] (of a copy, for a shipped rig), '
+            "or add --out",
             source=rig_file.path,
             field=f"camera[{number}].calibration",
         )
@@ -104,7 +106,7 @@ def _target(
 def _at(out: Path | None, finger: str, design: SensorDesign) -> OutputFile:
     if out is None:
         raise InputError(
-            "whose calibration is it? Give --rig FILE.toml with --finger, or --out FILE.json",
+            "the calibration needs a target: add --rig FILE.toml with --finger, or --out FILE.json",
             field="--rig",
         )
     return OutputFile(finger, out, design)

@@ -50,7 +50,7 @@ def write(
         writer(path, result)
     except OSError as error:
         raise InputError(
-            f"cannot be written: {error.strerror}", source=path, field="--out"
+            f"the file cannot be written: {error.strerror}", source=path, field="--out"
         ) from error
     return path
 
@@ -82,7 +82,7 @@ def read_columns(
                 )
             )
     except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", source=path) from error
+        raise InputError(f"the file cannot be read: {error.strerror}", source=path) from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"no CSV file: {error}", source=path) from error
     names = list(rows[0]) if rows else []
@@ -92,7 +92,9 @@ def read_columns(
             "missing column", source=path, field=missing[0], choices=(*numbers, *texts)
         )
     if len(rows) < fewest:
-        raise InputError(f"{len(rows)} rows, at least {fewest} are needed", source=path)
+        raise InputError(
+            f"the file has {len(rows)} rows; at least {fewest} are needed", source=path
+        )
     result: dict[str, Any] = {name: _numbers(path, name, rows) for name in numbers}
     return result | {name: [(row[name] or "").strip() for row in rows] for name in texts}
 

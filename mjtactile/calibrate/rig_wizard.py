@@ -26,17 +26,17 @@ Say = Callable[[str], None]
 Place = tuple[str, int, str]
 """Section, which of the sections of that name, and field."""
 _LIMITS = (
-    ("gripper", "opening_min_mm", "least opening between the two sensors' frames, mm"),
-    ("gripper", "opening_max_mm", "largest opening, mm"),
-    ("gripper", "speed_max_mm_s", "largest speed of the opening, mm/s"),
-    ("gripper", "force_max_N", "largest force on each finger, N; no controller can exceed it"),
+    ("gripper", "opening_min_mm", "minimum opening between the two sensors' frames, mm"),
+    ("gripper", "opening_max_mm", "maximum opening, mm"),
+    ("gripper", "speed_max_mm_s", "maximum speed of the opening, mm/s"),
+    ("gripper", "force_max_N", "maximum force on each finger, N; no controller can exceed it"),
 )
 # model-specific servo keys: without them, the model's own values apply
 _OF_THE_MODEL = ("torque_Nm_per_A", "position_p_gain")
 _IMAGES = 5
 _ATTEMPTS = 3
 _ASIDE = 0.1  # fraction of the image sides: contacts closer to the center count as no corner
-_CORNER = "upper right corner (seen from outside, the air inlet on the right)"
+_CORNER = "upper right corner (seen from outside, air inlet on the right)"
 _CLEARER = 2.0  # times as much change in the finger's own picture as in any other
 _T = TypeVar("_T")
 
@@ -60,7 +60,7 @@ def setup(
     """
     if not path.exists():
         path.write_text(like.read_text(encoding="utf-8"), encoding="utf-8")
-        say(f"{path}: a copy of {like.stem}")
+        say(f"{path}: created as a copy of {like.stem}")
     offered = _Offered(ports, say)
     for step in (_bus, _valves):
         _write(path, step(load_rig_file(path), offered, ask, say))
@@ -87,10 +87,10 @@ class _Offered:
             for port in self._ports
         ]
         raise InputError(
-            f"no port has {what}: is its power on, its cable in? Seen: "
+            f"no serial port with {what} was found: check power and cable; ports found: "
             f"{', '.join(seen) or 'no port at all'}",
             field="setup",
-            choices=["run it again when it is", "--port PATH"],
+            choices=["connect it and run again", "--port PATH"],
         )
 
 
@@ -102,16 +102,16 @@ def _bus(rig: RigFile, offered: _Offered, ask: Ask, say: Say) -> Mapping[Place, 
             rig.bus.port.startswith("/")
             and {*wanted} <= servos_at(rig.bus.port, (rig.bus.baud,))[1].keys()
         ):
-            say(f"servos {wanted} answer at {rig.bus.port}: kept")
+            say(f"servos {wanted} answer at {rig.bus.port}: setting kept")
             return {}
     ports = offered.with_("Dynamixel servos", lambda port: bool(port.servos))
     port = _choose("servo bus", ports, lambda port: port.path, ask, say)
     if len(port.servos) < len(wanted):
         raise InputError(
-            f"servos {list(port.servos)} answer at {port.path}, and this gripper has {len(wanted)}",
+            f"servos {list(port.servos)} answer at {port.path}, but this gripper has {len(wanted)}",
             source=rig.path,
             field="gripper.servo",
-            choices=["connect the others", "begin with another --template"],
+            choices=["connect the missing servos", "start from another --template"],
         )
     changes: dict[Place, object] = {("bus", 0, "port"): port.path, ("bus", 0, "baud"): port.baud}
     free = sorted(port.servos)
@@ -132,7 +132,10 @@ def _bus(rig: RigFile, offered: _Offered, ask: Ask, say: Say) -> Mapping[Place, 
         model = port.servos[chosen]
         changes |= {(section, index, "id"): chosen, (section, index, "model"): model}
         if not is_lift and model != rig.gripper.servos[number].model:
-            say(f"{name} is a {model}: torque per ampere by its data sheet, gain as delivered")
+            say(
+                f"{name} is a {model}: using the torque per ampere of its data sheet and the "
+                "factory gain"
+            )
             changes |= {(section, index, key): None for key in _OF_THE_MODEL}
     return changes
 
@@ -143,7 +146,7 @@ def _valves(rig: RigFile, offered: _Offered, ask: Ask, say: Say) -> Mapping[Plac
     present = rig.valves[0].port
     with contextlib.suppress(DeviceError):
         if present.startswith("/") and valve_board_at(present):
-            say(f"the valve board answers at {present}: kept")
+            say(f"the valve board answers at {present}: setting kept")
             return {}
     ports = offered.with_("a valve board", lambda port: bool(port.board))
     port = _choose("valve board", ports, lambda port: port.path, ask, say)
@@ -154,15 +157,15 @@ def _cameras(rig: RigFile, more: Sequence[str], ask: Ask, say: Say) -> Mapping[P
     with contextlib.suppress(DeviceError), contextlib.ExitStack() as stack:
         for config in rig.cameras:
             stack.enter_context(contextlib.closing(OpenCvCamera(config)))
-        say(f"cameras {', '.join(config.source for config in rig.cameras)} answer: kept")
+        say(f"cameras {', '.join(config.source for config in rig.cameras)} answer: setting kept")
         return {}
     sources = [*more, *(camera.path for camera in video_devices() if camera.formats)]
     if len(sources) < len(rig.cameras):
         raise InputError(
-            f"{len(sources)} cameras are there, and the rig has {len(rig.cameras)} fingers",
+            f"{len(sources)} cameras were found, but the rig has {len(rig.cameras)} fingers",
             source=rig.path,
             field="camera",
-            choices=["plug the others in and run it again", "--camera URL"],
+            choices=["connect the missing cameras and run again", "--camera URL"],
         )
     offered = [_with_source(rig.cameras[0], source) for source in sources]
     changes: dict[Place, object] = {}
@@ -188,12 +191,12 @@ def _assigned(
 
     The camera is identified by the image change when the user presses the finger's membrane.
     """
-    ask("Touch nothing, and press Enter: ")
+    ask("Leave the membranes untouched and press Enter: ")
     flat = {camera.source: _mean_image(camera) for camera in cameras}
     found: dict[str, str | None] = {}
     while len(found) < len(rig.cameras):
         finger = rig.cameras[len(found)].finger
-        ask(f"Press the membrane of the {finger} finger with a thumb, hold it, and press Enter: ")
+        ask(f"Press the membrane of the {finger} finger with a thumb, hold it and press Enter: ")
         changes = {
             camera.source: float(np.abs(_mean_image(camera) - flat[camera.source]).mean())
             for camera in cameras
@@ -202,17 +205,19 @@ def _assigned(
         first, *others = sorted(changes, key=lambda source: -changes[source])
         if all(changes[first] > _CLEARER * changes[other] for other in others):
             say(f"{finger}: {first}")
-            ask(f"Press the {_CORNER} of the {finger} finger, hold it, and press Enter: ")
+            ask(f"Press the {_CORNER} of the {finger} finger, hold it and press Enter: ")
             camera = next(one for one in cameras if one.source == first)
             flip = flip_of(_mean_image(camera) - flat[first])
             if flip is None:
-                say(f"{finger}: that was in no corner; its picture is taken for upright")
+                say(
+                    f"{finger}: the contact was not in a corner; the image is assumed to be upright"
+                )
             elif flip != UNFLIPPED:
-                say(f"{finger}: its picture is flipped: {flip}")
+                say(f"{finger}: the image is flipped: {flip}")
             found[first] = None if flip == UNFLIPPED else flip
         else:
             levels = ", ".join(f"{change:.1f}" for change in changes.values())
-            say(f"no picture changed plainly more than the others ({levels} grey levels)")
+            say(f"no image changed clearly more than the others ({levels} grey levels)")
     return list(found.items())
 
 
@@ -282,7 +287,7 @@ def _choose(what: str, things: Sequence[_T], name: Callable[[_T], str], ask: Ask
         answer = ask(f"{what}, which one? [1]: ").strip() or "1"
         if answer.isdigit() and 1 <= int(answer) <= len(things):
             return things[int(answer) - 1]
-        say(f"{answer!r} is not one of 1 to {len(things)}")
+        say(f"{answer!r} is not a number from 1 to {len(things)}")
 
 
 def _write(path: Path, changes: Mapping[Place, object]) -> None:

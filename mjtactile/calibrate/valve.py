@@ -93,7 +93,8 @@ def calibrate_valve(
     tight = sealed[time[sealed] > time[sealed[0]] + _SEALED_AFTER]
     if len(tight) < 5:
         raise InputError(
-            f"the sealed stage is shorter than {_SEALED_AFTER + 1:g} s", field="state closed"
+            f"the sealed stage is too short; at least {_SEALED_AFTER + 1:g} s are needed",
+            field="state closed",
         )
     (_, slope), (_, slope_sd), _ = fit_line(time[tight] - time[tight[0]], pressure[tight])
     fall = math.nan
@@ -112,27 +113,28 @@ def _judge(c: ValveCalibration) -> list[str]:
     checks = [
         (
             abs(c.offset) <= OFFSET_MAX_FRACTION * size,
-            f"vented, the sensor shows {c.offset:.0f} Pa: set its zero, or see that the valve "
-            "really vents",
+            f"the vented sensor reads {c.offset:.0f} Pa: set its zero, or check that the "
+            "valve vents",
         ),
         (
             c.noise_sd <= NOISE_MAX_FRACTION * size,
-            f"the sensor's noise is {c.noise_sd:.0f} Pa of {size:.0f}: cable, ground, range",
+            f"the noise of the pressure sensor is {c.noise_sd:.0f} Pa of {size:.0f} Pa: check "
+            "cable, ground and range",
         ),
         (
             abs(c.step - c.asked) <= ERROR_MAX_FRACTION * size,
-            f"{c.step:.0f} Pa were reached instead of {c.asked:.0f}: supply, valve stuck, a leak "
-            "as large as the flow",
+            f"the pressure reached {c.step:.0f} Pa instead of {c.asked:.0f} Pa: check the "
+            "supply, a stuck valve, and leaks as large as the flow",
         ),
         (
             c.rise_time <= RISE_MAX,
-            f"it takes {c.rise_time:.2f} s from 10 to 90 %, at most {RISE_MAX:g} is good: "
-            "narrow hose?",
+            f"the rise from 10 to 90 % takes {c.rise_time:.2f} s (allowed: {RISE_MAX:g}): "
+            "check for a narrow hose",
         ),
         (
             c.leak <= LEAK_MAX * size / 60 + 2 * c.leak_sd,
-            f"sealed, it loses {c.leak:.1f} Pa/s "
-            f"({6000 * c.leak / size:.0f} % a minute): membrane's rim, hose, valve seat",
+            f"the sealed chamber loses {c.leak:.1f} Pa/s ({6000 * c.leak / size:.0f} % per "
+            "minute): check membrane rim, hose and valve seat",
         ),
     ]
     return [text for good, text in checks if not good]
@@ -141,10 +143,10 @@ def _judge(c: ValveCalibration) -> list[str]:
 def _stages(time: Array, state: Sequence[str]) -> list[tuple[str, Array]]:
     """Runs of equal state: (name, indices)."""
     if len(time) != len(state) or np.any(np.diff(time) <= 0):
-        raise InputError("times must rise from row to row", field="time_s")
+        raise InputError("times must increase from row to row", field="time_s")
     bad = next((text for text in state if text not in STATES), None)
     if bad is not None:
-        raise InputError(f"{bad!r} is no state", field="state", choices=STATES)
+        raise InputError(f"{bad!r} is not a valve state", field="state", choices=STATES)
     cuts = [i for i in range(1, len(state)) if state[i] != state[i - 1]]
     return [(str(state[int(part[0])]), part) for part in np.split(np.arange(len(state)), cuts)]
 
@@ -153,7 +155,8 @@ def _stage(stages: list[tuple[str, Array]], place: int, name: str) -> Array:
     if place >= len(stages) or stages[place][0] != name or len(stages[place][1]) < 5:
         found = ", ".join(f"{text} ({len(part)})" for text, part in stages) or "nothing"
         raise InputError(
-            f"expected at least 5 samples each of vent, open, closed in this order, found {found}",
+            "at least 5 samples each of vent, open, closed are needed, in this order; found "
+            f"{found}",
             field="state",
         )
     return stages[place][1]

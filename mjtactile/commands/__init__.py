@@ -6,37 +6,33 @@ A command that needs no simulator sets `SIMULATES = False`.
 
 COMMANDS = {
     "grasp": "grasp a fragile object, lift it, hold it, set it down",
-    "probe": "squeeze an object gently and say what it is made of",
-    "evaluate": "many grasps with other seeds and objects: how often a controller holds, and which "
-    "is better",
-    "experiments": "the paper's experiments again: figures, and our numbers beside its own",
+    "probe": "squeeze an object gently and estimate its material",
+    "evaluate": "run many grasps over seeds and objects: success rate, comparison of controllers",
+    "experiments": "repeat the paper's experiments: figures, and a comparison with its numbers",
     "inflate": "inflate a sensor's membrane and compare its height with theory",
-    "press": "drive an indenter into a sensor and compare the felt with the true force",
-    "explore": "touch an unknown object here and there until its surface is known",
-    "detect-circles": "find circular markers in images and say where they are in 3D",
+    "press": "press an indenter into a sensor and compare estimated with ground-truth force",
+    "explore": "touch an unknown object at several places and reconstruct its surface",
+    "detect-circles": "detect circular markers in images and estimate their 3D poses",
     "reconstruct": "reconstruct a membrane's surface and contact from recorded frames",
     "calibrate": "calibrate camera, valve, frame, force or gripper, "
     "from live devices or recorded input",
     "fit": "fit the simulator to recordings of a sensor: modulus, pre-stretch, friction, gas, "
     "light",
-    "fabricate": "from a sensor file to a sensor on the bench: patterns, CAD, bill of materials, "
-    "assembly",
-    "design": "predict what a sensor file reaches before it is built, and which file would reach "
-    "what is wanted",
+    "fabricate": "write fabrication files of a sensor: patterns, CAD, bill of materials, assembly",
+    "design": "predict the performance of a sensor file, or search designs that meet requirements",
     "bench": "measure accuracy and speed; writes a table, a JSON and plots",
-    "effects": "list the effects that a sensor and an object call for, and their price",
-    "emulate": "start emulated hardware on serial ports and streams, until stopped",
-    "devices": "list cameras and serial ports, and who answers there",
-    "setup": "make the rig file of a new gripper, by questions",
-    "doctor": "check cameras, servos and valves, or a simulated robot, and say how to mend what is "
-    "wrong",
-    "record": "record a rig that stands still: images, times, pressures, servos, calibration",
-    "studio": "watch a grasp live in the browser, and reach in",
-    "summary": "the page of a recorded run: curves to zoom, images by a slider, membranes to turn",
-    "video": "film a recorded run: images, ellipses, forces over time",
-    "compare-sim": "simulate a recording again, and attribute the difference",
-    "export": "write recordings as a LeRobot data set, MCAP, Rerun's files or ROS 2 bags",
-    "new": "start your own controller, sensor, object or rig from a commented copy",
-    "docs": "the documentation's pages: list them, or print one",
+    "effects": "list the effects that a sensor and an object require, and their cost",
+    "emulate": "run emulated hardware on serial ports and streams until stopped",
+    "devices": "list cameras, serial ports and the devices that answer there",
+    "setup": "create the rig file of a new gripper interactively",
+    "doctor": "check cameras, servos and valves, or a simulated robot, and suggest fixes",
+    "record": "record a stationary rig: images, times, pressures, servos, calibration",
+    "studio": "watch a grasp live in the browser and interact with it",
+    "summary": "write the HTML report of a recorded run: zoomable curves, images, 3D membranes",
+    "video": "render a video of a recorded run: images, ellipses, forces over time",
+    "compare-sim": "simulate a recording again and attribute the differences",
+    "export": "write recordings as a LeRobot data set, MCAP, Rerun files or ROS 2 bags",
+    "new": "create your own controller, sensor, object or rig from a commented copy",
+    "docs": "list the documentation pages, or print one",
 }
 """Command names with their description in `mjtactile --help`."""

@@ -30,17 +30,17 @@ BENCHMARKS: dict[str, tuple[str, str]] = {
         "uncertainty.run",
         "coverage of the reported standard deviations, 10 000 images of random scenes",
     ),
-    "slip": ("slip.run", "200 random slips and holds: detection rate, delay, false alarms"),
+    "slip": ("slip.run", "200 random slips and stable grasps: detection rate, delay, false alarms"),
     "material": ("material", "material class and modulus of random objects, probed"),
     "stability": (
         "stability.run",
-        "more than 300 hard cases of the simulation, each checked by physics",
+        "more than 300 hard cases of the simulation, each with a physical check",
     ),
     "rig": ("rig.run", "emulated rig: loop rate, latency, reaction to every fault, killed host"),
     "emulated": ("rig.emulated_grasps", "grasps on the emulated rig"),
     "accuracy": (
         "accuracy.run",
-        "work-precision diagrams: error of force and surface against time, every setting",
+        "work-precision diagrams: error of force and surface against time, for every setting",
     ),
     "meshless": (
         "accuracy.meshless_levels",
@@ -48,7 +48,7 @@ BENCHMARKS: dict[str, tuple[str, str]] = {
     ),
     "speed": (
         "speed.run",
-        "two membranes that hold an object: real-time factor against mesh size and rigid pads",
+        "two membranes that grip an object: real-time factor against mesh size and rigid pads",
     ),
     "no-images": (
         "without_images",
@@ -63,7 +63,7 @@ BENCHMARKS: dict[str, tuple[str, str]] = {
         "learning.policy",
         "a policy trained from scratch in ten minutes, evaluated at two fidelity levels",
     ),
-    "effects": ("effects", "cost of each effect, and the error when it is left out"),
+    "effects": ("effects", "cost of each effect, and the error without it"),
     "quasistatic": (
         "quasistatic",
         "quasi-static membrane against an independent solver: error, scatter, time",
@@ -78,7 +78,7 @@ BENCHMARKS: dict[str, tuple[str, str]] = {
         "shipped marker layouts on one membrane: accuracy and cost of more markers",
     ),
     "outline": ("outline", "round and elliptic sensors: bulge against theory, force error"),
-    "explore": ("explore", "whole objects touched twelve times: distance of the estimated surface"),
+    "explore": ("explore", "whole objects touched twelve times: error of the estimated surface"),
     "fit": (
         "fit",
         "identification of sensors that differ from their file: error of each parameter",
@@ -107,14 +107,14 @@ BENCHMARKS: dict[str, tuple[str, str]] = {
     ),
     "gas-filter-sensitivity": (
         "gas_filter_sensitivity",
-        "the same for the filter of the gauge pressure",
+        "the same for the filter of the pressure sensor",
     ),
     "detection-sensitivity": (
         "detection_sensitivity",
         "the same for marker detection in photographs",
     ),
     "shape-sensitivity": ("shape.shape_setting_sensitivity", "the same for the contact shape"),
-    "relaxation": ("relaxation", "holds of ten minutes on relaxing rubber: force error and cost"),
+    "relaxation": ("relaxation", "grasps of ten minutes on relaxing rubber: force error and cost"),
     "commissioning": (
         "commissioning.run",
         "setup, calibration, fit, grasp and comparison of a faulty emulated rig",
@@ -126,7 +126,7 @@ BENCHMARKS: dict[str, tuple[str, str]] = {
     "bubble": ("real.bubble", "recorded data of a real air-filled bubble sensor"),
     "dots": ("real.dots", "recorded data of a real dot-marker sensor"),
     "summary-page": ("results_tables", "no measurement: collect all results from the other pages"),
-    "readme-table": ("readme_table", "no measurement: the rows that the README shows"),
+    "readme-table": ("readme_table", "no measurement: print the rows of the README"),
 }
 """Name to module of the folder `benchmarks` and description; each module has
 `run(out, quick) -> dict`, which plots into `out`, and `table(result) -> str` in Markdown."""
@@ -174,8 +174,8 @@ OPTIONS = {
 """Options that apply to some benchmarks only."""
 
 ARGUMENTS = (
-    arg.positional("name", "NAME", "the benchmark, from the list above", choices=list(BENCHMARKS)),
-    arg.flag("--quick", "run a small part, as a check that the benchmark works"),
+    arg.positional("name", "NAME", "benchmark from the list above", choices=list(BENCHMARKS)),
+    arg.flag("--quick", "run a small part, to check that the benchmark works"),
     arg.option("--out", "DIR", "folder for the results", Path("bench-results"), type=Path),
     arg.flag(
         "--resume", f"keep the results of an interrupted run ({', '.join(OPTIONS['resume'])})"
@@ -233,7 +233,9 @@ def run(options: argparse.Namespace) -> int:
         value = getattr(options, option)
         if value and options.name not in names:
             raise InputError(
-                f"not an option of 'bench {options.name}'", field=f"--{option}", choices=names
+                f"this option does not apply to 'bench {options.name}'",
+                field=f"--{option}",
+                choices=names,
             )
         if value:
             more[option] = tuple(value.split(",")) if option == "parts" else value

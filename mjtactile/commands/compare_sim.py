@@ -15,10 +15,10 @@ from mjtactile.runtime.progress import Progress
 from mjtactile.sim_comparison.discrepancy_parameters import CAUSES
 
 DESCRIPTION = """\
-Replay a recording of a real or emulated rig beside the simulator that is given the same
-commands at the same times (or the same moves of a stage), and say where the two part, in
-forces, markers and pressures, and which one cause would explain most of it: each is tried in
-the simulator. It is what to do on the first day with a real sensor."""
+Compare a recording of a real or emulated rig with a simulation that gets the same commands at
+the same times (or the same motions of a stage). Report when forces, markers and pressures start
+to differ, and which single cause would explain most of the difference: each cause is tried in
+the simulator. Recommended for the first day with a real sensor."""
 EPILOG = f"""\
 examples:
   mjtactile grasp --rig my_gripper.toml --object egg --out runs/real
@@ -26,24 +26,20 @@ examples:
   mjtactile compare-sim runs/real --rig my_sim_gripper.toml --end-s 4 --out runs/real_shadow
   mjtactile compare-sim runs/press_3 --json                 a recording of `record --protocol`
 
-Writes shadow.html (curves, a table of what was tried) and shadow.json. Causes that are tried:
+Writes shadow.html (curves, a table of the tried causes) and shadow.json. Tried causes:
 {", ".join(cause.name for cause in CAUSES)}.
-What it can tell and what not: docs/how-to/integrations.md.
-exit codes: 0 does as the simulator, 1 it parts from it, 2 bad input, 3 the simulation failed.
+Capabilities and limits: docs/how-to/integrations.md.
+exit codes: 0 agrees with the simulator, 1 differs, 2 bad input, 3 the simulation failed.
 """
 
 ARGUMENTS = (
     arg.positional("recording", "RECORDING", "a recording, or a run's folder", type=Path),
-    arg.option(
-        "--rig", "NAME|FILE.toml", "the simulated rig that stands for the recording's", "sim"
-    ),
-    arg.option(
-        "--object", "NAME|FILE.xml", "what was grasped (default: as the recording says)", ""
-    ),
+    arg.option("--rig", "NAME|FILE.toml", "simulated rig that represents the recorded rig", "sim"),
+    arg.option("--object", "NAME|FILE.xml", "grasped object (default: from the recording)", ""),
     arg.option(
         "--end-s",
         "S",
-        "look at the first S seconds alone (default: all)",
+        "use only the first S seconds (default: all)",
         math.inf,
         dest="until",
         type=float,
@@ -51,17 +47,17 @@ ARGUMENTS = (
     arg.repeated(
         "--parameter",
         None,
-        "try this one; may be given again (default: all)",
+        "try this cause; repeatable (default: all)",
         choices=[cause.name for cause in CAUSES],
     ),
     arg.option(
         "--workers",
         "N",
-        "processes that simulate (default: half of the processors)",
+        "number of simulation processes (default: half of the processors)",
         max(1, (os.cpu_count() or 1) // 2),
         type=int,
     ),
-    arg.out("folder for the page and its numbers"),
+    arg.out("folder for the HTML report and its numbers"),
 )
 
 

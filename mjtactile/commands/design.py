@@ -35,9 +35,9 @@ examples:
 
 An sd is the standard deviation that the pipeline would report; it covers 68 % of contacts.
 "touch_by_noise" is the limit of the pixel noise alone. The pipeline reports no contact below
-20 mN, because weather and a warming camera cause as much. The edge has a radius of 2.5 mm, spans
-the membrane and presses with --force-N, as does a ball of 4 mm. "-": the quasi-static membrane
-has no solution for this force.
+20 mN, because weather and a warming camera have effects of this size. The edge has a radius of
+2.5 mm, spans the membrane and presses with --force-N, as does a ball of 4 mm. "-": the
+quasi-static membrane has no solution for this force.
 
 JSON, of a file: {"sensor", "force_N", "reaches": {"touch_mN", "touch_by_noise_mN", "force_sd_mN",
 "force_noise_mN", "place_sd_mm", "edge_sd_mm", "smallest_radius_mm", "force_most_N"}, "picture":
@@ -53,55 +53,63 @@ _WISHES = {
 }
 
 ARGUMENTS = (
-    arg.sensor("the sensor, or what designs begin from"),
+    arg.sensor("sensor to evaluate, or starting point of the designs"),
     arg.option(
         "--force-N",
         "F",
-        "what presses where force, place, edge and radius are asked for",
+        "contact force for the predictions of force, position, edge and radius",
         0.5,
         type=numeric_options.finite,
     ),
     arg.Group(
-        "what is wanted (each may be left out)",
+        "requirements (each is optional)",
         (
             arg.option(
                 "--detect-force-mN",
                 "F",
-                "smallest touch that pixels' noise must allow",
+                "maximum force threshold of a contact, limited by pixel noise",
                 type=numeric_options.finite,
             ),
             arg.option("--range-N", "F", "largest force", type=numeric_options.finite),
-            arg.option("--edge-mm", "S", "sd of an edge's place", type=numeric_options.finite),
             arg.option(
-                "--radius-mm",
-                "R",
-                "smallest ball whose radius is told to a quarter",
+                "--edge-mm",
+                "S",
+                "maximum sd of the position of an edge",
                 type=numeric_options.finite,
             ),
             arg.option(
-                "--frame-mm", "X,Y", "opening (default: the sensor's)", type=numeric_options.pair
+                "--radius-mm",
+                "R",
+                "smallest ball whose radius is estimated to 25 %%",
+                type=numeric_options.finite,
+            ),
+            arg.option(
+                "--frame-mm",
+                "X,Y",
+                "frame opening (default: the sensor's)",
+                type=numeric_options.pair,
             ),
             arg.option(
                 "--camera-px",
                 "W,H",
-                "picture (default: the sensor's); the view stays the same",
+                "image size (default: the sensor's); the field of view stays the same",
                 type=numeric_options.pair,
             ),
         ),
     ),
-    arg.option("--count", "N", "designs to draw", 48, type=int),
+    arg.option("--count", "N", "number of designs to sample", 48, type=int),
     arg.option(
         "--check",
         "N",
-        "press N of the best, or the file, in full simulation and compare (default: 0; some "
-        "minutes each)",
+        "load the best N designs, or the file, in the full simulation and compare (default: "
+        "0; some minutes each)",
         0,
         type=int,
     ),
-    arg.option("--seed", "N", "of the draws", 0, type=int),
+    arg.option("--seed", "N", "seed of the sampling", 0, type=int),
     arg.out(
-        "design.json, and face.png and design.html of a file, or front.png and best_1.toml, "
-        "… of a wish"
+        "folder for design.json, and face.png and design.html of a file, or front.png and "
+        "best_1.toml, … of a search"
     ),
 )
 
@@ -157,7 +165,7 @@ def _base_sensor(options: argparse.Namespace) -> SensorDesign:
         raise InputError(f"{options.force_N:g} is outside 0.01 to 100", field="--force-N")
     design = load_sensor(options.sensor)
     if options.frame_mm is not None or any(getattr(options, name) is not None for name in _WISHES):
-        design.require_rectangle("the search for a design")
+        design.require_rectangle("the design search")
     if options.frame_mm is not None:
         design = sensor_file_edit.with_frame(design, *(1e-3 * side for side in options.frame_mm))
     if options.camera_px is not None:
@@ -212,11 +220,11 @@ def _write_requirements(out: Path, result: dict[str, Any], files: dict[str, str]
 def _print_file(result: dict[str, Any]) -> None:
     from mjtactile.design_study import plots
 
-    print(f"sensor {result['sensor']}, where {result['force_N']:g} N press, predicted:")
+    print(f"sensor {result['sensor']}, predicted for contacts of {result['force_N']:g} N:")
     for key, (words, unit) in plots.WORDS.items():
         print(f"  {words:50s} {plots.number(result['reaches'][key]):>7s} {unit}")
     print(f"  {plots.image_quality_text(result['picture'])}")
-    print("What changes would buy, times what it reaches now:")
+    print("Effect of changes, as a factor on the present value:")
     print(f"  {'':58s}" + "".join(f"{words:>15s}" for words in plots.CHANGED.values()))
     for what, *factors in plots.change_rows(result):
         print(f"  {what:58s}" + "".join(f"{factor:>15s}" for factor in factors))
@@ -230,10 +238,13 @@ def _print_requirements(result: dict[str, Any], out: Path | None) -> None:
     rows[0] |= result["begun_from"]
     meeting = sum(one["meets"] for one in result["tried"])
     count = len(result["tried"])
-    print(f"{meeting} of {count} designs meet the wish. Where {result['force_N']:g} N press:")
     print(
-        "file          markers  radius mm  fx px  sheet mm  stretch    kPa   touch mN  force mN  "
-        "edge mm  range N  misses"
+        f"{meeting} of {count} designs meet the requirements. Predicted for contacts of "
+        f"{result['force_N']:g} N:"
+    )
+    print(
+        "file          markers  radius mm  fx px  thick mm  stretch    kPa   touch mN  force "
+        "mN  edge mm  range N  missed"
     )
     for one in rows + result["best"]:
         reached = one["reaches"]
@@ -251,7 +262,7 @@ def _print_requirements(result: dict[str, Any], out: Path | None) -> None:
         print(f"{one['file']:13s} {made} {' '.join(values)}  {', '.join(one['missed']) or '-'}")
     _print_checked(result["checked"])
     if out is not None:
-        print(f"design.json, front.png and the files are in {out}")
+        print(f"design.json, front.png and the sensor files were written to {out}")
 
 
 def _print_checked(checked: list[dict[str, Any]]) -> None:
@@ -262,6 +273,6 @@ def _print_checked(checked: list[dict[str, Any]]) -> None:
             number(one[key]) for key in ("force_error_rms_mN", "force_ratio", "place_ratio")
         )
         print(
-            f"full simulation of {one['sensor']}: {one['presses']} presses, force off by "
-            f"{error} mN rms, {times} times the predicted sd; place {placed} times"
+            f"full simulation of {one['sensor']}: {one['presses']} contacts, force error "
+            f"{error} mN rms, {times} times the predicted sd; position {placed} times"
         )

@@ -21,13 +21,13 @@ from mjtactile.report.frame_source import NamedImage, overlay, read_frames
 
 SIMULATES = False
 DESCRIPTION = """\
-Find circular markers of a known radius in an image, a folder of images or a video, and
-estimate each one's centre and normal in the camera frame (x right, y down, z forward).
+Detect circular markers of a known radius in an image, a folder of images or a video. Estimate
+the center and normal of each marker in the camera frame (x right, y down, z forward).
 
-Forty and more small circles (below 6 px) that plainly lie on one smooth surface, such as a
-board's dots, help each other: the depth of each is smoothed by a spline over the image,
-whose stiffness the circles themselves decide. Neither flatness nor any spacing is assumed,
-but the depths are no longer independent; --neighbours never turns it off."""
+Forty or more small circles (below 6 px) that clearly lie on one smooth surface, such as the
+dots of a board, share information: a spline over the image smooths their depths, with a
+stiffness estimated from the circles. Neither flatness nor any spacing is assumed, but the
+depths are no longer independent; `--neighbours never` disables it."""
 EPILOG = """\
 examples:
   mjtactile detect-circles photo.png --camera camera.yaml --radius-mm 6.35
@@ -35,24 +35,23 @@ examples:
   mjtactile detect-circles photo.png --camera camera.yaml --radius-mm 2 --glass-mm 5:1.5:120
   mjtactile detect-circles clip.mp4 --camera camera.yaml --radius-mm 1.5 --bright --out overlays
 
-JSON: {"frames": [{"source": …, "status": "ok", or why it has no marker to trust,
-  "shared": [] or what its circles share with neighbours ("elongation", "depth"),
-  "overexposed": whether the bright side is clipped, which hides tenths of a pixel of size,
-  "gamma": {"assumed", "estimate" and "sd" (null: too little to tell), "wrong": whether they
-  plainly differ}, "markers": [{
-  "uv_px": projected centre (distorted pixels; (0, 0) is the centre of the top-left pixel),
+JSON: {"frames": [{"source": …, "status": "ok", or the reason for having no valid marker,
+  "shared": [] or the quantities shared between circles ("elongation", "depth"),
+  "overexposed": true if the bright side is clipped, which hides tenths of a pixel of size,
+  "gamma": {"assumed", "estimate" and "sd" (null: not observable), "wrong": true if they
+  clearly differ}, "markers": [{
+  "uv_px": projected center (distorted pixels; (0, 0) is the center of the top-left pixel),
   "ellipse_px": {"center", "semi_axes", "angle_deg"},
   "center_mm", "cov_center_mm2": 3x3, "normal" (facing the camera),
-  "center_alt_mm", "cov_center_alt_mm2", "normal_alt": the circle's other pose, which looks
-  exactly the same, "preferred_probability": how sure it is that the first pose is the right
-  one, not the other, "status": "ok", or why not to trust it}],
-  "rejected": all other candidates, [{"center_px", "semi_axes_px", "status": why it is no
-  circle}]}]}
-The camera file is a ROS camera_info; it may have one field more, for glass in front of the camera:
+  "center_alt_mm", "cov_center_alt_mm2", "normal_alt": the other pose of the circle with the
+  same image, "preferred_probability": probability that the first pose is the right one,
+  "status": "ok", or the reason not to use it}],
+  "rejected": all other candidates, [{"center_px", "semi_axes_px", "status": the reason for
+  the rejection}]}]}
+The camera file is a ROS camera_info with one optional extra field, for glass before the camera:
   glass: {thickness_mm: 5, refractive_index: 1.5, distance_mm: 120}
-One image of one circle allows two poses. Which is right is told by the circles around it,
-where they lie on a smooth surface; else only by the one that is less tilted being a little
-likelier.
+One image of one circle allows two poses. The circles around it decide between them if they lie
+on a smooth surface; otherwise the less tilted pose is slightly more probable.
 exit codes: 0 done (also when no marker was found), 2 bad input.
 """
 
@@ -76,23 +75,23 @@ ARGUMENTS = (
     arg.option(
         "--camera",
         "CAMERA.yaml",
-        "calibration of the camera, ROS camera_info YAML (plumb_bob)",
+        "camera calibration, ROS camera_info YAML (plumb_bob)",
         type=Path,
         required=True,
     ),
     arg.option(
         "--glass-mm",
         "T:N:D",
-        "a pane in front of the camera, normal to its axis: thickness in mm, refractive "
-        "index, distance of its near face from the camera's centre in mm, such as 5:1.5:120 "
-        "(default: what the camera file says under glass)",
+        "glass in front of the camera, normal to its axis: thickness in mm, refractive "
+        "index, distance of its near face from the camera center in mm, such as 5:1.5:120 "
+        "(default: the glass entry of the camera file)",
     ),
     arg.option("--radius-mm", "R", "radius of the markers in mm", type=_positive, required=True),
     arg.OneOf(
         (
             arg.flag(
                 "--dark",
-                "dark markers on a bright ground (default)",
+                "dark markers on a bright background (default)",
                 dest="polarity",
                 action="store_const",
                 const="dark",
@@ -100,7 +99,7 @@ ARGUMENTS = (
             ),
             arg.flag(
                 "--bright",
-                "bright markers on a dark ground",
+                "bright markers on a dark background",
                 dest="polarity",
                 action="store_const",
                 const="bright",
@@ -110,15 +109,15 @@ ARGUMENTS = (
     arg.choice(
         "--neighbours",
         ["auto", "always", "never"],
-        "let many circles on one smooth surface help each other: small ones (auto, the "
+        "share information between many circles on one smooth surface: small ones (auto, the "
         "default), of any size, or never",
         "auto",
     ),
     arg.option(
         "--gamma",
         "G|auto",
-        "the camera's gamma, whose grey levels are light to the power of 1/G (default: 1; "
-        "sRGB: 2.2), or auto: what the circles of each image plainly say",
+        "camera gamma: grey levels are light to the power of 1/G (default: 1; sRGB: 2.2); "
+        "auto: estimate it from the circles of each image",
         1.0,
         type=_gamma,
     ),
@@ -134,7 +133,7 @@ def run(options: argparse.Namespace) -> int:
             frames = [_locate(frame, camera, options, out) for frame in read_frames(options.source)]
         if not any(frame["usable"] for frame in frames):
             raise InputError(
-                f"none of its {len(frames)} images can be used; {frames[0]['source']}: "
+                f"none of the {len(frames)} images can be used; {frames[0]['source']}: "
                 f"{frames[0]['status']}",
                 source=options.source,
                 field="SOURCE",
@@ -154,7 +153,7 @@ def _behind_glass(camera: Camera, text: str) -> Camera:
         return camera.behind_glass(1e-3 * thickness, index, 1e-3 * distance)
     except (ValueError, InputError) as error:
         raise InputError(
-            f"{text!r} is no pane",
+            f"{text!r} is not a glass specification",
             field="--glass-mm",
             choices=["THICKNESS:INDEX:DISTANCE, such as 5:1.5:120"],
         ) from error
@@ -175,8 +174,8 @@ def _locate(
     if (width, height) != (camera.width, camera.height):
         return _without_markers(
             frame,
-            f"{width} x {height} pixels, but the camera file is for "
-            f"{camera.width} x {camera.height}",
+            f"the image has {width} x {height} pixels, but the camera file has {camera.width} "
+            f"x {camera.height}",
         )
     begin = time.perf_counter()
     found = detect_circles(
@@ -231,7 +230,7 @@ def _index(name: str) -> str:
 def _gamma_note(gamma: dict[str, Any]) -> str:
     return (
         f"gamma is not {gamma['assumed']:g} but about {gamma['estimate']:.1f} (sd "
-        f"{gamma['sd']:.1f}): see --gamma"
+        f"{gamma['sd']:.1f}): set --gamma"
     )
 
 
@@ -258,4 +257,4 @@ def _print_table(frames: Sequence[dict[str, Any]], out: Path | None) -> None:
             f"{', '.join(note)}".rstrip()
         )
     if out is not None:
-        print(f"overlays and locate.json are in {out}")
+        print(f"overlays and locate.json were written to {out}")

@@ -11,22 +11,22 @@ from mjtactile.commands.output import print_json, stdout_to_stderr
 from mjtactile.doctor import plugged_in
 
 DESCRIPTION = """\
-List cameras with what they can send, and serial ports with who answers there: Dynamixel servos by
-ping, valve boards by their name. The names printed are those to write into a rig file: they stay
+List cameras with their formats, and serial ports with the devices that answer: Dynamixel servos
+to a ping, valve boards with their name. Use the printed names in a rig file: they stay the same
 when a cable is plugged in again. Nothing is set and nothing moves; but opening a port restarts
-many boards, and a device that is neither may take a ping for something else (--no-ask)."""
+many boards, and other devices may misinterpret a ping (--no-ask)."""
 EPILOG = """\
 examples:
   mjtactile devices
   mjtactile devices --no-ask                   names only
-  mjtactile devices --port socket://host:7000  a port that no computer lists, too
+  mjtactile devices --port socket://host:7000  also a port that the computer does not list
 """
 SIMULATES = False
 
 
 ARGUMENTS = (
     arg.flag("--no-ask", "open no serial port"),
-    arg.repeated("--port", "PATH", "also ask this port; again for each one"),
+    arg.repeated("--port", "PATH", "also query this port; repeatable"),
 )
 
 
@@ -49,13 +49,13 @@ def run(options: argparse.Namespace) -> int:
             print(f"               {fourcc} {width} x {height}, up to {rate:g} Hz")
     for port in ports:
         print(f"serial port  {port.path}\n             {_description(port)}")
-        no_answer = port.problem or ("not asked" if options.no_ask else "nobody known answers")
+        no_answer = port.problem or ("not asked" if options.no_ask else "no known device answers")
         for answer in port.answers or (no_answer,):
             print(f"               {answer}")
     missing = [name for name, found in (("cameras", cameras), ("serial ports", ports)) if not found]
     if missing:
         print(
-            f"no {' and no '.join(missing)}: are they plugged in? In a container, pass their "
+            f"no {' and no '.join(missing)} found: check the cables; in a container, pass the "
             "devices through"
         )
     return 0

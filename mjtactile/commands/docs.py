@@ -12,8 +12,8 @@ from mjtactile.core import resources
 
 SIMULATES = False
 DESCRIPTION = """\
-List the pages of the documentation with the folder that they are in, or print one of them.
-They come with the package; pictures and links work in that folder."""
+List the documentation pages and their folder, or print one page. The pages come with the
+package; images and links work in that folder."""
 EPILOG = """\
 examples:
   mjtactile docs
@@ -47,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
     name = options.page.removeprefix("docs/").removesuffix(".md")
     matches = [page for page in pages if page == name or page.endswith(f"/{name}")]
     if len(matches) != 1:
-        problem = "several pages have this name" if matches else "no such page"
+        problem = "several pages have this name" if matches else "the page does not exist"
         raise InputError(problem, source=options.page, choices=matches or pages)
     name = matches[0]
     text = pages[name].read_text(encoding="utf-8")

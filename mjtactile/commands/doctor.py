@@ -12,30 +12,29 @@ from mjtactile.commands.output import print_json, stdout_to_stderr
 from mjtactile.doctor import examine_rig
 
 DESCRIPTION = """\
-Look for cameras and serial ports; with --rig FILE, check each device that the file names: that it
-answers, is the model that the file says, keeps its settings, is fast enough and has no error.
-Nothing is changed and nothing moves; --fix mends what software can (FTDI latency timer). Of the
-calibrations that it names: which parts are missing, refused, or older than what they rest on.
+List cameras and serial ports. With --rig FILE, check each device of the file: connection,
+model, settings, speed and errors. Nothing is changed and nothing moves; --fix corrects settings
+that software can change (FTDI latency timer). Also list calibration parts that are missing,
+refused, or older than the parts that they depend on.
 
-Of a simulated rig it checks the names in the file, which way the fingertips look, whether
-the jaws go where their laws say and the hand rises, that no sensor touches its own gripper,
-and the force."""
+Of a simulated rig, check the names in the file, the orientation of the fingertips, the motion
+of the jaws against their laws, the lift, the force, and that no sensor touches its own gripper."""
 EPILOG = """\
 examples:
-  mjtactile doctor                        what is plugged in
-  mjtactile doctor --rig my_gripper.toml  is it what the file says
+  mjtactile doctor                        list connected devices
+  mjtactile doctor --rig my_gripper.toml  compare them with the rig file
   mjtactile doctor --rig sim_arm          a simulated robot: docs/reference/rig_files.md
-exit codes: 0 all well, 1 something is wrong, 2 bad rig file.
+exit codes: 0 no faults, 1 faults found, 2 bad rig file.
 """
 SIMULATES = False
 _MARKS = {"ok": "ok  ", "warn": "warn", "bad": "BAD "}
 
 ARGUMENTS = (
     arg.option(
-        "--rig", "NAME|FILE.toml", "rig file to check (default: only look what is plugged in)"
+        "--rig", "NAME|FILE.toml", "rig file to check (default: only list connected devices)"
     ),
-    arg.sensor("the sensor, where the rig file does not say it"),
-    arg.flag("--fix", "mend what software can"),
+    arg.sensor("sensor, if the rig file names none"),
+    arg.flag("--fix", "correct settings that software can change"),
 )
 
 

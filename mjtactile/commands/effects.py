@@ -11,9 +11,9 @@ from mjtactile.commands.output import print_json
 from mjtactile.core import resources
 
 DESCRIPTION = """\
-List every effect the simulator knows: whether it is on for this sensor, object and accuracy,
-why, what it costs (ms of one core per simulated second, two sensors or two cameras) and what
-leaving it out would cost (mN of force, um of surface), as measured on the shipped sensors."""
+List every effect of the simulator: whether it is on for this sensor, object and accuracy, the
+reason, its cost (ms of one core per simulated second, two sensors or two cameras) and the error
+without it (mN of force, um of surface), as measured on the shipped sensors."""
 EPILOG = """\
 examples:
   mjtactile effects
@@ -37,20 +37,21 @@ SHARED = (
     arg.option(
         "--accuracy",
         "0.02N|realtime",
-        "simulate as coarsely as this force error or real time allows (default: a mesh of 13 x 11)",
+        "coarsest simulation with this force error or real-time factor (default: a mesh of "
+        "13 x 11)",
         "",
     ),
     arg.option(
         "--effects",
         "auto|+NAME,-NAME",
-        "what to simulate: derived from the scene (default), or effects forced on and off",
+        "effects to simulate: derived from the scene (default), or forced on and off",
         "auto",
     ),
 )
 """--accuracy and --effects, the same for every command that simulates."""
 ESTIMATE = arg.flag(
     "--error-estimate",
-    "simulate again on a coarser mesh, and report the force error that follows (N)",
+    "repeat the simulation on a coarser mesh and report the estimated force error (N)",
 )
 ARGUMENTS = (
     arg.sensor(
@@ -89,7 +90,7 @@ def run(options: argparse.Namespace) -> int:
     print(f"{'effect':<24}{'':<10}{'costs ms/s':>10}{'else mN':>9}{'else um':>9}  why")
     for row in rows:
         state = _STATES[row["built"], row["on"]]
-        why = row["why"] if row["built"] else f"{row['why']}; not built in: {row['kind']}"
+        why = row["why"] if row["built"] else f"{row['why']}; not implemented: {row['kind']}"
         numbers = (
             f"{_cost(row['cost_ms_per_s']):>10}{_cell(1e3 * row['left_out_N']):>9}"
             f"{_cell(row['left_out_um']):>9}"

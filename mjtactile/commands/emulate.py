@@ -14,16 +14,16 @@ from mjtactile.core import resources
 
 DESCRIPTION = """\
 Start emulated servos, a valve board and cameras around a simulated grasp, in real time, and
-print a rig file for them. Any client may talk to them: this package's drivers (--rig FILE),
-the Dynamixel SDK, a serial terminal, a browser. Runs until Ctrl-C."""
+print a rig file for them. Any client can connect: this package's drivers (--rig FILE), the
+Dynamixel SDK, a serial terminal, a browser. Runs until Ctrl-C."""
 EPILOG = """\
 examples:
   mjtactile emulate --out rig.toml
   mjtactile grasp --rig rig.toml                  in another terminal
   mjtactile emulate --faults servo_drop=0.01 --faults frames_dark=1
 
-faults can also be switched while it runs: type `servo_overload 1` and Enter;
-`servo_overload 0` ends it.
+faults can also be switched at run time: enter `servo_overload 1`;
+`servo_overload 0` ends the fault.
 """
 
 _HEAD = "# Written by `mjtactile emulate`, whose next run may replace it: ports are new then\n"
@@ -33,8 +33,8 @@ ARGUMENTS = (
     arg.option(
         "--scene --object",
         "NAME|FILE.xml",
-        f"what stands on the table: {', '.join(resources.names('models/objects', '.xml'))}, "
-        "or your own MJCF file (default: egg)",
+        f"object on the table: {', '.join(resources.names('models/objects', '.xml'))}, or "
+        "your own MJCF file (default: egg)",
         "egg",
         dest="object",
     ),
@@ -42,14 +42,14 @@ ARGUMENTS = (
     arg.option(
         "--rig",
         "NAME|FILE.toml",
-        "rig file whose servos, valves and cameras to emulate",
+        "rig file of the servos, valves and cameras to emulate",
         "emulated",
     ),
-    arg.option("--seed", "N", "placement and noise", 0, type=int),
+    arg.option("--seed", "N", "seed of placement and noise", 0, type=int),
     time_scale.ARGUMENT,
-    arg.repeated("--faults", "KIND=VALUE", "a fault from the start; repeatable"),
+    arg.repeated("--faults", "KIND=VALUE", "fault from the start; repeatable"),
     arg.out(
-        "write the rig file here too; nothing but an earlier run's is overwritten", "FILE.toml"
+        "also write the rig file here; only the file of an earlier run is overwritten", "FILE.toml"
     ),
 )
 
@@ -75,7 +75,7 @@ def run(options: argparse.Namespace) -> int:
         if options.out is not None:
             _write(options.out, _HEAD + text)
         print(text)
-        print("emulated hardware runs; Ctrl-C ends it", file=sys.stderr, flush=True)
+        print("emulated hardware is running; Ctrl-C stops it", file=sys.stderr, flush=True)
         _read_faults(emulator)
     except KeyboardInterrupt:
         pass
@@ -151,5 +151,5 @@ def _write(path: Path, text: str) -> None:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(
-            f"cannot be written: {error.strerror}", source=path, field="--out"
+            f"the file cannot be written: {error.strerror}", source=path, field="--out"
         ) from error

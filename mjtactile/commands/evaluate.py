@@ -17,16 +17,16 @@ if TYPE_CHECKING:
     from mjtactile.evaluate.pool import Running
 
 DESCRIPTION = """\
-Grasp many times, with other seeds, objects and worlds, and say how often a controller holds
-what it grasps, with 95 % intervals; of several controllers, which is better, and whether
-that is settled.
+Run many grasps over seeds, objects and randomized conditions. Report the success rate of a
+controller with 95 % intervals; compare several controllers and test whether the difference is
+significant.
 
-Every controller meets the same episodes: the same objects with the same seeds. From --randomization
-the seed draws how object, sensors and gripper differ from their files, which sensing goes
-by. A controller that raises, hangs, or is stopped by the supervisor has failed; where the
-simulation does, it is an error and counts apart. Each ended episode is a line in
-DIR/episodes.jsonl with the command that runs it again alone; a run that was stopped goes on
-with --resume. The lines do not depend on the number of workers."""
+All controllers run the same episodes: the same objects with the same seeds. --randomization
+draws the differences of object, sensors and gripper from their files by the seed; the sensing
+still assumes the files. A controller fails if it raises, hangs, or is stopped by the
+supervisor; a failed simulation is an error and counts separately. Each finished episode is a
+line in DIR/episodes.jsonl with the command that repeats it alone; --resume continues a stopped
+run. The lines do not depend on the number of workers."""
 EPILOG = """\
 examples:
   mjtactile evaluate --episodes 30
@@ -38,11 +38,11 @@ examples:
   mjtactile evaluate --episodes 800 --shard 2/8 --out runs/part2  one of eight machines
   mjtactile evaluate --episodes 4000 --backend dask --scheduler tcp://head:8786 --out runs/big
   mjtactile evaluate --suite v1 --controller mine.py --episodes 50 --out runs/mine
-      all tasks, against what shipped controllers came to (docs/validation/controller_comparison.md)
-  mjtactile evaluate --suite v1 --resume --out runs/mine    compares what is there again
+      all tasks, against the shipped controllers (docs/validation/controller_comparison.md)
+  mjtactile evaluate --suite v1 --resume --out runs/mine    compares existing results again
   mjtactile evaluate --screening-sample 100 --episodes 3000 --objects random --out runs/screened
-      all of them cheaply (--effects=-mesh,-pipeline); what fails, and 100 of what holds, again in
-      full, with how often both levels differ
+      all episodes at low fidelity (--effects=-mesh,-pipeline); the failures and 100 successes
+      again at full fidelity, with the rate of differing outcomes
   mjtactile evaluate --merge runs/part1 runs/part2 --out runs/all
 """
 _OBJECTS = "egg,strawberry,vial"
@@ -51,7 +51,7 @@ _DEFAULT = Scenario(randomization="default")
 
 def _count(text: str) -> int:
     if not text.isdigit() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
+        raise argparse.ArgumentTypeError(f"{text!r} is not an integer of at least 1")
     return int(text)
 
 
@@ -70,60 +70,58 @@ ARGUMENTS = (
     arg.option(
         "--controller",
         "NAME",
-        "shipped name or FILE.py; again for each one to compare (default: gentle)",
+        "shipped name or FILE.py; repeatable, to compare controllers (default: gentle)",
         action="append",
     ),
     arg.option(
         "--objects",
         "A,B,…",
-        "shipped names, FILE.xml, 'my/*.xml', random (another thing each time), grasped in "
-        "turn (default: egg,strawberry,vial)",
+        "shipped names, FILE.xml, 'my/*.xml', random (a different object each time), grasped "
+        "in turn (default: egg,strawberry,vial)",
     ),
-    arg.option("--episodes", "N", "for each controller", 30, type=_count),
+    arg.option("--episodes", "N", "number of episodes for each controller", 30, type=_count),
     *scenario.arguments(_DEFAULT, leave_out=("object", "controller")),
     arg.option(
-        "--workers",
-        "N",
-        "processes that grasp at the same time (default: one a processor)",
-        type=_count,
+        "--workers", "N", "number of parallel processes (default: one per processor)", type=_count
     ),
     arg.option(
         "--backend",
         "B",
-        "who runs the episodes: processes (here; the default) or dask (a cluster)",
+        "executor of the episodes: processes (local; the default) or dask (a cluster)",
         "processes",
     ),
-    arg.option("--scheduler", "ADDRESS", "of the dask cluster, such as tcp://host:8786", ""),
-    arg.option("--shard", "K/N", "only the K-th of N parts", "1/1", type=_shard),
-    arg.flag("--resume", "go on with what is in the folder"),
-    arg.option("--merge", "DIR", "join parts of one evaluation instead", nargs="+", type=Path),
+    arg.option(
+        "--scheduler", "ADDRESS", "address of the dask scheduler, such as tcp://host:8786", ""
+    ),
+    arg.option("--shard", "K/N", "run only part K of N", "1/1", type=_shard),
+    arg.flag("--resume", "continue the evaluation in the folder"),
+    arg.option("--merge", "DIR", "merge parts of one evaluation instead", nargs="+", type=Path),
     arg.flag(
         "--partial",
-        "with --merge: join what is there, though episodes are missing; --resume in the new "
-        "folder runs them",
+        "with --merge: merge also if episodes are missing; --resume in the new folder runs them",
     ),
     arg.flag(
         "--record",
-        "keep each episode's recording in DIR/recordings, for `export` (100 MB an episode; 1 "
-        "without images)",
+        "keep the recording of each episode in DIR/recordings, for `export` (100 MB per "
+        "episode; 1 without images)",
     ),
     arg.option(
         "--suite",
         "SUITE",
-        "run a suite of tasks with fixed seeds (v1, or FILE.json) and compare with the "
-        "results that it comes with; with --resume, what is in the folder",
+        "run a suite of tasks with fixed seeds (v1, or FILE.json) and compare with its "
+        "included results; with --resume, use the results in the folder",
     ),
     arg.option(
         "--screening-sample",
         "N",
-        "run all episodes with --effects=-mesh,-pipeline, then its failures and N of what it "
-        "held again in full; one report of both (screen.md, screen.json)",
+        "run all episodes with --effects=-mesh,-pipeline, then repeat its failures and N of "
+        "its successes in full; one report of both (screen.md, screen.json)",
         type=_any_count,
     ),
     arg.option(
         "--worst",
         "N",
-        "episodes that the report shows with pictures: they are run again at the end",
+        "number of episodes shown with images in the report; they are run again at the end",
         10,
         type=_any_count,
     ),
@@ -131,7 +129,7 @@ ARGUMENTS = (
     arg.option(
         "--readme",
         "FILE.md",
-        "also put the table into this file, between <!-- bench:evaluate --> and <!-- /bench -->",
+        "also insert the table into this file, between <!-- bench:evaluate --> and <!-- /bench -->",
         type=Path,
     ),
 )
@@ -148,7 +146,7 @@ def _objects(text: str) -> list[str]:
         else:
             files = [name]
         if not files:
-            raise InputError("no file is called like that", source=name, field="--objects")
+            raise InputError("no file matches this pattern", source=name, field="--objects")
         found += files
     return found
 
@@ -159,7 +157,7 @@ def run(options: argparse.Namespace) -> int:
     from mjtactile.runtime.progress import Progress
 
     if options.partial and not options.merge:
-        raise InputError("is for --merge", field="--partial")
+        raise InputError("this option requires --merge", field="--partial")
     if options.suite is not None:
         return _against(options)
     if options.screening_sample is not None:
@@ -181,7 +179,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json(summary)
     else:
-        print(f"{table(summary)}\nwritten to {out}; look at {out / 'report.html'}")
+        print(f"{table(summary)}\nwritten to {out}; open {out / 'report.html'}")
     return 0
 
 
@@ -192,10 +190,14 @@ def _screen(options: argparse.Namespace) -> int:
 
     for name, left in (("merge", None), ("shard", (1, 1)), ("record", False), ("readme", None)):
         if getattr(options, name) != left:
-            raise InputError("does not go with --screening-sample", field=f"--{name}")
+            raise InputError(
+                "this option cannot be combined with --screening-sample", field=f"--{name}"
+            )
     if options.out is None:
         raise InputError(
-            "wants a folder", field="--screening-sample", choices=["--screening-sample N --out DIR"]
+            "this option requires an output folder",
+            field="--screening-sample",
+            choices=["--screening-sample N --out DIR"],
         )
     controllers = options.controller
     options.controller = None
@@ -242,7 +244,7 @@ def _against(options: argparse.Namespace) -> int:
 
     for name in _FIXED:
         if getattr(options, name) is not None:
-            raise InputError(f"the suite {options.suite!r} says that itself", field=f"--{name}")
+            raise InputError(f"the suite {options.suite!r} fixes this option", field=f"--{name}")
     if options.out is None and options.resume:
         raise InputError("which folder?", field="--resume", choices=["--resume --out DIR"])
     suite = suites.load_suite(options.suite)

@@ -17,7 +17,7 @@ Repeat the Results of the paper in simulation, from images alone:
   fig5a  load cell against estimate, 1 mm increments, cylinder; ours and dF = c dA
   fig5b  solid cylinder and sponge: line and parabola through force against deformation
   fig5c  force over time while driving in
-  fig6   15 images of 16 circles: error of the centres
+  fig6   15 images of 16 circles: error of the centers
   fig7   three objects: image, reconstruction, force field
   air    sensitivity set by pressure and amount of air"""
 EPILOG = """\
@@ -25,7 +25,7 @@ examples:
   mjtactile experiments --out runs/paper
   mjtactile experiments --only fig6,air --json
   mjtactile experiments --page docs/validation/paper.md
-      the page of the documentation, with its figures
+      writes the documentation page with its figures
 """
 NAMES = ("fig5a", "fig5b", "fig5c", "fig6", "fig7", "air")
 
@@ -40,17 +40,17 @@ def _names(text: str) -> list[str]:
 
 ARGUMENTS = (
     arg.option("--only", "NAME,…", f"which (default: {','.join(NAMES)})", list(NAMES), type=_names),
-    arg.flag("--quick", "fewer points, to see that it works"),
-    arg.out("write experiments.json, experiments.md and a figure each there"),
+    arg.flag("--quick", "use fewer points, as a quick check"),
+    arg.out("folder for experiments.json, experiments.md and one figure per experiment"),
     arg.option(
-        "--page", "FILE.md", "also write a page about them, with its figures in images/", type=Path
+        "--page", "FILE.md", "also write a Markdown page with the figures in images/", type=Path
     ),
 )
 
 
 def run(options: argparse.Namespace) -> int:
     if options.page is not None and options.page.suffix != ".md":
-        raise InputError("not a Markdown file", source=options.page, field="--page")
+        raise InputError("the file is not a Markdown file", source=options.page, field="--page")
     page_images = None if options.page is None else options.page.parent / "images" / "experiments"
     with (
         optional_folder(options.out, "experiments.json", "experiments.md") as out,
@@ -76,5 +76,8 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json(experiments.without_arrays(results))
     else:
-        print(findings.table(results) + (f"\nfigures are in {out}" if out is not None else ""))
+        print(
+            findings.table(results)
+            + ((f"\nfigures were written to {out}") if out is not None else "")
+        )
     return 0

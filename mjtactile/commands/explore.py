@@ -22,33 +22,33 @@ if TYPE_CHECKING:
     from mjtactile.explore.exploration import ExplorationGoal, ExplorationResult
 
 DESCRIPTION = """\
-Touch an unknown object at a few places, each where its surface is least known so far, and fuse
-what was felt (points, normals, curvatures, how far it gave way) into one surface that says how
-well it is known. It rests in a holder on a simulated stage that turns it over one sensor and
-lowers it until the wanted force is felt, no further."""
+Touch an unknown object at several positions, each where the estimated surface is most
+uncertain, and fuse the measurements (points, normals, curvatures, compliance) into one surface
+with its uncertainty. The object is held on a simulated stage, which turns it over one sensor
+and lowers it until the requested force is measured."""
 EPILOG = """\
 examples:
   mjtactile explore --object egg --out runs/egg_shape
       explore.html (to turn), explore.png, explore.json, surface.ply, surface.stl
   mjtactile explore --object my_fruit.xml --touches 20 --accuracy-mm 0.3 --force-N 0.2
   mjtactile explore --object egg --out runs/egg_shape --touches 20 --resume
-      goes on where it ended, or was interrupted: touched.jsonl has every touch
+      continues a finished or interrupted run; touched.jsonl stores every touch
   mjtactile explore --setup gripper --object egg --touches 8 --out runs/egg_grip
-      the simulated hand grips it where it stands, at other heights and turns
+      the simulated gripper grasps it where it stands, at different heights and yaw angles
   mjtactile explore --rig my_gripper.toml --touches 4 --out runs/mine
   mjtactile explore --rig my_gripper.toml --touches 8 --rotation-deg 90 --resume --out runs/mine
-      a real or an emulated hand grips it at up to four heights; then you turn the object
+      a real or an emulated gripper grasps it at up to four heights; then you turn the object
   mjtactile explore --input runs/egg_shape --input runs/probe --out runs/both
-      fuses what was touched before; touches nothing. Recorded grips of any rig of two fingers
-      (`probe`, `grasp` or `explore --out`, `record`) count as grips of the same object, turned
-      by --rotation-deg; of recorded presses (`record --protocol`) each is a place that was touched
+      fuses earlier touches without new ones. Recorded grips of any two-finger rig (`probe`,
+      `grasp` or `explore --out`, `record`) count as grips of the same object, turned by
+      --rotation-deg; each recorded load of `record --protocol` counts as one touch
 
-Places are mm in the holder's frame. The surface is a body (an ellipsoid, a cylinder, a cone's
-stump, a box, or a freer one: the evidence says which) and a Gaussian process of what it leaves
-over; needs manifold3d:
-pip install 'mjtactile[explore]'. What ends with _true only a simulation knows.
-exit codes: 0 explored, 1 nothing was found, 2 bad input, 3 interrupted (what was touched is
-kept) or the simulation failed.
+Positions are in mm in the holder's frame. The surface is a parametric shape (ellipsoid,
+cylinder, truncated cone, box, or a free form, selected by evidence) plus a Gaussian process of
+the residual; needs manifold3d: pip install 'mjtactile[explore]'. Keys that end in _true exist
+only in simulation.
+exit codes: 0 explored, 1 nothing was found, 2 bad input, 3 interrupted (touches are kept) or
+the simulation failed.
 """
 _RESULTS = ("explore.json", "explore.html", "explore.png", "surface.ply", "surface.stl")
 _TOUCHED = "touched.jsonl"
@@ -61,23 +61,23 @@ ARGUMENTS = (
     arg.choice(
         "--setup",
         ["stage", "gripper"],
-        "what holds it: a simulated stage that turns it over one sensor (default), or the "
-        "fingers of --rig, two, which grip it where it stands, at other heights and, in a "
-        "simulation, turns (default where a --rig is named)",
+        "carrier: a simulated stage that turns the object over one sensor (default), or the "
+        "two fingers of --rig, which grasp it where it stands, at different heights and, in "
+        "simulation, yaw angles (default if --rig is given)",
     ),
-    arg.option("--touches", "N", "touch at most so often", 12, type=int),
+    arg.option("--touches", "N", "maximum number of touches", 12, type=int),
     arg.option(
         "--accuracy-mm",
         "MM",
-        "stop as soon as the surface is believed to be known to so much, root mean square "
-        "(default: touch as often as --touches says)",
+        "stop when the estimated sd of the surface is below this value, root mean square "
+        "(default: use all --touches)",
         0.0,
         type=numeric_options.finite,
     ),
     arg.option(
         "--force-N",
         "N",
-        "press up to this felt force, at most; half of what breaks it is refused",
+        "maximum estimated contact force; above half of the object's breaking force it is refused",
         0.3,
         dest="force",
         type=numeric_options.finite,
@@ -85,22 +85,20 @@ ARGUMENTS = (
     arg.repeated(
         "--input",
         "RUN",
-        "fuse what an earlier exploration touched, or a recorded grip, in place of touching; "
-        "may be repeated",
+        "fuse an earlier exploration or a recorded grip instead of touching; repeatable",
         dest="sources",
         type=Path,
     ),
     arg.repeated(
         "--rotation-deg",
         "DEG",
-        "how far somebody has turned the object about the vertical, counter-clockwise from "
-        "above, since the first grips: of a real or an emulated rig, or of each --input in "
-        "turn (default: 0)",
+        "rotation of the object about the vertical since the first grips, counter-clockwise "
+        "from above: of a real or an emulated rig, or of each --input in turn (default: 0)",
         dest="turns",
         type=numeric_options.finite,
     ),
-    arg.flag("--resume", "go on with the exploration in --out"),
-    arg.out("write the surface, its page and its JSON there"),
+    arg.flag("--resume", "continue the exploration in --out"),
+    arg.out("folder for the surface, its HTML report and its JSON"),
 )
 
 
@@ -116,15 +114,15 @@ def run(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace) -> None:
     if options.touches < 1:
-        raise InputError(f"{options.touches} is not a number from 1 up", field="--touches")
+        raise InputError(f"{options.touches} is below 1", field="--touches")
     if not 0.1 <= options.force <= 2:
-        raise InputError(f"{options.force:g} is not within 0.1 and 2 N", field="--force-N")
+        raise InputError(f"{options.force:g} N is outside 0.1 to 2 N", field="--force-N")
     if options.accuracy_mm < 0:
         raise InputError(f"{options.accuracy_mm:g} is below 0", field="--accuracy-mm")
     if options.sources and options.resume:
-        raise InputError("say either what to fuse or what to go on with", field="--input")
+        raise InputError("--input cannot be combined with --resume", field="--input")
     if options.resume and (options.out is None or not (options.out / _TOUCHED).is_file()):
-        raise InputError(f"needs --out DIR with {_TOUCHED} in it", field="--resume")
+        raise InputError(f"this option requires --out DIR with {_TOUCHED} in it", field="--resume")
 
 
 def _in(options: argparse.Namespace, out: Path | None) -> int:
@@ -160,7 +158,9 @@ def _fused(options: argparse.Namespace) -> tuple[ExplorationResult, dict[str, An
             yaw = math.radians(turns[number])
             patches += patches_of_recording(load_recording(source), 1000 * (number + 1), yaw)
     if not patches:
-        raise InputError("nothing was touched there", source=options.sources[0], field="--input")
+        raise InputError(
+            "the inputs contain no touches", source=options.sources[0], field="--input"
+        )
     if options.out is not None:
         kept = PatchStore(options.out / _TOUCHED)
         for patch in patches:
@@ -203,7 +203,7 @@ def _holder(options: argparse.Namespace, wanted: Scenario) -> str:
 
     if options.setup == "stage" and wanted.rig != "sim":
         raise InputError(
-            f"the stage is simulated, and no part of the rig {wanted.rig!r}",
+            f"the stage is simulated and cannot be used with the rig {wanted.rig!r}",
             field="--setup",
             choices=["--setup gripper"],
         )
@@ -213,8 +213,8 @@ def _holder(options: argparse.Namespace, wanted: Scenario) -> str:
         on = "gripper" if is_simulated(wanted) else "hand"
     if len(options.turns) > (on == "hand"):
         raise InputError(
-            "says how somebody turned the object of a real or an emulated rig, once, or of each "
-            "--input; a simulation turns it by itself",
+            "too many rotations are given: one applies to the object of a real or an "
+            "emulated rig, or to each --input; a simulation turns the object itself",
             field="--rotation-deg",
         )
     return on
@@ -277,18 +277,18 @@ def _print(summary: dict[str, Any], out: Path | None) -> None:
     print(f"  size         {size} mm, {summary['volume_mL']:.1f} mL")
     body = summary["body"]
     likely = summary["body_probabilities"][body]
-    print(f"  body         {body}, with a probability of {likely:.2f}")
+    print(f"  shape        {body}, probability {likely:.2f}")
     print(
-        f"  known to     {summary['surface_sd_mm']:.2f} mm, where it is least known "
+        f"  surface sd   {summary['surface_sd_mm']:.2f} mm, maximum "
         f"{summary['surface_sd_worst_mm']:.2f} mm"
     )
     if summary["stiffness_N_m"] == summary["stiffness_N_m"]:
-        print(f"  stiffness    {summary['stiffness_N_m']:.0f} N/m where it was touched")
+        print(f"  stiffness    {summary['stiffness_N_m']:.0f} N/m at the touched positions")
     elif summary["stiffness_least_N_m"] == summary["stiffness_least_N_m"]:
         print(f"  stiffness    above {summary['stiffness_least_N_m']:.0f} N/m")
     if "surface_error_mm_true" in summary:
         print(
-            f"  truly off by {summary['surface_error_mm_true']:.2f} mm, size by "
+            f"  true error   {summary['surface_error_mm_true']:.2f} mm, of the size "
             f"{100 * summary['size_error_true']:.1f} %"
         )
     print_flags(summary["flags"])

@@ -13,18 +13,18 @@ from mjtactile.runtime.progress import Progress
 
 SIMULATES = False
 DESCRIPTION = """\
-Write recordings in a format that others read: LeRobotDataset v3 for learning, MCAP with
-Foxglove's schemas, a ROS 2 bag, or Rerun's own files, which are to be looked at. Of the
-others, nothing that a format can hold is left out: images, felt wrenches with their standard
-deviations, states, commands, units, frames, calibrations, and why a value is unknown. Where a
-recording has all of its images, the membrane's surface and its markers are worked out again
+Write recordings in the format of other tools: LeRobotDataset v3 for learning, MCAP with
+Foxglove's schemas, a ROS 2 bag, or Rerun files for viewing. Except for Rerun, the export
+contains all data that the format supports: images, estimated wrenches with their standard
+deviations, states, commands, units, frames, calibrations, and the reasons for unknown values.
+For a recording with all of its images, the membrane surface and its markers are computed again
 from them."""
 EPILOG = """\
 examples:
   mjtactile grasp --out runs/egg && mjtactile export runs/egg --format lerobot --out data/egg
   mjtactile export runs/many --format lerobot --images png --out data/many
-      each recording below is an episode
-  mjtactile export runs/egg --format mcap --out data/egg_mcap                a file an episode
+      each recording in the folder is an episode
+  mjtactile export runs/egg --format mcap --out data/egg_mcap              one file per episode
   mjtactile export runs/egg --format rerun --out data/egg_rrd && rerun data/egg_rrd/*.rrd
   mjtactile export runs/egg --format rosbag2 --out data/egg_bag
       ros2 bag play data/egg_bag/episode_000000
@@ -43,20 +43,20 @@ _WRITTEN = ("meta", "data", "episode_000000", "episode_000000.mcap", "episode_00
 
 ARGUMENTS = (
     arg.positional(
-        "source", "RUN", "a recording, a run, or a folder of these, each an episode", type=Path
+        "source", "RUN", "recording, run, or folder of these; each is an episode", type=Path
     ),
-    arg.choice("--format", FORMATS, "what to write", required=True),
+    arg.choice("--format", FORMATS, "output format", required=True),
     arg.out("folder for the data set; nothing is overwritten", required=True),
     arg.choice(
         "--images",
         ("video", "png", "none"),
-        "lerobot: every pixel in H.264 (default), PNG in the parquet files, or no images",
+        "lerobot: lossless H.264 (default), PNG in the parquet files, or no images",
         "video",
     ),
     arg.option(
-        "--crf", "N", "lerobot: H.264's loss: 0 none (default), 18-30 small files", 0, type=int
+        "--crf", "N", "lerobot: H.264 quality: 0 lossless (default), 18-30 small files", 0, type=int
     ),
-    arg.option("--task", "TEXT", 'lerobot: what was to be done (default: "grasp the OBJECT")'),
+    arg.option("--task", "TEXT", 'lerobot: description of the task (default: "grasp the OBJECT")'),
 )
 
 
@@ -115,6 +115,6 @@ def _need(name: str) -> None:
     missing = [module for module in modules if importlib.util.find_spec(module) is None]
     if missing:
         raise InputError(
-            f"{name!r} needs {', '.join(missing)}: pip install 'mjtactile[{extra}]'",
+            f"{name!r} requires {', '.join(missing)}: pip install 'mjtactile[{extra}]'",
             field="--format",
         )

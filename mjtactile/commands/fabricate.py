@@ -12,14 +12,14 @@ from mjtactile.recording.files import write_json
 from mjtactile.runtime.progress import Progress
 
 DESCRIPTION = """\
-Write all that a bench needs to build the sensor of a sensor file: the marker pattern at 1:1,
-shrunk by the pre-stretch (markers.svg, stencil.svg, markers.pdf), the board for `calibrate
-camera`, frame, clamping ring, glass seat, camera mount and a stretching jig as STEP and STL,
-the LED ring, a bill of materials and assembly.md with a picture for each step.
+Write all files needed to build the sensor of a sensor file: the marker pattern at 1:1, shrunk
+by the pre-stretch (markers.svg, stencil.svg, markers.pdf), the board for `calibrate camera`,
+frame, clamping ring, glass seat, camera mount and a stretching jig as STEP and STL, the LED
+ring, a bill of materials and assembly.md with a figure for each step.
 
-Checked first, with the simulator: the camera sees every marker flat, inflated and pressed, sharp
-and without smear; markers, walls, bolts and pane are what can be built; parts do not
-intersect. What cannot be built is refused with the number that is wrong and its limit, and
+The simulator first checks the design: the camera sees every marker of the flat, inflated and
+indented membrane, sharp and without smear; markers, walls, bolts and glass can be manufactured;
+parts do not intersect. A design that fails is refused with the wrong number and its limit, and
 nothing is written."""
 EPILOG = """\
 examples:
@@ -28,9 +28,9 @@ examples:
   mjtactile fabricate dense --out build --pixel-um 3.45 --camera-holes-mm 32 --lens-mm 16
   mjtactile fabricate dense --out build --markers discs
       stiff discs, which keep their size when the rubber is stretched
-  mjtactile fabricate dense --out build --speed-mm-s 100     a shorter exposure, and more light
+  mjtactile fabricate dense --out build --speed-mm-s 100     shorter exposure, more light
 
-Begin with README.md in the folder. Lengths in it are mm; parts are in the sensor's frame (z
+Start with README.md in the folder. Lengths are in mm; parts are in the sensor's frame (z
 outward, membrane at 0). Needs `pip install 'mjtactile[fabrication]'`. More:
 `mjtactile docs fabricate`.
 JSON: {"sensor": …, "out": …, "files": [...], "checks": {what: result}, "optics": {…},
@@ -48,36 +48,43 @@ _RANGES = {
 }
 
 ARGUMENTS = (
-    arg.positional("sensor", "NAME|FILE.toml", "the sensor: a shipped name or a file"),
-    arg.out("folder for everything; nothing is overwritten", required=True),
+    arg.positional("sensor", "NAME|FILE.toml", "sensor: a shipped name or a file"),
+    arg.out("folder for all files; nothing is overwritten", required=True),
     arg.choice(
         "--markers",
         ("ink", "discs"),
-        "elastic ink, stretched with the rubber (default), or discs that keep their size",
+        "elastic ink that stretches with the rubber (default), or discs that keep their size",
         "ink",
     ),
     arg.option(
         "--press-mm",
         "D",
-        "deepest press that the camera must see (default: 4, or a quarter of chamber or "
-        "frame where that is less)",
+        "maximum indentation that the camera must see (default: 4, or a quarter of chamber "
+        "or frame if smaller)",
         type=float,
     ),
     arg.option(
         "--speed-mm-s",
         "V",
-        "speed of a marker that smears by 0.05 px (default: 25, as controllers/gentle.py closes)",
+        "speed of a marker that smears by 0.05 px (default: 25, the closing speed of "
+        "controllers/gentle.py)",
         25.0,
         type=float,
     ),
-    arg.option("--pixel-um", "P", "of the camera", 3.0, type=float),
+    arg.option("--pixel-um", "P", "pixel pitch of the camera", 3.0, type=float),
     arg.option(
         "--f-number", "N", "of the lens (default: the widest that is sharp enough)", type=float
     ),
-    arg.option("--camera-holes-mm", "A", "between the camera board's M2 holes", 28.0, type=float),
-    arg.option("--lens-mm", "D", "diameter of the lens's barrel or holder", 14.0, type=float),
     arg.option(
-        "--pupil-mm", "B", "camera board's front to the lens's entrance pupil", 12.0, type=float
+        "--camera-holes-mm", "A", "spacing of the camera board's M2 holes", 28.0, type=float
+    ),
+    arg.option("--lens-mm", "D", "diameter of the lens barrel or holder", 14.0, type=float),
+    arg.option(
+        "--pupil-mm",
+        "B",
+        "distance from the front of the camera board to the lens's entrance pupil",
+        12.0,
+        type=float,
     ),
 )
 
@@ -122,5 +129,5 @@ def run(options: argparse.Namespace) -> int:
     else:
         for what, result in made.report["checks"].items():
             print(f"{what}: {result}")
-        print(f"{len(made.files) + 1} files: begin with {options.out / 'README.md'}")
+        print(f"{len(made.files) + 1} files were written: start with {options.out / 'README.md'}")
     return 0

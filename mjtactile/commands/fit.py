@@ -14,11 +14,11 @@ from mjtactile.recording.files import write_json
 from mjtactile.runtime.progress import Progress
 
 DESCRIPTION = """\
-Find what a sensor is made of from recordings of it: modulus and pre-stretch of its sheet,
-friction, gas volume, leak, heat exchange, blur, noise and light. The simulator does again
-what was done in the recordings, until its markers and pressures are where the recorded ones
-are. Each number comes with its interval; what the recordings do not tell stays as the file
-has it, with what to record for it."""
+Identify the properties of a sensor from its recordings: modulus and pre-stretch of the
+membrane, friction, gas volume, leak, heat exchange, blur, noise and light. The recorded motions
+are repeated in the simulator and its parameters adjusted until markers and pressures agree with
+the recorded ones. Each value has an interval; parameters that the recordings do not determine
+keep the value of the file, with the recording that would determine them."""
 EPILOG = """\
 examples, of a sensor on a bench (`--rig stage` is a simulated one, for practice):
   mjtactile record --rig my_gripper.toml --pressure-kPa 0.5 --protocol press --indenter sphere:8 \\
@@ -35,17 +35,17 @@ examples, of a sensor on a bench (`--rig stage` is a simulated one, for practice
       --recording runs/still --held-out runs/other --out my_sensor.toml
   mjtactile fit --recording runs/press_3 --fix membrane.thickness_mm=0.31 --out my_sensor.toml
 
-Writes FILE.toml, which loads everywhere a sensor file does, and beside it FILE.fit.json,
-FILE.fit.txt and FILE.fit.png. It sees images, pressures, times, and what the recording says
-was done (docs/how-to/identify.md); neither forces felt nor any truth. exit codes: 0 fitted, 2 bad
-input, 3 the simulation failed.
+Writes FILE.toml, a sensor file, and next to it FILE.fit.json, FILE.fit.txt and FILE.fit.png.
+The fit uses images, pressures, times, and the recorded motions (docs/how-to/identify.md), but
+neither estimated forces nor ground truth. exit codes: 0 fitted, 2 bad input, 3 the simulation
+failed.
 """
 
 ARGUMENTS = (
     arg.option(
         "--recording",
         "DIR",
-        "of `mjtactile record`; give it again for each",
+        "recording of `mjtactile record`; repeatable",
         type=Path,
         action="append",
         required=True,
@@ -53,30 +53,28 @@ ARGUMENTS = (
     arg.repeated(
         "--held-out",
         "DIR",
-        "a recording that is not fitted to but predicted, for a check; may be given again",
+        "recording that is not fitted but predicted, as a check; repeatable",
         type=Path,
     ),
     arg.option(
         "--relaxation",
         "DIR",
-        "a recording with a pressure sensor in which the membrane stands free for 10 s or "
-        "more, after inflating or a press: how its stress fades is found from it, too",
+        "recording with a pressure sensor and 10 s or more without contact, after inflation "
+        "or a load; the stress relaxation is fitted to it",
         type=Path,
     ),
-    arg.out("the sensor file to write", "FILE.toml", required=True),
-    arg.sensor(
-        "the sensor file to begin from (default: that of the recordings)", default=None, type=Path
-    ),
-    arg.option("--finger", "NAME", "which finger of the recordings", "left"),
+    arg.out("sensor file to write", "FILE.toml", required=True),
+    arg.sensor("initial sensor file (default: that of the recordings)", default=None, type=Path),
+    arg.option("--finger", "NAME", "finger of the recordings", "left"),
     arg.repeated(
         "--fix",
         "FIELD=VALUE",
-        "measured by hand, such as membrane.thickness_mm=0.31; may be given again",
+        "value measured by hand, such as membrane.thickness_mm=0.31; repeatable",
     ),
     arg.option(
         "--first-contact-sd-mm",
         "D",
-        "how well the mark of first touch is known, sd",
+        "standard deviation of the marked position of first contact",
         0.05,
         dest="touch",
         type=float,
@@ -91,7 +89,7 @@ def run(options: argparse.Namespace) -> int:
     from mjtactile.fit.result import to_table
 
     if options.out.suffix != ".toml":
-        raise InputError("is not NAME.toml", source=options.out, field="--out")
+        raise InputError("the name does not end in .toml", source=options.out, field="--out")
     if not 1e-4 <= options.touch <= 10:
         raise InputError(
             f"{options.touch:g} is outside 0.0001 to 10", field="--first-contact-sd-mm"
@@ -101,7 +99,7 @@ def run(options: argparse.Namespace) -> int:
     for path in (options.out, *files.values()):
         require_new(path)
     if not options.out.parent.is_dir():
-        raise InputError("no such folder", source=options.out.parent, field="--out")
+        raise InputError("the folder does not exist", source=options.out.parent, field="--out")
     with stdout_to_stderr():
         result = fit_recordings(
             options.recording,
@@ -143,6 +141,7 @@ def _known(text: str) -> tuple[str, float]:
         value = math.nan
     if not math.isfinite(value):
         raise InputError(
-            f"{text!r} is not FIELD=NUMBER, such as membrane.thickness_mm=0.31", field="--fix"
+            f"{text!r} does not have the form FIELD=NUMBER, such as membrane.thickness_mm=0.31",
+            field="--fix",
         )
     return field.strip(), value

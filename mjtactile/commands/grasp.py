@@ -39,9 +39,9 @@ if TYPE_CHECKING:
     from mjtactile.report.figure_process import FigureWriter
 
 DESCRIPTION = """\
-Close a gripper on an object, feel the touch through the membrane camera of each finger,
+Close a gripper on an object, estimate the contact through the membrane camera of each finger,
 regulate the force, lift, hold for 2 s, set down. Writes a folder with summary.json,
-summary.png, summary.html (to zoom, turn and send; needs no network) and a recording."""
+summary.png, summary.html (zoomable and rotatable; works offline) and a recording."""
 EPILOG = """\
 examples:
   mjtactile grasp
@@ -49,21 +49,21 @@ examples:
   mjtactile grasp --object my_fruit.xml --controller my_controller.py --out runs/fruit
   mjtactile grasp --scenario my_scene.toml         `mjtactile new scenario my_scene` writes one
   mjtactile grasp --scenario runs/egg/summary.json --seed 4
-      the same again, but for the seed
+      the same run with another seed
   mjtactile grasp --json > result.json
   mjtactile grasp --video egg.mp4
-      scene, cameras and forces, in step with the simulated time
+      scene, cameras and forces, synchronized with the simulated time
   mjtactile grasp --live rerun             watch it in Rerun; foxglove: in Foxglove
-  mjtactile grasp --live rerun:egg.rrd     or keep it, to look at later
-  mjtactile grasp --workers 0              all in one process: the same numbers
+  mjtactile grasp --live rerun:egg.rrd     or store it for later
+  mjtactile grasp --workers 0              all in one process: same results
 
-The result (--json, summary.json) says: outcome ("held", "dropped", "crushed", "fault"; on
-a rig without truth "not set down": ended with the hand up and something in it),
-peak_force_N and hold_force_N as felt, peak_force_true_N, hold_force_true_N and slip_mm_true
-as they were (simulation only), real_time_factor, frames, perception_ms_median, object,
-sensor, controller, seed, the whole "scenario"; "flags", what makes the simulation's numbers
-worse than usual (kind to reason, docs/validation/limitations.md); a "reason" where it is
-known. exit codes: 0 held, 1 dropped, crushed or not set down, 2 bad input, 3 a device or the
+The result (--json, summary.json) contains: outcome ("held", "dropped", "crushed", "fault"; on
+a rig without ground truth "not set down": the run ended with a loaded, raised gripper),
+peak_force_N and hold_force_N (estimated), peak_force_true_N, hold_force_true_N and slip_mm_true
+(ground truth, simulation only), real_time_factor, frames, perception_ms_median, object, sensor,
+controller, seed, the whole "scenario"; "flags", the conditions that reduce the accuracy of the
+simulation (kind to reason, docs/validation/limitations.md); a "reason" if known.
+exit codes: 0 held, 1 dropped, crushed or not set down, 2 bad input, 3 a device or the
 simulation failed, or Ctrl-C.
 """
 EXIT_CODES = {"held": 0, "dropped": 1, "crushed": 1, "not set down": 1, "fault": 3}
@@ -82,7 +82,7 @@ _MEASURED = (
 
 def _count(text: str) -> int:
     if text not in tuple("012345678"):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 to 8")
+        raise argparse.ArgumentTypeError(f"{text!r} is not an integer from 0 to 8")
     return int(text)
 
 
@@ -93,24 +93,24 @@ ARGUMENTS = (
     arg.option(
         "--workers",
         "N",
-        "what looks at the camera images beside the control loop: processes beside a "
-        "simulated world, threads on a real rig; at most one a camera, the same result with "
-        "any number (default: one a camera as far as there are processors for them)",
+        "number of workers that process camera images in parallel to the control loop: "
+        "processes in simulation, threads on a real rig; at most one per camera; the result "
+        "does not depend on it (default: one per camera, limited by the processors)",
         type=_count,
     ),
     numeric_options.FRAMES,
     arg.option(
         "--video",
         "FILE",
-        "film it, too: .mp4, .gif or .webp (pip install 'mjtactile[video]')",
+        "also write a video: .mp4, .gif or .webp (pip install 'mjtactile[video]')",
         type=Path,
     ),
     arg.option(
         "--live",
         "VIEWER",
-        "show it while it happens: rerun (the viewer that is open, or a new one), "
+        "show the run live: rerun (the open viewer, or a new one), "
         "rerun+http://HOST:9876/proxy, foxglove (it connects to ws://localhost:8765), "
-        "foxglove:PORT, or into rerun:FILE.rrd, foxglove:FILE.mcap (pip install "
+        "foxglove:PORT, or write rerun:FILE.rrd, foxglove:FILE.mcap (pip install "
         "'mjtactile[live]')",
     ),
     arg.out("folder for the results (default: runs/<time>-<object>)"),
@@ -153,7 +153,9 @@ def _live_views(target: str | None, progress: Progress) -> Iterator[list[Observe
     with LiveView(target, progress.message) as live:
         yield [live]
     if live.left_out:
-        progress.message(f"--live: {live.left_out} cycles were left out: the viewer was behind")
+        progress.message(
+            f"--live: {live.left_out} cycles were left out because the viewer was too slow"
+        )
 
 
 def _run_and_report(
@@ -221,19 +223,19 @@ def _check_video(path: Path | None, frames: int) -> None:
         return
     if path.suffix not in (".mp4", ".gif", ".webp"):
         raise InputError(
-            f"{path.suffix or 'no suffix'!r} is no film that can be written",
+            f"{path.suffix or 'no suffix'!r} is not a supported video format",
             source=path,
             field="--video",
             choices=[".mp4", ".gif", ".webp"],
         )
     if not path.parent.is_dir():
-        raise InputError("no such folder", source=path.parent, field="--video")
+        raise InputError("the folder does not exist", source=path.parent, field="--video")
     if not video.is_own(path):
         require_new(path, "--video")
     if find_spec("av") is None:
         raise InputError("PyAV is not installed: pip install 'mjtactile[video]'", field="--video")
     if not frames:
-        raise InputError("a film needs the images", field="--frames")
+        raise InputError("a video needs the images", field="--frames")
 
 
 def _report_fault(
@@ -258,10 +260,7 @@ def _report_fault(
     with contextlib.redirect_stdout(sys.stderr):
         print_flags(recorder.flags)
     if recorder.cycles:
-        print(
-            f"mjtactile: {recorder.cycles} cycles were recorded and are kept in {out}",
-            file=sys.stderr,
-        )
+        print(f"mjtactile: {recorder.cycles} recorded cycles are kept in {out}", file=sys.stderr)
 
 
 def _write_report(
@@ -277,7 +276,7 @@ def _write_report(
     except (MjtactileError, OSError) as error:
         problems = [error]
     for problem in problems:
-        print(f"mjtactile: warning: the report is not complete: {problem}", file=sys.stderr)
+        print(f"mjtactile: warning: the report is incomplete: {problem}", file=sys.stderr)
 
 
 def _print_summary(summary: dict[str, Any], out: Path) -> None:
@@ -291,22 +290,25 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
     if summary.get("reason"):
         print(f"  because   {summary['reason']}")
     print(
-        f"  holding   {newton('hold_force_N')} on each finger (true {newton('hold_force_true_N')})"
+        f"  hold      {newton('hold_force_N')} on each finger (ground truth "
+        f"{newton('hold_force_true_N')})"
     )
-    print(f"  at most   {newton('peak_force_N')} (true {newton('peak_force_true_N')})")
+    print(f"  peak      {newton('peak_force_N')} (ground truth {newton('peak_force_true_N')})")
     for name, text in fidelity_notes(summary).items():
         print(f"  {name:<9} {text}")
     if math.isfinite(summary["slip_mm_true"]):
-        print(f"  slipped   {summary['slip_mm_true']:.2f} mm (true)")
+        print(f"  slip      {summary['slip_mm_true']:.2f} mm (ground truth)")
     if "force_error_estimate_N" in summary:
         print(
-            "  estimate  the simulated force is off by about "
+            "  estimate  force error of the simulation about "
             f"{1e3 * summary['force_error_estimate_N']:.0f} mN"
         )
     print_flags(summary["flags"])
     speed = summary["real_time_factor"]
     spent = summary["perception_ms_median"]
-    print(f"  speed     {speed:.2f} x real time; perception takes {spent:.1f} ms a cycle (median)")
+    print(
+        f"  speed     {speed:.2f} x real time; perception takes {spent:.1f} ms per cycle (median)"
+    )
     results = [
         name for name in ("summary.html", "summary.png", "summary.json") if (out / name).exists()
     ]

@@ -14,18 +14,18 @@ from mjtactile.recording.files import write_json
 from mjtactile.runtime.progress import Progress
 
 DESCRIPTION = """\
-Connect the chamber to a supply at each pressure, let the simulated membrane settle, and
-report its height, volume, area and stretch, and the height that theory gives the same sheet of any
-outline (Ritz's method, docs/theory/closed_forms.md, Eq. M8)."""
+Connect the chamber to a supply at each pressure and let the simulated membrane settle. Report
+its height, volume, area and stretch, and the theoretical height of the same membrane for any
+outline (Ritz method, docs/theory/closed_forms.md, Eq. M8)."""
 EPILOG = """\
 examples:
   mjtactile inflate --sensor dense --pressure-kPa 1
   mjtactile inflate --sensor my_sensor.toml --pressure-kPa 0:4:0.5 --out runs/bulge
 
 JSON: {"sensor": …, "steps": [{"pressure_kPa", "centre_height_mm", "volume_mL" (gas in
-chamber and bulge), "area_mm2", "max_stretch" (against the free sheet), "theory_height_mm"
-(null where the rubber cannot hold the pressure), "converged"}], "flags": {kind of doubt:
-reason}}
+chamber and bulge), "area_mm2", "max_stretch" (relative to the unstretched membrane),
+"theory_height_mm" (null where the rubber cannot hold the pressure), "converged"}], "flags":
+{kind of flag: reason}}
 """
 
 ARGUMENTS = (
@@ -38,7 +38,7 @@ ARGUMENTS = (
         type=numeric_options.numbers,
         required=True,
     ),
-    arg.out("write inflate.json and inflate.png there"),
+    arg.out("folder for inflate.json and inflate.png"),
 )
 
 
@@ -79,7 +79,7 @@ def _print_table(result: dict[str, Any], out: Path | None) -> None:
         )
     print_flags(result["flags"])
     if out is not None:
-        print(f"inflate.json and inflate.png are in {out}")
+        print(f"inflate.json and inflate.png were written to {out}")
 
 
 def _draw(figure: Any, result: dict[str, Any]) -> None:
@@ -90,7 +90,7 @@ def _draw(figure: Any, result: dict[str, Any]) -> None:
     axes.plot(pressures, [s["centre_height_mm"] for s in steps], "o", ms=5, label="simulated")
     axes.set(
         xlabel="gauge pressure, kPa",
-        ylabel="height of the middle, mm",
+        ylabel="height at the center, mm",
         title=f"bulge test, sensor {result['sensor']}",
     )
     axes.legend()

@@ -14,8 +14,8 @@ from mjtactile.core import resources
 
 SIMULATES = False
 DESCRIPTION = """\
-Write a copy of a shipped controller, sensor, object, scenario, task, variation or rig file, with
-its comments, under your own name, and say what to run next. An existing file is never
+Write a copy of a shipped controller, sensor, object, scenario, task, variation or rig file,
+with its comments, under your own name, and print the next command. An existing file is never
 overwritten."""
 EPILOG = """\
 examples:
@@ -24,11 +24,11 @@ examples:
   mjtactile new sensor my_sensor --template dense_fiducials
   mjtactile new object plum --template strawberry
   mjtactile new object thing --template random:7
-  mjtactile new scenario my_scene          what `grasp --scenario my_scene.toml` runs
-  mjtactile new task juggle --template shake   what `grasp --task ./juggle.toml` does
-  mjtactile new variation my_world         what `evaluate --randomization my_world.toml` draws from
+  mjtactile new scenario my_scene          for `grasp --scenario my_scene.toml`
+  mjtactile new task juggle --template shake   for `grasp --task ./juggle.toml`
+  mjtactile new variation my_world         for `evaluate --randomization my_world.toml`
   mjtactile new rig my_gripper --template one_xl330_linkage
-  mjtactile new rig my_arm --template sim_arm  my_arm.toml, and the robot in it, my_arm.xml
+  mjtactile new rig my_arm --template sim_arm  my_arm.toml, and its robot, my_arm.xml
 """
 
 
@@ -90,11 +90,11 @@ _MODEL = r'(?m)^(model = )"([^"]+\.xml)"'
 
 ARGUMENTS = (
     arg.positional("kind", "KIND", ", ".join(KINDS), choices=list(KINDS)),
-    arg.positional("name", "NAME", "its name, or the path of the file to write", type=Path),
+    arg.positional("name", "NAME", "name, or path of the file to write", type=Path),
     arg.option(
         "--template",
         "SHIPPED",
-        "what to copy (default: "
+        "shipped file to copy (default: "
         + ", ".join(f"{kind.like} for a {name}" for name, kind in KINDS.items())
         + ")",
     ),
@@ -132,8 +132,9 @@ def run(options: argparse.Namespace) -> int:
         print_json({"file": path, "files": list(files), "like": source.stem, "next": what_next})
     else:
         print(
-            f"{', '.join(map(str, files))}: a copy of {source.stem}; change it, then\n  "
-            f"{what_next}\n  mjtactile docs {page}"
+            f"{', '.join(map(str, files))}: copied from {source.stem}; edit it, then run\n"
+            f"  {what_next}\n"
+            f"  mjtactile docs {page}"
         )
     return 0
 
@@ -149,14 +150,14 @@ def _write(path: Path, text: str) -> None:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
     except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror}", source=path) from error
+        raise InputError(f"the file cannot be written: {error.strerror}", source=path) from error
 
 
 def _shipped(kind: Kind, like: str) -> Path:
     """The shipped file of that name; a user's own file can be copied by other means."""
     if like not in resources.names(kind.folder, kind.suffix):
         raise InputError(
-            f"{like!r} does not ship",
+            f"{like!r} is not a shipped file",
             field="--template",
             choices=[
                 *resources.names(kind.folder, kind.suffix),

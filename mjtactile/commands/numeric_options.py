@@ -19,7 +19,7 @@ def numbers(text: str) -> list[float]:
     except ValueError:
         values = []
     if len(values) not in (1, 3) or not all(math.isfinite(value) for value in values):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number or a range A:B:STEP")
+        raise argparse.ArgumentTypeError(f"{text!r} is neither a number nor a range A:B:STEP")
     if len(values) == 1:
         return values
     start, stop, step = values
@@ -29,7 +29,9 @@ def numbers(text: str) -> list[float]:
         )
     count = math.floor((stop - start) / step + 1e-9) + 1
     if count > MAX_STEPS:
-        raise argparse.ArgumentTypeError(f"{text!r} has {count} steps, at most {MAX_STEPS}")
+        raise argparse.ArgumentTypeError(
+            f"{text!r} has {count} steps; at most {MAX_STEPS} are allowed"
+        )
     return [start + i * step for i in range(count)]
 
 
@@ -68,8 +70,8 @@ def frames(text: str) -> int:
 FRAMES = arg.option(
     "--frames",
     "none|every:N|all",
-    "camera images to keep in the recording: of no cycle, of every N-th, of all "
-    "(default). Without all of them it cannot be replayed; two cameras take 9 MB a second",
+    "camera images kept in the recording: none, of every N-th cycle, or all (default). "
+    "Without all of them it cannot be replayed; two cameras take 9 MB per second",
     1,
     type=frames,
 )

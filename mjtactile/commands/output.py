@@ -28,7 +28,8 @@ def output_folder(path: Path, *results: str) -> Iterator[Path]:
     taken = [name for name in results if (path / name).exists()]
     if taken:
         raise InputError(
-            f"holds {taken[0]} already, and nothing is overwritten; name another folder",
+            f"the folder already contains {taken[0]}, and nothing is overwritten; choose "
+            "another folder",
             source=path,
             field="--out",
         )
@@ -39,7 +40,7 @@ def output_folder(path: Path, *results: str) -> Iterator[Path]:
                 pass
         except OSError as error:
             raise InputError(
-                f"cannot be written: {error.strerror}", source=path, field="--out"
+                f"the file cannot be written: {error.strerror}", source=path, field="--out"
             ) from error
         yield path
 
@@ -47,7 +48,7 @@ def output_folder(path: Path, *results: str) -> Iterator[Path]:
 def require_new(path: Path, field: str = "--out") -> None:
     """Raise InputError where there is a file or folder of that name already."""
     if path.exists():
-        message = "exists already, and nothing is overwritten; choose another name"
+        message = "the path exists already, and nothing is overwritten; choose another name"
         raise InputError(message, source=path, field=field)
 
 
@@ -77,7 +78,9 @@ def new_run_folder(name: str) -> Iterator[Path]:
             except FileExistsError:  # even if it was made just now, by another process
                 continue
             except OSError as error:
-                raise InputError(f"cannot be written: {error.strerror}", source=folder) from error
+                raise InputError(
+                    f"the file cannot be written: {error.strerror}", source=folder
+                ) from error
             yield folder
             return
 
@@ -137,7 +140,7 @@ def insert_table(path: Path, name: str, table: str) -> None:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise InputError(
-            f"cannot be read: {error.strerror}", source=path, field="--readme"
+            f"the file cannot be read: {error.strerror}", source=path, field="--readme"
         ) from error
     head, found, rest = text.partition(begin)
     _, closed, tail = rest.partition(end)

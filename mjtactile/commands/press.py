@@ -16,8 +16,8 @@ from mjtactile.recording.files import write_json
 from mjtactile.runtime.progress import Progress
 
 DESCRIPTION = """\
-Fix one simulated sensor, let it take its references, then drive a rigid indenter into its
-membrane in steps. Depth counts from first touch. The felt force comes from camera images."""
+Mount one simulated sensor, take its references, then drive a rigid indenter into its membrane
+in steps. Depth counts from first contact. The estimated force comes from camera images."""
 EPILOG = """\
 examples:
   mjtactile press --indenter cylinder:5 --depth-mm 0:4:1
@@ -25,15 +25,15 @@ examples:
   mjtactile press --indenter part.stl --tilt-deg 10 --depth-mm 0.5:3:0.5 --out runs/part
 
 JSON: {"sensor": …, "steps": [{"depth_mm", "force_true_N" and "force_estimated_N" ([x, y, z]
-on the membrane, frame S: a press has a negative z), "wrench_estimated" (force N, torque N m
-about the middle of the frame), "force_estimated_sd_N", "drive_force_N" (what a load cell on
-the drive reads), "contact_area_mm2", "contact_area_true_mm2", "penetration_mm" (how far the
-simulated bodies overlap: its error), "pressure_kPa", "volume_mL", "converged", "status"}],
-"shape": {what the images say of the body: "kind" (smooth, face, edge, tip, several, unknown),
-"probabilities", "curvatures_per_m", "radius_mm", "direction_deg", "area_mm2",
+on the membrane, frame S: z is negative under load), "wrench_estimated" (force N, torque N m
+about the frame center), "force_estimated_sd_N", "drive_force_N" (load cell on the drive),
+"contact_area_mm2", "contact_area_true_mm2", "penetration_mm" (penetration of the simulated
+objects: the contact error), "pressure_kPa", "volume_mL", "converged", "status"}],
+"shape": {contact shape estimated from the images: "kind" (smooth, face, edge, tip, several,
+unknown), "probabilities", "curvatures_per_m", "radius_mm", "direction_deg", "area_mm2",
 "area_interval_mm2" (68 %), "force_normal_N", "pose", "outline_mm", "misfit", "status",
-"parts" (of several bodies at once, each)},
-"flags": {kind of doubt: reason}}
+"parts" (of several objects at once, each)},
+"flags": {flag: reason}}
 """
 
 ARGUMENTS = (
@@ -42,19 +42,21 @@ ARGUMENTS = (
         "--indenter",
         "SHAPE",
         "sphere:R_mm, cylinder:R_mm (end face down), box:EDGE_mm, FILE.stl or FILE.obj in "
-        "mm, or FILE.xml: all geoms of an MJCF file, which come down along -z",
+        "mm, or FILE.xml: all geoms of an MJCF file, moved along -z",
         required=True,
     ),
     arg.option("--position-mm", "X_mm,Y_mm", "where", "0,0", type=numeric_options.pair),
     arg.option(
         "--depth-mm",
         "A[:B:STEP]",
-        "depth below first touch, or a range, both ends included",
+        "depth below first contact, or a range, both ends included",
         "1:3:1",
         dest="depths",
         type=numeric_options.numbers,
     ),
-    arg.option("--tilt-deg", "T", "turn of the indenter about y", 0.0, type=numeric_options.finite),
+    arg.option(
+        "--tilt-deg", "T", "rotation of the indenter about y", 0.0, type=numeric_options.finite
+    ),
     arg.option("--shear-mm", "S", "drag along x at each depth", 0.0, type=numeric_options.finite),
     arg.choice(
         "--valve",
@@ -62,7 +64,7 @@ ARGUMENTS = (
         "closed: the chamber keeps its gas (default); open: it keeps its pressure",
         "closed",
     ),
-    arg.option("--seed", "N", "seed of the camera's noise", 0, type=int),
+    arg.option("--seed", "N", "seed of the camera noise", 0, type=int),
     *effects.SHARED,
     effects.ESTIMATE,
     arg.out("write press.json and press.png there"),
@@ -116,22 +118,22 @@ def _check(options: argparse.Namespace, design: SensorDesign) -> None:
             )
     if max(options.depths) * 1e-3 >= design.chamber.depth:
         raise InputError(
-            f"{max(options.depths):g} mm is not less than the chamber's depth of "
+            f"{max(options.depths):g} mm is not less than the chamber depth of "
             f"{1e3 * design.chamber.depth:g} mm",
             field="--depth-mm",
         )
     if min(options.depths) < -1:
         raise InputError(
-            f"{min(options.depths):g} mm is more than 1 mm above first touch", field="--depth-mm"
+            f"{min(options.depths):g} mm is more than 1 mm above first contact", field="--depth-mm"
         )
     if abs(options.tilt_deg) > 60:
-        raise InputError(f"{options.tilt_deg:g} is not within +-60", field="--tilt-deg")
+        raise InputError(f"{options.tilt_deg:g} is outside -60 to 60", field="--tilt-deg")
 
 
 def _print_table(result: dict[str, Any], out: Path | None) -> None:
     print(
-        "depth mm   true N [x, y, z]           felt N [x, y, z]           area mm2: felt  true "
-        "  overlap mm  gauge kPa"
+        "depth mm   true N [x, y, z]           est. N [x, y, z]           area mm2: est.  "
+        "true   penetr. mm  gauge kPa"
     )
     for s in result["steps"]:
         true, felt = (
@@ -182,13 +184,13 @@ def _draw(figure: Any, result: dict[str, Any], design: SensorDesign) -> None:
         label="felt, 2 sd",
     )
     force.set(
-        xlabel="depth below first touch, mm",
+        xlabel="depth below first contact, mm",
         ylabel="normal force, N",
         title=f"sensor {result['sensor']}",
     )
     force.legend()
     gas.plot(depths, [s["pressure_kPa"] for s in steps], "o-", ms=4)
-    gas.set(xlabel="depth below first touch, mm", ylabel="gauge pressure, kPa")
+    gas.set(xlabel="depth below first contact, mm", ylabel="gauge pressure, kPa")
     _plot_shape(body, result["shape"], design)
     for axes in (force, gas, body):
         axes.grid(alpha=0.3)

@@ -21,24 +21,24 @@ if TYPE_CHECKING:
     from mjtactile.runtime.probe import ProbeResult
 
 DESCRIPTION = """\
-Press to 0.9 N, hold the jaws still for 2 s, let go, wait, touch once more; then say, from
-the cameras alone, whether the object is solid, soft or amorphous, how stiff it is, how fast
-it relaxes and what stays of its deformation."""
+Squeeze to 0.9 N, hold the jaws still for 2 s, release, wait, and touch again. Then classify
+the object from the camera images alone as solid, soft or amorphous, and estimate its stiffness,
+relaxation time and permanent deformation."""
 EPILOG = """\
 examples:
   mjtactile probe --object clay
   mjtactile probe --object my_fruit.xml --out runs/fruit
       probe.html, probe.png, probe.json, recording/
-  mjtactile probe --source runs/fruit --json                the same recording, judged again
+  mjtactile probe --source runs/fruit --json                the same recording, classified again
 
-"unknown" is a verdict: status then says why (not enough contact yet, or undecided).
-exit codes: 0 a class was named, 1 unknown, 2 bad input, 3 a device or the simulation failed.
+"unknown" is a valid result; status gives the reason (too little contact yet, or ambiguous).
+exit codes: 0 a class was found, 1 unknown, 2 bad input, 3 a device or the simulation failed.
 """
 _DEFAULT = Scenario(object="sponge", controller="probe")
 
 ARGUMENTS = (
     *scenario.arguments(_DEFAULT, leave_out=("accuracy", "effects", "randomization", "task")),
-    arg.option("--source", "RECORDING", "judge the images of a recorded run instead", type=Path),
+    arg.option("--source", "RECORDING", "classify the images of a recorded run instead", type=Path),
     numeric_options.FRAMES,
     arg.out("write probe.json, probe.png, probe.html and the recording there"),
 )
@@ -46,7 +46,9 @@ ARGUMENTS = (
 
 def run(options: argparse.Namespace) -> int:
     if options.source is not None and options.object is not None:
-        raise InputError("say either what to probe or which recording to judge", field="--source")
+        raise InputError(
+            "give either an object to probe or a recording to classify, not both", field="--source"
+        )
     with (
         optional_folder(options.out, "probe.json", "probe.png", "probe.html", "recording") as out,
         stdout_to_stderr(),
@@ -103,20 +105,18 @@ def _print(result: ProbeResult, out: Path | None) -> None:
         + ("" if m.status == "ok" else f"; {m.status}")
     )
     if known(m.deformation):
-        print(f"  gave way     {1e3 * m.deformation:.2f} mm under {m.force:.2f} N on each finger")
-        print(
-            f"  came back    all but {1e3 * m.permanent_set:.2f} mm (sd "
-            f"{1e3 * m.permanent_set_sd:.2f})"
-        )
+        print(f"  deformation  {1e3 * m.deformation:.2f} mm under {m.force:.2f} N on each finger")
+        print(f"  permanent    {1e3 * m.permanent_set:.2f} mm (sd {1e3 * m.permanent_set_sd:.2f})")
     if known(m.stiffness):
         print(f"  stiffness    {_range(m.stiffness, m.stiffness_interval)} N/m")
     if known(m.modulus):
         print(
-            f"  modulus      {_range(1e-3 * m.modulus, [1e-3 * v for v in m.modulus_interval])} "
-            "kPa, as between flat faces"
+            "  modulus      "
+            f"{_range(1e-3 * m.modulus, [1e-3 * v for v in m.modulus_interval])} kPa, "
+            "assuming flat faces"
         )
     if m.relaxation_time:
-        how = "yes, no single time"
+        how = "yes, without a single time constant"
         if known(m.relaxation_time):
             how = f"in {m.relaxation_time:.2f} s"
         print(f"  relaxation   {how}")
@@ -145,18 +145,18 @@ def draw(figure: Any, result: ProbeResult) -> None:
             curve.plot(1e3 * (width0 - s.width[rows]), s.force[rows], ".", ms=4, label=phase)
             travel.plot(1e3 * (s.opening[rows[0]] - s.opening[rows]), s.force[rows], ".", ms=4)
     curve.set(
-        xlabel="the object's own deformation, mm",
-        ylabel="force on a finger, N",
+        xlabel="object deformation, mm",
+        ylabel="force per finger, N",
         title=f"{result.names['object']}: {result.material.kind}",
     )
     curve.legend()
     over_time.plot(s.time, s.force)
-    over_time.set(xlabel="time, s", ylabel="force on a finger, N")
+    over_time.set(xlabel="time, s", ylabel="force per finger, N")
     width.plot(s.time, 1e3 * s.width, ".", ms=3)
-    width.set(xlabel="time, s", ylabel="width of the object, mm")
+    width.set(xlabel="time, s", ylabel="object width, mm")
     travel.set(
-        xlabel="closed since the phase began, mm (object and membranes)",
-        ylabel="force on a finger, N",
+        xlabel="closing since start of the phase, mm (object and membranes)",
+        ylabel="force per finger, N",
     )
     for axes in (curve, over_time, width, travel):
         axes.grid(alpha=0.3)

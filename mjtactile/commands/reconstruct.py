@@ -31,12 +31,12 @@ from mjtactile.types import Contact, Markers, Surface, Touch, Traction
 
 SIMULATES = False
 DESCRIPTION = """\
-Run the sensing chain on an image, a folder of images or a video of one sensor: identified
-markers in the sensor frame S, the membrane's surface, its area and volume. With a calibration
-(see `mjtactile calibrate frame`) also what touches it, how deep and how hard.
+Run the sensing pipeline on an image, a folder of images or a video of one sensor. Results:
+identified markers in the sensor frame S, the membrane surface, its area and volume. With a
+calibration (see `mjtactile calibrate frame`) also the contact: area, depth and force.
 
-With --marks, of any skin that has dots, of which there is no sensor file: each dot is followed
-through the video, in pixels, and with --camera and --radius-mm in space."""
+With --marks, track the dots of any marked skin, without a sensor file: through the video, in
+pixels, and with --camera and --radius-mm in space."""
 EPILOG = """\
 examples:
   mjtactile reconstruct frames/ --sensor dense --out shapes
@@ -45,15 +45,15 @@ examples:
   mjtactile reconstruct tactip/ --marks bright --camera cam.yaml --radius-mm 0.8 --out tracks
 
 With --marks: tracks.csv (frame, source, id, u_px, v_px, semi axes px, angle, status, x, y, z mm
-in the camera's frame), tracks.png, some frames; JSON {"frames": [{"source", "circles",
+in the camera frame), tracks.png, some frames; JSON {"frames": [{"source", "circles",
 "followed", "trusted"}], "tracks": [{"id", "frames"}]}.
 
 JSON: {"sensor": …, "frames": [{"source", "status", "markers": [{"id", "p_SM_mm", "normal",
 "sd_mm"}],
   "surface": {"x_mm", "y_mm", "z_mm" (rows along y)}, "area_mm2", "area_sd_mm2", "volume_mL"
   (under the bulge), "volume_sd_mL", "contact_area_mm2", "contact_centroid_mm", "depth_mm",
-  "force_N" ([x, y, z] on the membrane), "force_sd_N"}]}. What needs a calibration that was
-  not given, and what is unknown, is null.
+  "force_N" ([x, y, z] on the membrane), "force_sd_N"}]}. Unknown values, and values that
+  need a missing calibration, are null.
 """
 FIGURES_MAX = 40
 
@@ -61,19 +61,24 @@ FIGURES_MAX = 40
 ARGUMENTS = (
     arg.positional("source", "SOURCE", "an image, a folder of images or a video", type=Path),
     arg.sensor(),
-    arg.option("--calibration", "FILE.json", "of this sensor, by `mjtactile calibrate`", type=Path),
+    arg.option(
+        "--calibration",
+        "FILE.json",
+        "calibration of this sensor, by `mjtactile calibrate`",
+        type=Path,
+    ),
     arg.choice(
         "--marks",
         ("dark", "bright"),
-        "follow the dots of any marked skin: dark ones on bright ground, or bright ones",
+        "track the dots of any marked skin: dark dots on bright ground, or bright dots",
     ),
     arg.option(
         "--camera",
         "CAMERA.yaml",
-        "with --marks: its calibration, ROS camera_info; with --radius-mm",
+        "with --marks: camera calibration, ROS camera_info; requires --radius-mm",
         type=Path,
     ),
-    arg.option("--radius-mm", "R", "with --marks: the dots' radius", type=float),
+    arg.option("--radius-mm", "R", "with --marks: radius of the dots", type=float),
     arg.out(
         f"write reconstruct.json, overlays, and 3D figures (of at most {FIGURES_MAX} frames) there"
     ),
@@ -85,7 +90,7 @@ def run(options: argparse.Namespace) -> int:
         return track_dots.run(options)
     for name in ("camera", "radius_mm"):
         if getattr(options, name) is not None:
-            raise InputError("goes with --marks", field=f"--{name.replace('_', '-')}")
+            raise InputError("requires --marks", field=f"--{name.replace('_', '-')}")
     design = load_sensor(options.sensor)
     perception = load_perception(design, options.calibration)
     progress = Progress(quiet=options.json)

@@ -23,18 +23,19 @@ if TYPE_CHECKING:
     from mjtactile.runtime.cycle import Cycle
 
 DESCRIPTION = """\
-Record an episode in which nothing is commanded: the jaws hold where they stand, with the force
-they hold with when a rig is connected; press the membranes by hand, put weights on, shake it.
-First every sensor measures itself (valve open, then inflated and sealed): nothing may touch it
-then. Every image is kept losslessly, with its time of capture, pressures, servo states, forces
-felt, versions, and the text of the sensor and rig files.
+Record an episode without commands: the jaws hold their position, with their holding force when
+a rig is connected. Press the membranes by hand, put weights on, or shake the gripper. First
+every sensor takes its references (valve open, then inflated and sealed); nothing may touch it
+then. Every image is stored losslessly, with capture time, pressures, servo states, estimated
+forces, versions, and the text of the sensor and rig files.
 
-With --protocol somebody (or a stage) presses an indenter in as a protocol says, each move is
-called out when its time has come, and the recording keeps what was done: what `mjtactile
-fit` needs. The rig "stage" is one simulated sensor on a stand under a simulated stage,
-which does it by itself.
+With --protocol a person or a stage moves an indenter as the protocol specifies. Each move is
+announced when it is due, and the recording stores the moves, as `mjtactile fit` requires. The
+rig "stage" is one simulated sensor on a stand under a simulated stage, which runs the protocol
+itself.
 
-The recording replays through the same chain to the same numbers, bit for bit (--rig replay:DIR)."""
+The recording replays through the same pipeline to the same numbers, bit for bit
+(--rig replay:DIR)."""
 EPILOG = """\
 examples:
   mjtactile record --rig my_gripper.toml --seconds 30 --out runs/manually
@@ -45,27 +46,31 @@ examples:
       11 --out runs/press
   mjtactile record --rig replay:runs/idle --out runs/again           the same numbers again
   mjtactile record --rig replay:runs/idle --contact-shapes --out runs/shapes
-      the same images, and what body each touch is of
-  mjtactile grasp --rig replay:runs/idle --controller my_controller.py    what would it have wanted?
+      the same images, with the contact shape of each touch
+  mjtactile grasp --rig replay:runs/idle --controller my_controller.py    its commands
 
 A protocol is a CSV file with the columns time_s,depth_mm,shear_mm,speed_mm_s,force_N
 (docs/how-to/identify.md). The format of recordings: docs/reference/recording_format.md.
-Two cameras of 640 x 480 pixels at 30 Hz take 9 MB a second. exit codes: 0 recorded,
-2 bad input, 3 a device failed, a fault, or Ctrl-C; what was recorded until then is kept.
+Two cameras of 640 x 480 pixels at 30 Hz need 9 MB per second. exit codes: 0 recorded,
+2 bad input, 3 a device failed, a fault, or Ctrl-C; the data recorded before are kept.
 """
 
 ARGUMENTS = (
-    arg.option("--rig", "RIG", f"what to record: {', '.join(rig_names())}, stage", required=True),
+    arg.option("--rig", "RIG", f"rig to record: {', '.join(rig_names())}, stage", required=True),
     arg.out("folder for the recording", required=True),
     arg.option(
-        "--seconds", "S", "length after the references, at most a recording's", 10.0, type=float
+        "--seconds",
+        "S",
+        "duration after the references, at most that of a replayed recording",
+        10.0,
+        type=float,
     ),
     numeric_options.FRAMES,
-    arg.sensor("on each finger"),
+    arg.sensor("sensor on each finger"),
     arg.option(
         "--object",
         "NAME|FILE.xml",
-        "sim and emulated: what stands on the table: "
+        "sim and emulated: object on the table: "
         f"{', '.join(resources.names('models/objects', '.xml'))} (default: egg)",
         "egg",
     ),
@@ -79,24 +84,26 @@ ARGUMENTS = (
     arg.option(
         "--protocol",
         "NAME|FILE.csv",
-        "what is done meanwhile: "
+        "protocol to run meanwhile: "
         f"{', '.join(resources.names('models/protocols', '.csv'))}, or your own",
     ),
     arg.option(
-        "--indenter", "SHAPE", "what presses, as `mjtactile press` has it: sphere:8, part.stl, …"
+        "--indenter",
+        "SHAPE",
+        "indenter of the protocol, as in `mjtactile press`: sphere:8, part.stl, …",
     ),
     arg.option("--position-mm", "X_mm,Y_mm", "where", "0,0", type=numeric_options.pair),
-    arg.option("--finger", "NAME", "on which finger", "left"),
+    arg.option("--finger", "NAME", "finger under the indenter", "left"),
     arg.option(
         "--as-built",
         "FILE.toml",
-        "stage: the sensor that is really there; the recording names only --sensor",
+        "stage: as-built sensor to simulate; the recording names only --sensor",
         type=Path,
     ),
-    arg.flag("--load-cell", "stage: record what a load cell shows in each hold, too"),
+    arg.flag("--load-cell", "stage: also record the load cell in each hold"),
     arg.flag(
         "--contact-shapes",
-        "say of every touch what body it is of; of a recording, find it in its images",
+        "estimate the contact shape of every touch; of a recording, from its images",
     ),
     time_scale.ARGUMENT,
     arg.option("--seed", "N", "sim and emulated: placement and noise", 0, type=int),
@@ -147,9 +154,10 @@ def run(options: argparse.Namespace) -> int:
         print(f"{result['cycles']} cycles\n  recorded in {options.out}/recording")
     else:
         print(
-            f"{result['cycles']} cycles in {result['seconds']:.2f} s, {result['unknown']} with an "
-            f"unknown force; felt {result['force_min_N']:.3f} to {result['force_max_N']:.3f} N\n  "
-            f"recorded in {options.out}/recording"
+            f"{result['cycles']} cycles in {result['seconds']:.2f} s, {result['unknown']} "
+            f"with an unknown force; estimated {result['force_min_N']:.3f} to "
+            f"{result['force_max_N']:.3f} N\n"
+            f"  recorded in {options.out}/recording"
         )
     return 0
 
@@ -160,16 +168,18 @@ def _stage(options: argparse.Namespace) -> Stage | None:
 
     if (options.as_built or options.load_cell) and options.rig != "stage":
         raise InputError(
-            "only of the simulated stage", field="--as-built, --load-cell", choices=["--rig stage"]
+            "applies to the simulated stage only",
+            field="--as-built, --load-cell",
+            choices=["--rig stage"],
         )
     if options.contact_shapes and options.rig == "stage":
         raise InputError(
-            "a stage records images and feels nothing; `mjtactile explore --input RUN` finds what "
-            "pressed",
+            "a stage records images without estimates; `mjtactile explore --input RUN` "
+            "estimates the shape of the indenter",
             field="--contact-shapes",
         )
     if (options.protocol is None) != (options.indenter is None):
-        raise InputError("goes with the other", field="--protocol, --indenter")
+        raise InputError("both options must be given together", field="--protocol, --indenter")
     if options.protocol is None:
         return None
     x, y = options.position_mm
@@ -251,7 +261,7 @@ def _on_rig(
         for finger in session.rig.fingers if options.pressure is not None else ():
             if finger.design.chamber.supply_gauge != design.chamber.supply_gauge:
                 raise InputError(
-                    f"finger {finger.name!r} has a sensor file of its own, which says its pressure",
+                    f"finger {finger.name!r} has its own sensor file, which sets its pressure",
                     field="--pressure-kPa",
                 )
         recorder = later.enter_context(Recorder(folder, header, frames=options.frames))

@@ -20,6 +20,6 @@ def of_checkout(module: str) -> ModuleType:
         if error.name is None or not f"benchmarks.{module}".startswith(error.name):
             raise
     raise InputError(
-        "benchmarks are not in the installed package: they are the folder 'benchmarks' of the "
-        "project's source, and run from a checkout of it (pip install --editable .)"
+        "benchmarks are not in the installed package; run them from a checkout of the "
+        "project's source, folder 'benchmarks' (pip install --editable .)"
     )

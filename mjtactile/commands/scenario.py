@@ -15,7 +15,7 @@ from mjtactile.core import resources
 def seed(text: str) -> int:
     """A seed as argparse takes it."""
     if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 up")
+        raise argparse.ArgumentTypeError(f"{text!r} is not an integer of at least 0")
     return int(text)
 
 
@@ -26,13 +26,13 @@ def _shipped(folder: str, suffix: str) -> str:
 _SCENARIO = arg.option(
     "--scenario",
     "FILE",
-    "take all of the following from a scenario file (FILE.toml), or from a run's result "
-    "(RUN/summary.json); options on the command line are stronger",
+    "read all of the following from a scenario file (FILE.toml), or from a run's result "
+    "(RUN/summary.json); options on the command line override it",
 )
 _SHAPES = arg.flag(
     "--contact-shapes",
-    "say of every touch what body it is of, whatever the controller reads; area and force "
-    "are then that body's (docs/reference/effects.md has the price)",
+    "estimate the contact shape of every touch, even if the controller does not read it; "
+    "area and force then come from the shape model (docs/reference/effects.md has the cost)",
     default=None,
 )
 
@@ -40,32 +40,32 @@ _SHAPES = arg.flag(
 _VALUES = {
     "object": (
         "NAME|FILE.xml",
-        f"what to grasp: {_shipped('models/objects', '.xml')}, random:N (one of many), "
-        "or your own MJCF file",
+        f"object to grasp: {_shipped('models/objects', '.xml')}, random:N (one of many), or "
+        "your own MJCF file",
     ),
     "sensor": (
         "NAME|FILE.toml",
-        f"on each finger: {_shipped('models/sensors', '.toml')}, or your own file",
+        f"sensor on each finger: {_shipped('models/sensors', '.toml')}, or your own file",
     ),
     "controller": (
         "NAME|FILE.py",
-        f"what moves: {_shipped('controllers', '.py')}, or your own file",
+        f"controller: {_shipped('controllers', '.py')}, or your own file",
     ),
-    "rig": ("RIG", f"what to run it on: {', '.join(rig_names())}"),
-    "seed": ("N", "seed of the camera noise and of where the object stands"),
-    "accuracy": ("0.02N|realtime", "simulate as coarsely as this force error or real time allows"),
+    "rig": ("RIG", f"rig to run on: {', '.join(rig_names())}"),
+    "seed": ("N", "seed of the camera noise and of the object position"),
+    "accuracy": ("0.02N|realtime", "coarsest simulation within this force error, or in real time"),
     "effects": (
         "auto|+NAME,-NAME",
-        "what to simulate: derived from the scene (auto), or effects forced on and off",
+        "effects to simulate: derived from the scene (auto), or forced on and off",
     ),
     "randomization": (
         "NAME|FILE.toml",
-        "ranges of object, sensor, gas and rig, from which the seed draws the simulated "
+        "ranges of object, sensor, gas and rig, from which the seed samples the simulated "
         f"world: {_shipped('models/randomization', '.toml')}, none, or your own file",
     ),
     "task": (
         "NAME|FILE.toml",
-        f"what is done with it: {_shipped('models/tasks', '.toml')}, or your own file",
+        f"task with the object: {_shipped('models/tasks', '.toml')}, or your own file",
     ),
 }
 """Fields of a scenario with the name of their value in the help, and its description."""
@@ -81,7 +81,7 @@ def arguments(
         default: Scenario whose values the help shows as defaults.
         leave_out: Fields that the command has no option for.
     """
-    said = (default or Scenario()).to_dict() | {"accuracy": "a mesh of 13 x 11"}
+    said = (default or Scenario()).to_dict() | {"accuracy": "mesh of 13 x 11"}
     options = tuple(
         arg.option(
             f"--{name}",

@@ -11,26 +11,27 @@ from mjtactile.commands.output import print_json, stdout_to_stderr
 from mjtactile.core import resources
 
 DESCRIPTION = """\
-Make the rig file of a new gripper: find the servos, the valve board and the cameras, ask which is
-which ("press the membrane of the left finger"), and for its limits. The file begins as a copy of
---template, whose comments say the rest (how a servo's angle moves its jaw, for one). What is in the
-file and answers is kept: stop whenever you like and run it again, it goes on. Nothing moves."""
+Write the rig file of a new gripper: find the servos, the valve board and the cameras, and ask
+for their assignment ("press the membrane of the left finger") and for the limits. The file
+starts as a copy of --template, whose comments explain the other settings (such as how a servo
+angle moves its jaw). The file keeps its content and all answers: stop at any time and run it
+again to continue. Nothing moves."""
 EPILOG = """\
 examples:
   mjtactile setup my_gripper.toml
   mjtactile setup my_gripper.toml --template one_xl330_linkage
 afterwards:
-  mjtactile doctor --rig my_gripper.toml             until nothing is bad
-  mjtactile calibrate camera --help                  and then valve, frame, force, gripper
+  mjtactile doctor --rig my_gripper.toml             until no finding is bad
+  mjtactile calibrate camera --help                  then valve, frame, force, gripper
 """
 SIMULATES = False
 
 
 ARGUMENTS = (
-    arg.positional("file", "FILE.toml", "the rig file to make, or to go on with", type=Path),
-    arg.option("--template", "NAME|FILE.toml", "the rig file that it begins as", "two_xm430"),
-    arg.repeated("--port", "PATH", "also look at this port; again for more"),
-    arg.repeated("--camera", "URL", "also look at this stream; again for more"),
+    arg.positional("file", "FILE.toml", "the rig file to create, or to continue", type=Path),
+    arg.option("--template", "NAME|FILE.toml", "the rig file to start from", "two_xm430"),
+    arg.repeated("--port", "PATH", "also check this port; may be repeated"),
+    arg.repeated("--camera", "URL", "also check this stream; may be repeated"),
 )
 
 
@@ -42,8 +43,8 @@ def run(options: argparse.Namespace) -> int:
             return input(question)
         except EOFError as error:
             raise InputError(
-                f"no more answers; what was found until now is in {options.file}: run it again "
-                "to go on",
+                f"the input has ended; the results so far are in {options.file}: run it again "
+                "to continue",
                 field="stdin",
             ) from error
 

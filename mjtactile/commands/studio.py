@@ -10,24 +10,23 @@ from mjtactile.commands import arguments as arg
 from mjtactile.commands import scenario, time_scale
 
 DESCRIPTION = """\
-Watch a grasp live in MuJoCo Studio, in the browser: the scene, the membranes coloured by
-indentation or traction, the forces that are felt, what each camera sees with its ellipses,
-force, shear, area, slip and gas of each finger, forces over time beside the true ones. Pause
-it, go on cycle by cycle, take over from the controller and move jaws and lift by hand, squeeze
-as hard as you say, open and close the valves, prick a membrane, pull at the object with the
-mouse (double-click it, then Ctrl and drag), and run it again with another object, seed,
-accuracy or other effects. A recording can be scrubbed. The page is served on this computer
-alone (loopback)."""
+Watch a grasp live in MuJoCo Studio, in the browser: the scene, the membranes colored by
+indentation or traction, the estimated forces, each camera image with its ellipses, force,
+shear, area, slip and gas of each finger, and the forces over time next to ground truth. Pause
+it, step cycle by cycle, override the controller and move jaws and lift by hand, squeeze with a
+given force, open and close the valves, puncture a membrane, pull the object with the mouse
+(double-click it, then Ctrl and drag), and run it again with another object, seed, accuracy or
+other effects. A recording can be scrubbed. The page is served on this computer only (loopback)."""
 EPILOG = """\
 examples:
   mjtactile studio                             prints an address to open
   mjtactile studio --object raspberry --controller my_controller.py --port 8080
-  mjtactile studio --rig emulated              on a rig that is not simulated: the fingers, no scene
+  mjtactile studio --rig emulated              on a rig that is not simulated: fingers only
   mjtactile studio --rig replay:runs/egg       a recording, with a slider for the time
   ssh -L 8080:localhost:8080 HOST
-      then open http://localhost:8080 here for one that runs there
+      then open http://localhost:8080 here for a Studio that runs there
 
-exit codes: 0 ended by closing it, 2 bad input, 3 a device or the simulation failed, or Ctrl-C.
+exit codes: 0 closed by the user, 2 bad input, 3 a device or the simulation failed, or Ctrl-C.
 """
 
 
@@ -40,16 +39,18 @@ def _port(text: str) -> int:
 ARGUMENTS = (
     *scenario.arguments(leave_out=("randomization",)),
     time_scale.ARGUMENT,
-    arg.option("--port", "N", "of the page (default: the first free one from 8080)", 0, type=_port),
+    arg.option(
+        "--port", "N", "port of the page (default: the first free one from 8080)", 0, type=_port
+    ),
     arg.OneOf(
         (
-            arg.flag("--web", "in the browser (this is the default)"),
-            arg.flag("--native", "in a window of MuJoCo's own, where there is a display"),
+            arg.flag("--web", "show it in the browser (this is the default)"),
+            arg.flag("--native", "show it in MuJoCo's own window, which needs a display"),
         )
     ),
     arg.flag("--no-browser", "do not open a browser"),
-    arg.flag("--no-wait", "begin at once, not when the page is open"),
-    arg.flag("--no-realtime", "as fast as the simulation goes, not by the clock"),
+    arg.flag("--no-wait", "start at once, before the page is open"),
+    arg.flag("--no-realtime", "run as fast as the simulation allows, not in real time"),
 )
 
 

@@ -15,16 +15,16 @@ from mjtactile.runtime.progress import Progress
 
 SIMULATES = False
 DESCRIPTION = """\
-Write the page of a recorded run, one file to look at or to send: forces and more over time,
-to zoom and read off; camera images by a slider; the membranes' surfaces, to turn. They are
-felt again from the images, where all of them were kept."""
+Write the page of a recorded run as one file: forces and other values over time, to zoom and
+read; camera images with a slider; the membrane surfaces, to rotate. Where all images were kept,
+the values are estimated again from them."""
 EPILOG = """\
 examples:
   mjtactile summary runs/still                     writes runs/still/summary.html
   mjtactile summary runs/egg --out egg.html
-  mjtactile summary runs/egg --shape --out egg.html   with the body that each finger believes in
+  mjtactile summary runs/egg --shape --out egg.html   with the contact shape of each finger
 
-`mjtactile grasp` and `mjtactile probe --out` write it by themselves. exit codes: 0 written,
+`mjtactile grasp` and `mjtactile probe --out` write it automatically. exit codes: 0 written,
 2 bad input.
 """
 
@@ -32,8 +32,8 @@ ARGUMENTS = (
     arg.positional("source", "RUN", "a run's folder, or a recording", type=Path),
     arg.flag(
         "--shape",
-        "find what body touches each finger, too, and draw it: a tenth of a second and more "
-        "for each moment that is shown",
+        "also estimate and show the contact shape of each finger, which takes at least a "
+        "tenth of a second per moment shown",
     ),
     arg.out("(default: RUN/summary.html)", "FILE.html"),
 )
@@ -65,7 +65,7 @@ def run(options: argparse.Namespace) -> int:
     else:
         print(f"{result['cycles']} cycles, {result['shown']} of them shown")
         if not felt:
-            print("  no surfaces: that takes the images of all cycles and of the references")
+            print("  no surfaces: they need the images of all cycles and of the references")
         print(f"  written to {path}")
         print_flags(recording.flags)
     return 0

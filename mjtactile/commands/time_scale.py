@@ -25,8 +25,8 @@ def _times(text: str) -> float:
 ARGUMENT = arg.option(
     "--time-scale",
     "N",
-    "emulated rig: its world, watchdogs and heartbeats, and this program's time-outs, "
-    "run at 1/N of the speed, for a computer that does not keep up (default: 1)",
+    "emulated rig: run its world, watchdogs and heartbeats, and this program's time-outs, at "
+    "1/N of the speed, for a slow computer (default: 1)",
     type=_times,
 )
 
@@ -37,7 +37,7 @@ def apply(slow: float | None, rig: str) -> None:
         return
     if rig == "sim" or rig.startswith("replay:"):
         raise InputError(
-            f"the rig {rig!r} keeps no clock; only emulated devices can be slow",
+            f"the rig {rig!r} has no clock; only emulated devices can run slower",
             field="--time-scale",
         )
     scaled_clock.set_slow(slow)

@@ -55,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
 def _known(options: argparse.Namespace) -> tuple[Camera | None, float | None]:
     if (options.camera is None) != (options.radius_mm is None):
         raise InputError(
-            "--camera and --radius-mm go together: without both, tracks are in pixels",
+            "--camera and --radius-mm must be given together; without both, tracks are in pixels",
             field="--radius-mm",
         )
     if options.camera is None:
@@ -144,11 +144,11 @@ def _colour(pixels: NDArray) -> NDArray:
 def _print(result: dict[str, Any], out: Path | None) -> None:
     frames = result["frames"]
     count = len(frames)
-    print(f"{count} frames, {len(result['tracks'])} circles followed")
+    print(f"{count} frames, {len(result['tracks'])} circles tracked")
     for name in ("circles", "followed", "trusted"):
         numbers = [frame[name] for frame in frames]
-        print(f"  {name:9s} {min(numbers)} to {max(numbers)} in a frame")
+        print(f"  {name:9s} {min(numbers)} to {max(numbers)} per frame")
     long = sum(track["frames"] >= 0.8 * count for track in result["tracks"])
-    print(f"  {long} circles are seen in four fifths of the frames and more")
+    print(f"  {long} circles are visible in at least four fifths of the frames")
     if out is not None:
         print(f"tracks.csv, tracks.png and some frames are in {out}")

@@ -13,8 +13,8 @@ from mjtactile.runtime.progress import Progress
 
 SIMULATES = False
 DESCRIPTION = """\
-Film a recorded run: what each camera saw with the ellipses that were fitted (red: not
-trusted), what was felt, and the forces over time, in step with the run's clock.
+Render a video of a recorded run: each camera image with the fitted ellipses (red: not
+trusted), the estimates, and the forces over time, synchronous with the run's clock.
 `mjtactile grasp --video FILE` also shows the simulated scene."""
 EPILOG = """\
 examples:
@@ -33,7 +33,7 @@ def _time(text: str) -> float:
     except ValueError:
         value = math.nan
     if not 0 <= value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 0 up")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of at least 0")
     return value
 
 
@@ -47,13 +47,13 @@ def _positive(text: str) -> float:
 ARGUMENTS = (
     arg.positional("source", "RUN", "a run's folder, or a recording", type=Path),
     arg.out(
-        ".mp4 (30 images a second), .gif or .webp (10 and 15, half the size) (default: "
-        "RUN/video.mp4); nothing but an earlier film of its own is overwritten",
+        ".mp4 (30 images per second), .gif or .webp (10 and 15, half the size) (default: "
+        "RUN/video.mp4); only an earlier video of this command is overwritten",
         "FILE",
     ),
-    arg.option("--speed", "X", "times as fast as it was", 1.0, type=_positive),
-    arg.option("--begin", "S", "leave out the first S seconds", 0.0, type=_time),
-    arg.option("--seconds", "S", "film so much of it (default: all)", math.inf, type=_positive),
+    arg.option("--speed", "X", "playback speed, relative to real time", 1.0, type=_positive),
+    arg.option("--begin", "S", "skip the first S seconds", 0.0, type=_time),
+    arg.option("--seconds", "S", "duration to render (default: all)", math.inf, type=_positive),
 )
 
 

@@ -148,7 +148,7 @@ class Calibration:
                     "refused",
                     f"refused on {_day(refusal.date)}: {'; '.join(refusal.reasons)}",
                 )
-            return PartState(kind, "missing", "never measured: the sensor file's values count")
+            return PartState(kind, "missing", "never measured: the sensor file's values apply")
         newer = [
             other
             for other in part.rests_on
@@ -156,14 +156,14 @@ class Calibration:
         ]
         if newer:
             return PartState(
-                kind, "outdated", f"older than the {newer[0]}, with which it was measured: not used"
+                kind, "outdated", f"not used: older than the {newer[0]} that it was measured with"
             )
         if part.of_sensor and part.stamp.fingerprint != fingerprint(design):
             return PartState(
                 kind,
                 "outdated",
-                f"of {_day(part.stamp.date)}, older than the sensor file, whose values have "
-                "changed since: not used",
+                f"of {_day(part.stamp.date)}: not used, because values of the sensor file "
+                "have changed since",
             )
         text = f"of {_day(part.stamp.date)}"
         if refusal is not None:
@@ -208,12 +208,13 @@ class Calibration:
         """
         if self.finger != finger:
             raise InputError(
-                f"is of the finger {self.finger!r}, not {finger!r}", source=source, field="finger"
+                f"belongs to finger {self.finger!r}, not {finger!r}", source=source, field="finger"
             )
         if self.sensor != design.name:
             raise InputError(
-                f"is of a sensor {self.sensor!r}, but the {finger} finger has {design.name!r}; a "
-                f"file fitted to the same sensor is called {self.sensor}.toml, too",
+                f"belongs to sensor {self.sensor!r}, but the {finger} finger has "
+                f"{design.name!r}; a file fitted to the same sensor must also be named "
+                f"{self.sensor}.toml",
                 source=source,
                 field="sensor",
             )
@@ -287,7 +288,7 @@ def calibration_from_table(table: Any, source: str) -> Calibration:
         or table.get("version") != VERSION
     ):
         raise InputError(
-            "not a calibration file",
+            "is not a calibration file",
             source=source,
             field="format",
             choices=[f"{FORMAT} version {VERSION}"],

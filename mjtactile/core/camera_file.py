@@ -81,7 +81,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
         text = " ".join(str(error).split())
         raise InputError(f"not valid YAML: {text}", source=path) from error
     if not isinstance(table, dict):
-        raise InputError("not a ROS camera_info file", source=path, choices=_YAML_FIELDS)
+        raise InputError("is not a ROS camera_info file", source=path, choices=_YAML_FIELDS)
     return table
 
 
@@ -89,7 +89,7 @@ def _pane(glass: Any, source: str) -> tuple[float, float, float]:
     """Thickness m, refractive index and distance m of a camera file's `glass`."""
     if not isinstance(glass, dict) or set(glass) != set(_PANE):
         raise InputError(
-            f"{glass!r} has not exactly the fields of a pane",
+            f"{glass!r} does not have exactly the fields of the glass",
             source=source,
             field="glass",
             choices=tuple(_PANE),

@@ -78,7 +78,7 @@ class SensorDesign:
         """
         if self.frame.shape != FrameShape.RECTANGLE:
             raise InputError(
-                f"{str(self.frame.shape)!r} can be simulated, but {who} handles rectangles only",
+                f"{str(self.frame.shape)!r} can be simulated, but {who} supports rectangles only",
                 source=self.name,
                 field="frame.shape",
                 choices=[str(FrameShape.RECTANGLE)],
@@ -98,8 +98,8 @@ class SensorDesign:
             gib = 8 * size**2 / 2**30
             raise InputError(
                 f"{self.markers.rows} x {self.markers.columns} markers can be simulated, but "
-                f"sensing needs {gib:.1f} GiB for each of its matrices; it takes as many as "
-                f"{_SPLINE_NUMBERS_MAX} = (rows + 3) (columns + 3)",
+                f"sensing needs {gib:.1f} GiB for each of its matrices; the limit is (rows + "
+                f"3) (columns + 3) = {_SPLINE_NUMBERS_MAX}",
                 source=self.name,
                 field="markers.rows",
             )
@@ -190,7 +190,9 @@ def _check_markers(design: SensorDesign, section: Section) -> None:
             message = f"markers span {extent / MM:g} mm, more than the frame's {size / MM:g} mm"
             raise section.fail(label, message)
     if markers.count < _FEWEST_MARKERS and markers.frame is not None:
-        message = f"{markers.count} lie within the frame, need {_FEWEST_MARKERS} at least"
+        message = (
+            f"{markers.count} markers lie within the frame; at least {_FEWEST_MARKERS} are needed"
+        )
         raise section.fail("markers", message)
 
 
@@ -209,6 +211,6 @@ def _check_depth(design: SensorDesign, section: Section) -> None:
     if design.chamber_volume_flat <= 0:
         volume = design.frame.area * chamber.depth
         message = (
-            f"{chamber.extra_volume / ML:g} leaves no gas of the chamber's {volume / ML:.3g} mL"
+            f"{chamber.extra_volume / ML:g} leaves no gas in the chamber of {volume / ML:.3g} mL"
         )
         raise section.fail("chamber.extra_volume_mL", message)

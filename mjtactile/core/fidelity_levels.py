@@ -6,9 +6,12 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 
 LEFT_OUT: Mapping[str, str] = {
-    "mesh": "left out: a film lay on what touched, in place of the mesh (--effects -mesh)",
-    "pipeline": "left out: touch was drawn with the chain's errors (--effects -mesh,-pipeline)",
-    "images": "none were drawn: markers with errors drawn in their place (--effects -images)",
+    "mesh": "omitted: the quasi-static membrane replaced it (--effects -mesh)",
+    "pipeline": (
+        "omitted: touches were sampled with the errors of the sensing pipeline (--effects "
+        "-mesh,-pipeline)"
+    ),
+    "images": "not rendered: marker positions were sampled with errors instead (--effects -images)",
 }
 """Consequence of omitting each effect, by name. A result without the effect has its name with
 false."""

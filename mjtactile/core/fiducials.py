@@ -46,13 +46,22 @@ class Fiducials:
             focus.
     """
 
-    surface: str = text("surface", SURFACES, about="what they are on")
-    radius: float = number("radius_mm", 0.05, 50, MM, about="of each black circle")
+    surface: str = text("surface", SURFACES, about="surface that carries the circles")
+    radius: float = number("radius_mm", 0.05, 50, MM, about="radius of each black circle")
     places: tuple[tuple[float, float], ...] = entry(
-        Pairs(key="positions_mm", units=(MM, MM), about="[x, y] of each, in the sensor's frame")
+        Pairs(
+            key="positions_mm",
+            units=(MM, MM),
+            about="center [x, y] of each circle, in the sensor frame",
+        )
     )
     ground: float = number(
-        "quiet_zone_mm", 0.05, 50, MM, default=0.5e-3, about="white around each, 8 px or more"
+        "quiet_zone_mm",
+        0.05,
+        50,
+        MM,
+        default=0.5e-3,
+        about="width of the white ring around each circle, 8 px or more",
     )
     lip: float = number(
         "lip_mm",
@@ -60,7 +69,7 @@ class Fiducials:
         20,
         MM,
         default=1e-3,
-        about="thickness of the rim in front of them",
+        about="thickness of the rim in front of the circles",
         only_if=("surface", ("rim",)),
     )
     step: float = number(
@@ -69,7 +78,7 @@ class Fiducials:
         50,
         MM,
         default=3.2e-3,
-        about="by which the walls stand back behind the lip",
+        about="setback of the walls behind the lip",
         only_if=("surface", ("rim",)),
     )
     blur_px: float = number(
@@ -77,7 +86,7 @@ class Fiducials:
         0,
         20,
         default=2.0,
-        about="standard deviation of the picture's blur there: the pane is out of focus",
+        about="standard deviation of the image blur at the circles: the glass is out of focus",
         only_if=("surface", ("pane",)),
     )
 
@@ -134,19 +143,21 @@ class Fiducials:
             InputError: Names the field and the error.
         """
         if not FEWEST <= self.count <= _MOST:
-            message = f"{self.count} circles; from {FEWEST} to {_MOST}"
+            message = f"has {self.count} circles; {FEWEST} to {_MOST} are allowed"
             raise section.fail("fiducials.positions_mm", message)
         if self.surface == "rim" and self.step + _WALL > design.frame.rim:
             message = (
-                f"{self.step / MM:g} leaves no wall of frame.wall_mm {design.frame.rim / MM:g}"
+                f"{self.step / MM:g} leaves no wall at frame.wall_mm = {design.frame.rim / MM:g}"
             )
             raise section.fail("fiducials.wall_setback_mm", message)
         if self.surface == "rim" and self.lip >= design.chamber.depth:
-            raise section.fail("fiducials.lip_mm", f"{self.lip / MM:g} fills the chamber")
+            raise section.fail(
+                "fiducials.lip_mm", f"{self.lip / MM:g} is not less than the chamber depth"
+            )
         xy = np.array(self.places)
         apart = np.linalg.norm(xy[:, None] - xy, axis=2) + np.diag(np.full(len(xy), np.inf))
         if apart.min() < 2 * self.radius + self.ground:
-            message = f"circles {apart.min() / MM:.3g} mm apart leave no ground between them"
+            message = f"circles {apart.min() / MM:.3g} mm apart leave no white ground between them"
             raise section.fail("fiducials.positions_mm", message)
         for place, why in zip(self.places, self._wrong(design), strict=True):
             if why:
@@ -171,8 +182,11 @@ class Fiducials:
             beyond = design.frame.inside(np.array(self.places)) < reach - self.step
         beyond = beyond & (self.surface == "rim")
         out = self._outside_image(design, xy, here)
-        words = {"rim": "is not on the lip, ground and all", "pane": "hides a part of the membrane"}
-        found = np.where(out, "is out of the picture", "")
+        words = {
+            "rim": "is not on the lip with its whole quiet zone",
+            "pane": "hides part of the membrane",
+        }
+        found = np.where(out, "is outside the image", "")
         found = np.where(beyond, words["rim"], found)
         return np.where(hides, words[self.surface], found).tolist()
 

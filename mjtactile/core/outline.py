@@ -227,10 +227,10 @@ def _sampled(corners: Sequence[tuple[float, float]], radius: float) -> NDArray:
     p = np.array([complex(*corner) for corner in corners])
     edges = np.roll(p, -1) - p
     if len(p) < 3 or (np.imag(np.conj(p) * np.roll(p, -1)) <= 0).any():
-        raise OutlineError("corners_mm", "are not counter-clockwise around the middle")
+        raise OutlineError("corners_mm", "are not counter-clockwise around the center")
     turns = np.angle(edges / np.roll(edges, 1))
     if (turns <= 1e-6).any():
-        raise OutlineError("corners_mm", "are not those of a convex polygon")
+        raise OutlineError("corners_mm", "do not form a convex polygon")
     cut = radius * np.tan(turns / 2)
     if (cut + np.roll(cut, -1) > np.abs(edges) * (1 + 1e-9)).any():
         message = f"{1e3 * radius:g} does not fit between two corners"

@@ -169,7 +169,7 @@ def action_from_commands(before: Command, after: Command, period: float) -> Arra
     """
     limit = before.force_limit if after.force_limit is None else after.force_limit
     if limit is None:
-        raise InputError("none was commanded", source="Command", field="force_limit")
+        raise InputError("no force limit was commanded", source="Command", field="force_limit")
     return np.clip(
         [
             (after.opening - before.opening) / (OPENING_SPEED * period),

@@ -72,7 +72,7 @@ def ask(process: subprocess.Popen[str], request: str, name: str) -> Any:
         line = process.stdout.readline()
     if not line:
         raise DeviceError(
-            f"{name} has ended ({how_it_ended(process)}); what it printed to stderr says why"
+            f"{name} has ended ({how_it_ended(process)}); its output to stderr gives the reason"
         )
     answer = json.loads(line)
     if isinstance(answer, dict) and "error" in answer:
@@ -93,7 +93,7 @@ def how_it_ended(process: subprocess.Popen[str]) -> str:
         process.wait(0.2)  # its pipes and sockets close a moment before it can be waited for
     code = process.poll()
     if code is None:
-        return "it runs, but is not connected"
+        return "still running, but not connected"
     return f"by signal {-code}" if code < 0 else f"exit code {code}"
 
 

@@ -49,8 +49,10 @@ class Relaxation:
         Pairs(
             key="terms_s",
             units=(1.0, 1.0),
-            about="[share, seconds] of each: stress beyond the lasting one that a quick stretch "
-            "meets, and the time in which it fades to 37 %",
+            about=(
+                "[fraction, s] of each term: stress of a fast stretch in addition to the "
+                "long-term stress, and time constant of its decay (to 37 %)"
+            ),
         )
     )
     softening: float = number(
@@ -58,7 +60,7 @@ class Relaxation:
         0,
         0.9,
         default=0.0,
-        about="of the stress, that the first cycles take (Mullins)",
+        about="maximum fraction of the stress lost in the first cycles (Mullins)",
     )
     softening_energy: float = number(
         "mullins_energy_kJ_m3",
@@ -66,7 +68,7 @@ class Relaxation:
         1e4,
         KPA,
         default=5e3,
-        about="energy below the most that was ever stored, at which 84 % of it is taken",
+        about="energy below the maximum ever stored at which 84 % of this loss occurs",
     )
 
     @property
@@ -99,18 +101,23 @@ class Relaxation:
         """
         if len(self.terms) > MAX_TERMS:
             raise section.fail(
-                "relaxation.terms_s", f"{len(self.terms)} terms are more than {MAX_TERMS}"
+                "relaxation.terms_s",
+                f"has {len(self.terms)} terms; at most {MAX_TERMS} are allowed",
             )
         for share, seconds in self.terms:
             if not (0 < share <= 2 and 1e-3 <= seconds <= 1e7):
                 message = (
-                    f"[{share:g}, {seconds:g}]: a share above 0, up to 2, "
-                    "and 0.001 to 1e7 seconds are wanted"
+                    f"[{share:g}, {seconds:g}] is outside the range: a fraction above 0, up "
+                    "to 2, and 0.001 to 1e7 seconds"
                 )
                 raise section.fail("relaxation.terms_s", message)
         if not self.terms and not self.softening:
             raise section.fail(
-                "relaxation.terms_s", "neither terms_s nor mullins_fraction says anything"
+                "relaxation.terms_s",
+                (
+                    "terms_s is empty and mullins_fraction is 0; set one of them or remove the "
+                    "section"
+                ),
             )
 
 

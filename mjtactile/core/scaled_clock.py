@@ -25,7 +25,7 @@ def _from_environment() -> float:
     except ValueError:
         times = 0.0
     if not 1 <= times < math.inf:
-        raise InputError(f"{text!r} is not a number from 1 up", field=_NAME)
+        raise InputError(f"{text!r} is not a number of at least 1", field=_NAME)
     return times
 
 

@@ -141,7 +141,7 @@ class Scenario:
 
     def __post_init__(self) -> None:
         if self.seed < 0:
-            raise InputError(f"{self.seed} is not a whole number from 0 up", field="seed")
+            raise InputError(f"{self.seed} is not an integer of at least 0", field="seed")
         if not self.time_limit > 0:
             raise InputError(f"{self.time_limit:g} is not above 0", field="time_limit_s")
 

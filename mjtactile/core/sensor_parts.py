@@ -74,14 +74,16 @@ class Frame:
         200,
         MM,
         default=0.001,
-        about="rounding of each corner",
+        about="radius of each corner",
         only_if=("shape", _ROUND_CORNERS),
     )
     corners: tuple[tuple[float, float], ...] = entry(
         Pairs(
             key="corners_mm",
             units=(MM, MM),
-            about="[x, y] of each before it is rounded, counter-clockwise about the middle, convex",
+            about=(
+                "[x, y] of each corner before rounding, counter-clockwise around the center, convex"
+            ),
             only_if=("shape", (FrameShape.POLYGON,)),
         ),
         (),
@@ -160,19 +162,21 @@ class Membrane:
     """Rubber sheet, SI: Pa, kg/m^3, m; `transmission` of its stress."""
 
     thickness: float = number(
-        "thickness_mm", 0.01, 5, MM, about="of the sheet before it is stretched"
+        "thickness_mm", 0.01, 5, MM, about="thickness of the membrane before stretching"
     )
     young: float = number("young_MPa", 0.01, 1000, 1e6, about="Young's modulus")
     poisson: float = number("poisson_ratio", 0, 0.499, ONE, about="rubber: 0.45 to 0.49")
-    density: float = number("density_kg_m3", 100, 20000, ONE, about="of the rubber")
+    density: float = number("density_kg_m3", 100, 20000, ONE, about="density of the rubber")
     pre_stretch: float = number(
         "pre_stretch",
         0.9,
         2,
         ONE,
         default=1.0,
-        about="mounted length over free length, both ways; 1 is none. "
-        "Below 0.95 the sheet folds and is refused",
+        about=(
+            "mounted length over free length, in both directions; 1: not stretched. Below 0.95 "
+            "the membrane folds and is refused"
+        ),
     )
     friction: float = number(
         "friction",
@@ -180,7 +184,7 @@ class Membrane:
         5,
         ONE,
         default=0.9,
-        about="Coulomb's coefficient of the outside against whatever touches",
+        about="Coulomb friction coefficient between the outside and any object",
     )
     law: Law = Law.NEO_HOOKEAN
 
@@ -205,10 +209,14 @@ class MarkerLayout:
     rows: int = whole("rows", 2, 200, about="along y")
     columns: int = whole("columns", 2, 200, about="along x")
     pitch_x: float = number(
-        "pitch_x_mm", 0.1, 200, MM, about="centre to centre, on the mounted flat membrane"
+        "pitch_x_mm",
+        0.1,
+        200,
+        MM,
+        about="distance between marker centers along x, on the mounted flat membrane",
     )
-    pitch_y: float = number("pitch_y_mm", 0.1, 200, MM, about="the same along y")
-    radius: float = number("radius_mm", 0.05, 50, MM, about="of each black circle")
+    pitch_y: float = number("pitch_y_mm", 0.1, 200, MM, about="the same distance along y")
+    radius: float = number("radius_mm", 0.05, 50, MM, about="radius of each black circle")
 
     frame: Frame | None = None
 
@@ -235,7 +243,11 @@ class Chamber:
     """Sealed space behind the flat membrane, SI: m, Pa, K, s, m^3/(s Pa) of volume flow, m^3."""
 
     depth: float = number(
-        "depth_mm", 0.1, 500, MM, about="flat membrane to glass; no press can be deeper"
+        "depth_mm",
+        0.1,
+        500,
+        MM,
+        about="distance from the flat membrane to the glass: limit of the indentation depth",
     )
     polytropic_exponent: float = number(
         "polytropic_exponent",
@@ -243,8 +255,10 @@ class Chamber:
         1.7,
         ONE,
         default=1.0,
-        about="gamma of the gas law p V^gamma: 1 isothermal, "
-        "1.4 air that has no time to take the walls' temperature",
+        about=(
+            "gamma of the gas law p V^gamma: 1 isothermal, 1.4 air without heat exchange with "
+            "the walls"
+        ),
     )
     supply_gauge: float = number(
         "supply_pressure_kPa",
@@ -252,11 +266,11 @@ class Chamber:
         100,
         KPA,
         default=1000.0,
-        about="what the valve connects to: the working pressure",
+        about="gauge pressure of the valve's supply: the working pressure",
     )
     ambient: float = number("ambient_kPa", 1, 1000, KPA, default=101325.0, about="absolute")
     temperature: float = number(
-        "temperature_K", 200, 400, ONE, default=293.15, about="of gas and walls"
+        "temperature_K", 200, 400, ONE, default=293.15, about="temperature of gas and walls"
     )
     heat_exchange: float = number(
         "thermal_time_constant_s",
@@ -264,8 +278,7 @@ class Chamber:
         1e6,
         ONE,
         default=math.inf,
-        about="time constant with which the gas takes the walls' temperature; "
-        "a few mm of air need 0.5-2",
+        about="time constant of the heat exchange between gas and walls; 0.5-2 for a few mm of air",
     )
     valve_conductance: float = number(
         "valve_mL_s_kPa",
@@ -273,10 +286,15 @@ class Chamber:
         1e6,
         ML_S_KPA,
         default=math.inf,
-        about="flow through the open valve for each kPa; infinite: the pressure follows at once",
+        about="flow through the open valve per kPa; infinite: the pressure follows at once",
     )
     leak_conductance: float = number(
-        "leak_mL_s_kPa", 0, 1e6, ML_S_KPA, default=0.0, about="the same of a hole to ambient"
+        "leak_mL_s_kPa",
+        0,
+        1e6,
+        ML_S_KPA,
+        default=0.0,
+        about="flow per kPa through a leak to ambient",
     )
     extra_volume: float = number(
         "extra_volume_mL",
@@ -284,8 +302,10 @@ class Chamber:
         1e4,
         ML,
         default=0.0,
-        about="gas that is not between opening and glass: the hose's, up to the valve; "
-        "less than 0 where the walls slope in",
+        about=(
+            "gas volume outside the space between opening and glass: the hose up to the valve; "
+            "negative where the walls slope inward"
+        ),
     )
 
 
@@ -298,7 +318,11 @@ class Glass:
         "refractive_index", 1, 3, ONE, about="glass 1.52, acrylic 1.49"
     )
     distance: float = number(
-        "distance_mm", 0, 1000, MM, about="camera centre to the pane's near face"
+        "distance_mm",
+        0,
+        1000,
+        MM,
+        about="distance from the camera center to the near face of the glass",
     )
 
 
@@ -306,25 +330,25 @@ class Glass:
 class Pinhole:
     """Intrinsics of a camera, pixels."""
 
-    width: int = whole("width_px", 16, 8192, about="of the image")
-    height: int = whole("height_px", 16, 8192, about="of the image")
+    width: int = whole("width_px", 16, 8192, about="size of the image")
+    height: int = whole("height_px", 16, 8192, about="size of the image")
     fx: float = number("fx_px", 10, 1e5, ONE, about="focal length along u")
-    fy: float = number("fy_px", 10, 1e5, ONE, about="and along v")
+    fy: float = number("fy_px", 10, 1e5, ONE, about="focal length along v")
     cx: float = number(
         "cx_px",
         -8192,
         16384,
         ONE,
-        about="principal point; the centre of the top-left pixel is (0, 0)",
+        about="principal point along u; the center of the top-left pixel is (0, 0)",
     )
-    cy: float = number("cy_px", -8192, 16384, ONE, about="the same along v")
+    cy: float = number("cy_px", -8192, 16384, ONE, about="principal point along v")
     distortion: tuple[float, ...] = numbers(
         "distortion",
         ("k1", "k2", "p1", "p2", "k3"),
         -1000,
         1000,
         default=(0.0, 0.0, 0.0, 0.0, 0.0),
-        about="k1, k2, p1, p2, k3 as OpenCV and ROS have them (plumb_bob), each in this range",
+        about="k1, k2, p1, p2, k3 as in OpenCV and ROS (plumb_bob), each in this range",
     )
 
     @property
@@ -342,14 +366,16 @@ class Pinhole:
 class CameraDesign(Pinhole):
     """Camera behind the glass, looking along +z of S; m, Hz."""
 
-    distance: float = number("distance_mm", 1, 2000, MM, about="camera centre to the flat membrane")
+    distance: float = number(
+        "distance_mm", 1, 2000, MM, about="distance from the camera center to the flat membrane"
+    )
     rate: float = number(
         "rate_Hz",
         0.1,
         2000,
         ONE,
         default=30.0,
-        about="images a second, and turns of the control loop",
+        about="images per second; also the rate of the control loop",
     )
     blur_px: float = number(
         "blur_px",
@@ -357,8 +383,10 @@ class CameraDesign(Pinhole):
         20,
         ONE,
         default=0.7,
-        about="standard deviation of the image's blur; simulation, "
-        "and what the edges' correction begins from",
+        about=(
+            "standard deviation of the image blur, for simulation and as start value of the edge "
+            "correction"
+        ),
     )
     noise_dn: float = number(
         "noise_DN",
@@ -366,7 +394,7 @@ class CameraDesign(Pinhole):
         100,
         ONE,
         default=2.0,
-        about="standard deviation of a pixel's noise, in grey levels of 8 bit",
+        about="standard deviation of the pixel noise, in gray levels of 8 bit",
     )
 
     @property
@@ -379,10 +407,14 @@ class CameraDesign(Pinhole):
 class Leds:
     """LEDs on a ring around the camera, m, and the grey levels (0-255) under them."""
 
-    count: int = whole("count", 0, 1000, default=4, about="on a ring around the camera")
-    ring_radius: float = number("ring_radius_mm", 0, 500, MM, default=0.012, about="of that ring")
+    count: int = whole(
+        "count", 0, 1000, default=4, about="number of LEDs on a ring around the camera"
+    )
+    ring_radius: float = number(
+        "ring_radius_mm", 0, 500, MM, default=0.012, about="radius of the LED ring"
+    )
     membrane_dn: float = number(
-        "membrane_DN", 0, 255, ONE, default=185.0, about="grey level of the lit white membrane"
+        "membrane_DN", 0, 255, ONE, default=185.0, about="gray level of the lit white membrane"
     )
     marker_dn: float = number(
         "marker_DN",
@@ -390,7 +422,7 @@ class Leds:
         255,
         ONE,
         default=40.0,
-        about="grey level of a black marker, less than the membrane's",
+        about="gray level of a black marker, less than the membrane's",
     )
     vignetting: float = number(
         "vignetting",
@@ -398,5 +430,5 @@ class Leds:
         1,
         ONE,
         default=0.25,
-        about="share of the light lost at the image's corners",
+        about="fraction of the light lost at the image corners",
     )

@@ -52,14 +52,16 @@ class GoalSettings:
     """Goal of the task, as given to the robot."""
 
     lift_height: float = number(
-        "lift_height_mm", 5, 150, MM, default=0.040, about="how high it lifts"
+        "lift_height_mm", 5, 150, MM, default=0.040, about="height of the lift"
     )
-    hold_time: float = number("hold_time_s", 0.1, 600, default=2.0, about="how long it holds there")
+    hold_time: float = number(
+        "hold_time_s", 0.1, 600, default=2.0, about="duration of the hold at that height"
+    )
     place_height: float = number(
-        "place_height_mm", 0, 150, MM, default=0.0, about="of the place it sets down on"
+        "place_height_mm", 0, 150, MM, default=0.0, about="height of the place to set down on"
     )
-    handover: bool = flag("handover", default=False, about="somebody will take it")
-    push: float = number("push_N", 0, 20, default=0.0, about="somebody may push it so hard")
+    handover: bool = flag("handover", default=False, about="true if the object will be taken")
+    push: float = number("push_N", 0, 20, default=0.0, about="maximum announced push")
 
     def goal(self) -> TaskGoal:
         """The value that controllers see."""
@@ -70,30 +72,32 @@ class GoalSettings:
 class ObjectRandomization:
     """Randomization of the object; properties without a range keep the value of its file."""
 
-    mass: Range | None = _range("mass_g", 0.1, 2000, 1e-3, about="evenly in its logarithm")
-    friction: Range | None = _range("friction", 0.05, 3, about="coefficient, with the membranes")
+    mass: Range | None = _range("mass_g", 0.1, 2000, 1e-3, about="mass, uniform in its logarithm")
+    friction: Range | None = _range(
+        "friction", 0.05, 3, about="friction coefficient with the membranes"
+    )
     need_max: float = number(
         "required_grip_max_N",
         0.01,
         20,
         default=math.inf,
-        about="mass and friction that need more of a finger are drawn again",
+        about="maximum required force per finger; mass and friction above it are sampled again",
     )
     breaking_min: float = number(
         "break_force_min_N",
         0,
         100,
         default=0.0,
-        about="no thing breaks at less: what touching takes",
+        about="lower limit of the breaking force, as required for touching",
     )
     breaking: Range | None = _range(
-        "break_force_factor", 1.05, 100, about="what it stands, over the least grip that holds"
+        "break_force_factor", 1.05, 100, about="breaking force over the minimum grip that holds"
     )
 
     def validate(self, section: Section) -> None:
         _require_order(self, section)
         if self.breaking is not None and self.friction is None:
-            raise section.fail("break_force_factor", "rests on friction, which is missing")
+            raise section.fail("break_force_factor", "requires friction, which is missing")
 
 
 @dataclass(frozen=True)
@@ -101,19 +105,21 @@ class Disturbance:
     """One disturbance. It starts `begin` s after the lift is complete, and lasts `last` s."""
 
     kind: str = text("kind", KINDS)
-    begin: Range = numbers("start_s", _SPAN, 0, 600, about="after the hand is up")
+    begin: Range = numbers("start_s", _SPAN, 0, 600, about="start time after the lift")
     last: Range = numbers("duration_s", _SPAN, 0.001, 600)
-    mass: Range | None = _range(
-        "final_mass_g", 0.1, 2000, 1e-3, of="fill", about="its mass in the end"
-    )
+    mass: Range | None = _range("final_mass_g", 0.1, 2000, 1e-3, of="fill", about="mass at the end")
     acceleration: Range | None = _range("acceleration_m_s2", 0, 20, of="shake", about="amplitude")
     rate: Range | None = _range("rate_Hz", 0.1, 20, of="shake")
-    tilt: Range | None = _range("tilt_deg", 0, 90, DEGREE, of="shake", about="it also turns")
-    impulse: Range | None = _range("impulse_N_s", 0, 1, of="push", about="from any side")
-    height: Range | None = _range(
-        "height_mm", -50, 50, MM, of="move_support", about="of the place, over where it stood"
+    tilt: Range | None = _range(
+        "tilt_deg", 0, 90, DEGREE, of="shake", about="rotation of the gripper"
     )
-    force: Range | None = _range("force_N", 0, 20, of="pull", about="in the end, from any side")
+    impulse: Range | None = _range("impulse_N_s", 0, 1, of="push", about="impulse, from any side")
+    height: Range | None = _range(
+        "height_mm", -50, 50, MM, of="move_support", about="height of the place above the first one"
+    )
+    force: Range | None = _range(
+        "force_N", 0, 20, of="pull", about="force at the end, from any side"
+    )
 
     def validate(self, section: Section) -> None:
         wanted = {
@@ -134,16 +140,20 @@ class SuccessCriteria:
     """Criteria of success, in addition to an object that is held and intact."""
 
     upright: float = number(
-        "tilt_max_deg", 0, 180, DEGREE, default=math.inf, about="it stands, no more tilted"
+        "tilt_max_deg", 0, 180, DEGREE, default=math.inf, about="maximum tilt at the end, standing"
     )
     let_go: float = number(
-        "release_within_s", 0, 60, default=math.inf, about="of a pull; and not before it"
+        "release_within_s",
+        0,
+        60,
+        default=math.inf,
+        about="time limit after a pull, and not before it",
     )
     fall: float = number(
-        "drop_max_mm", 0.1, 200, MM, default=0.015, about="when it is let go of, and no further"
+        "drop_max_mm", 0.1, 200, MM, default=0.015, about="maximum fall at release"
     )
     bump: float = number(
-        "impact_max_N_s", 0, 10, default=math.inf, about="with which it is set down, at most"
+        "impact_max_N_s", 0, 10, default=math.inf, about="maximum impact at set-down"
     )
 
 
@@ -283,7 +293,7 @@ def _require_order(value: Any, section: Section) -> None:
     for name, found in entries(type(value)).items():
         span = getattr(value, name)
         if isinstance(span, tuple) and span[0] > span[1]:
-            raise section.fail(found.key, "has its low above its high")
+            raise section.fail(found.key, "has its lower limit above its upper limit")
 
 
 def _key(kind: type, name: str) -> str:

@@ -33,7 +33,7 @@ def _toml(text: str) -> dict[str, Any]:
             piece.count(".") >= DEEPEST
             and len(re.findall(r"[\w\"'-]\.(?=[\w\"'-])", re.sub(r"\s", "", piece))) >= DEEPEST
         ):
-            raise ValueError(f"a key of more than {DEEPEST} names")
+            raise ValueError(f"a key has more than {DEEPEST} names")
     return tomllib.loads(text)
 
 
@@ -45,7 +45,9 @@ def read_json(path: Path) -> Any:
 def _parse(path: Path, kind: str, parse: Callable[[str], Any]) -> Any:
     try:
         if path.stat().st_size > LARGEST:
-            raise InputError(f"larger than {LARGEST >> 20} MiB: not such a file", source=path)
+            raise InputError(
+                f"is larger than {LARGEST >> 20} MiB, the limit for such a file", source=path
+            )
         # editors on Windows put a byte order mark in front
         return parse(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
@@ -149,7 +151,7 @@ class Section:
         )
         if not fits or not np.isfinite(array).all():
             size = " x ".join("n" if n is None else str(n) for n in shape)
-            raise self.fail(key, f"not {size} finite numbers")
+            raise self.fail(key, f"is not an array of {size} finite numbers")
         array.flags.writeable = False
         return array
 
@@ -220,7 +222,7 @@ class Section:
         """The table `[key]` with whatever is in it."""
         value = self._get(key, ...)
         if not isinstance(value, Mapping):
-            raise self.fail(key, "not a table")
+            raise self.fail(key, "is not a table")
         return value
 
     def section(self, key: str) -> Section:
@@ -239,7 +241,7 @@ class Section:
         if value is None:
             return None
         if not isinstance(value, Mapping):
-            raise self.fail(key, f"not a section; write [{self._place(key)}]")
+            raise self.fail(key, f"is not a section; write [{self._place(key)}]")
         return Section(value, self._place(key), self._source)
 
     def sections(self, key: str, low: int = 1, high: int = 2) -> list[Section]:
@@ -247,9 +249,9 @@ class Section:
         value = self._get(key, None if low == 0 else ...)
         value = [] if value is None else value
         if not isinstance(value, list) or not all(isinstance(item, Mapping) for item in value):
-            raise self.fail(key, f"not a list of sections; write [[{self._place(key)}]]")
+            raise self.fail(key, f"is not a list of sections; write [[{self._place(key)}]]")
         if not low <= len(value) <= high:
-            raise self.fail(key, f"{len(value)} of them, expected {low} to {high}")
+            raise self.fail(key, f"has {len(value)} sections, expected {low} to {high}")
         return [
             Section(item, f"{self._place(key)}[{i}]", self._source) for i, item in enumerate(value)
         ]

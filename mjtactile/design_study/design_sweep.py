@@ -122,7 +122,7 @@ def sweep(
                 say(f"{len(tried)} of {count} designs")
     if not tried:
         raise InputError(
-            f"no design of {_TRIES * count} drawn could be built and felt with",
+            f"none of {_TRIES * count} sampled designs could be built and used for sensing",
             source=design.name,
             field="--sensor",
         )

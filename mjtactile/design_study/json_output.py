@@ -109,17 +109,18 @@ def _row(one: DesignCandidate) -> dict[str, Any]:
 def _text(name: str, one: DesignCandidate, force: float) -> str:
     reached = one.score.table()
     head = (
-        f"Written by `mjtactile design`. Predicted where {force:g} N press: sd of the force "
-        f"{reached['force_sd_mN']:.1f} mN,\nof an edge's place {reached['edge_sd_mm']:.3f} mm; "
-        f"touch by noise {reached['touch_by_noise_mN']:.1f} mN, largest force "
-        f"{reached['force_most_N']:.1f} N."
+        f"Written by `mjtactile design`. Predicted at {force:g} N: force sd "
+        f"{reached['force_sd_mN']:.1f} mN,\n"
+        f"edge position sd {reached['edge_sd_mm']:.3f} mm; touch threshold from noise "
+        f"{reached['touch_by_noise_mN']:.1f} mN, largest force {reached['force_most_N']:.1f} "
+        "N."
     )
     return sensor_file_edit.sensor_text(replace(one.design, name=name), head)
 
 
 def _checked(design: SensorDesign, places: int, seed: int, say: Say) -> dict[str, Any]:
     """Compare the predicted sd with the scatter of indentations in full simulation."""
-    say(f"pressing {design.name} in full simulation")
+    say(f"indenting {design.name} in full simulation")
     presses = check(design, places=places, seed=seed, say=say)
     found = {} if not presses else asdict(verdict(presses))
     return {

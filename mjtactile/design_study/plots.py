@@ -12,18 +12,18 @@ from mjtactile.report import html
 # key of a place, words, unit
 MAPS = (
     ("force_sd_mN", "sd of the force", "mN"),
-    ("place_sd_mm", "sd of where it acts", "mm"),
-    ("edge_sd_mm", "sd of an edge's place", "mm"),
+    ("place_sd_mm", "sd of the force position", "mm"),
+    ("edge_sd_mm", "sd of an edge position", "mm"),
 )
 WORDS = {
-    "touch_mN": ("smallest touch that the chain calls one", "mN"),
-    "touch_by_noise_mN": ("smallest touch that the pixels' noise allows", "mN"),
-    "force_sd_mN": ("sd of the force, all doubts included", "mN"),
+    "touch_mN": ("smallest touch that the pipeline detects", "mN"),
+    "touch_by_noise_mN": ("smallest touch that the pixel noise allows", "mN"),
+    "force_sd_mN": ("sd of the force, all error sources included", "mN"),
     "force_noise_mN": ("sd of the force from image to image", "mN"),
-    "place_sd_mm": ("sd of where the force acts", "mm"),
-    "edge_sd_mm": ("sd of an edge's place", "mm"),
-    "smallest_radius_mm": ("smallest ball whose radius is told to 25 %", "mm"),
-    "force_most_N": ("largest force, of a ball of 10 mm", "N"),
+    "place_sd_mm": ("sd of the force position", "mm"),
+    "edge_sd_mm": ("sd of an edge position", "mm"),
+    "smallest_radius_mm": ("smallest ball whose radius is estimated to 25 %", "mm"),
+    "force_most_N": ("largest force of a 10 mm ball", "N"),
 }
 
 
@@ -55,7 +55,7 @@ def plot_face(figure: Any, given: Mapping[str, Any]) -> None:
         axes.set(title=f"{words}, {unit}", xlabel="x, mm", aspect="equal")
         figure.colorbar(drawn, ax=axes, shrink=0.6)
     figure.axes[0].set_ylabel("y, mm")
-    figure.suptitle(f"sensor {given['sensor']}: what it reaches where {given['force_N']:g} N press")
+    figure.suptitle(f"sensor {given['sensor']}: predicted performance at {given['force_N']:g} N")
 
 
 def page(given: Mapping[str, Any], picture: bytes | None) -> str:
@@ -68,15 +68,15 @@ def page(given: Mapping[str, Any], picture: bytes | None) -> str:
     Returns:
         HTML.
     """
-    title = f"What the sensor {given['sensor']} reaches"
-    body = [f"<h1>{title}</h1>", f"<p>Where {given['force_N']:g} N press, predicted.</p>"]
+    title = f"Predicted performance of the sensor {given['sensor']}"
+    body = [f"<h1>{title}</h1>", f"<p>Predicted at {given['force_N']:g} N.</p>"]
     own = given["reaches"]
     reached = [(words, f"{number(own[key])} {unit}") for key, (words, unit) in WORDS.items()]
     body.append(html.table(("", "reached"), reached))
     if picture is not None:
         body.append(f'<img alt="maps of the face" src="{html.data_uri("image/png", picture)}">')
     body.append(f"<p>{image_quality_text(given['picture'])}</p>")
-    body.append("<h2>What changes would buy</h2><p>Times what it reaches now.</p>")
+    body.append("<h2>Effect of changes</h2><p>Factors relative to the present values.</p>")
     body.append(html.table(("change", *CHANGED.values()), change_rows(given)))
     return html.document(title, body)
 
@@ -118,9 +118,9 @@ def image_quality_text(picture: Mapping[str, float]) -> str:
     longer = 100 * (picture["longest_lens"] - 1)
     room = "a longer lens would lose markers"
     if picture["longest_lens"] > 1.01:
-        room = f"a lens {longer:.0f} % longer would still see every marker, flat and inflated"
+        room = f"a lens {longer:.0f} % longer would still show every marker, flat and inflated"
     return (
-        f"{width:.0f} % of the picture's width and {height:.0f} % of its height lie beside the "
+        f"{width:.0f} % of the image width and {height:.0f} % of its height lie outside the "
         f"membrane; {room}."
     )
 
@@ -138,7 +138,7 @@ def plot_front(figure: Any, swept: Mapping[str, Any]) -> None:
     y = np.array([one["reaches"]["edge_sd_mm"] for one in tried], float)
     markers = np.array([one["rows"] * one["columns"] for one in tried], float)
     meets = np.array([one["meets"] for one in tried], bool)
-    for those, marker, label in ((meets, "o", "meets all"), (~meets, "x", "misses a wish")):
+    for those, marker, label in ((meets, "o", "meets all"), (~meets, "x", "misses a requirement")):
         if those.any():
             drawn = axes.scatter(
                 x[those], y[those], c=markers[those], marker=marker, s=28, label=label,
@@ -147,15 +147,15 @@ def plot_front(figure: Any, swept: Mapping[str, Any]) -> None:
     figure.colorbar(drawn, ax=axes, label="markers")  # pyright: ignore[reportPossiblyUnboundVariable]
     on_front = np.array([one["on_front"] for one in tried], bool)
     front = sorted(zip(x[on_front], y[on_front], strict=True))
-    axes.plot(*zip(*front, strict=True), "k-", lw=1, label="none is better in all")
+    axes.plot(*zip(*front, strict=True), "k-", lw=1, label="Pareto front: none is better in all")
     begun = swept["begun_from"]["reaches"]
     axes.plot(begun["force_sd_mN"], begun["edge_sd_mm"], "r*", ms=14, label=swept["sensor"])
     wish = swept["wish"]["edge_mm"]
     if wish is not None:
-        axes.axhline(wish, color="0.6", ls=":", label="edge asked for")
+        axes.axhline(wish, color="0.6", ls=":", label="required sd of an edge")
     axes.set(
         xlabel=f"sd of a force of {swept['force_N']:g} N, mN",
-        ylabel="sd of an edge's place, mm",
+        ylabel="sd of an edge position, mm",
         xscale="log",
         yscale="log",
         title=f"{len(tried)} designs, predicted",

@@ -87,19 +87,19 @@ def study(design: SensorDesign, force: float, *, say: Say = lambda _: None) -> P
         InputError: The membrane has no equilibrium, or markers are outside of the image.
     """
     stand = VirtualBench(design)
-    say("what it reaches")
+    say("predicting the performance")
     own = score(design, force, stand=stand)
     reacher = ResolutionPredictor(stand)
     places = face_places(design)
     face = []
     for number, place in enumerate(places):
         if number % 10 == 0:
-            say(f"its face: {number} of {len(places)} places")
+            say(f"sensing surface: {number} of {len(places)} positions")
         face.append(reacher.at(place, force))
     picture = picture_of(stand)
     changes = []
     for what, changed in variants(design, picture.longest_lens):
-        say(f"what would it buy: {what}")
+        say(f"effect of a change: {what}")
         changes.append(_changed(what, changed, force))
     return PredictionReport(design, force, own, tuple(face), picture, tuple(changes))
 
@@ -175,12 +175,11 @@ def variants(design: SensorDesign, longest_lens: float) -> list[tuple[str, Senso
             replace(design, chamber=replace(chamber, supply_gauge=_MORE * chamber.supply_gauge)),
         ),
         (
-            f"{columns} x {rows} markers (a quarter more each way, as much smaller)",
+            f"{columns} x {rows} markers (a quarter more each way, and as much smaller)",
             with_markers(design, rows, columns, extent_of(design), radius_fraction(design)),
         ),
         (
-            f"focal length {lens * camera.fx:.0f} px ({_percent(lens)}, what the picture has room "
-            "for)"
+            f"focal length {lens * camera.fx:.0f} px ({_percent(lens)}, the maximum for the image)"
             if lens < _MORE
             else f"focal length {lens * camera.fx:.0f} px (a quarter more)",
             scaled_lens(design, lens),
@@ -195,7 +194,7 @@ def variants(design: SensorDesign, longest_lens: float) -> list[tuple[str, Senso
             replace(design, camera=replace(camera, noise_dn=camera.noise_dn / 2)),
         ),
         (
-            f"a sheet of {1e3 * membrane.thickness / _MORE:.2f} mm (a fifth less)",
+            f"a membrane of {1e3 * membrane.thickness / _MORE:.2f} mm (a fifth less)",
             replace(design, membrane=replace(membrane, thickness=membrane.thickness / _MORE)),
         ),
         (

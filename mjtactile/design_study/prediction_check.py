@@ -94,7 +94,7 @@ def check(
         found += [
             one for step in result["steps"] if (one := _compared(reacher, at, step)) is not None
         ]
-        say(f"place {number + 1} of {places}: {len(found)} presses")
+        say(f"position {number + 1} of {places}: {len(found)} indentations")
     return found
 
 

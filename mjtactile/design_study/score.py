@@ -39,18 +39,20 @@ class Score:
     The means are root mean squares over three positions near the center.
     """
 
-    touch: float = _number("touch_mN", 1e-3, "smallest touch that the chain calls one", 1)
+    touch: float = _number("touch_mN", 1e-3, "smallest touch that the pipeline detects", 1)
     seen: float = _number(
-        "touch_by_noise_mN", 1e-3, "five sd of the running level: what pixels alone allow", 1
+        "touch_by_noise_mN", 1e-3, "five sd of the running level: limit of the pixel noise alone", 1
     )
-    force_sd: float = _number("force_sd_mN", 1e-3, "sd of the force, as the chain says it", 1)
-    noise: float = _number("force_noise_mN", 1e-3, "of that, from image to image", 2)
-    place_sd: float = _number("place_sd_mm", 1e-3, "sd of where the force acts", 3)
-    edge_sd: float = _number("edge_sd_mm", 1e-3, "sd of where an edge lies", 3)
+    force_sd: float = _number(
+        "force_sd_mN", 1e-3, "sd of the force, as reported by the pipeline", 1
+    )
+    noise: float = _number("force_noise_mN", 1e-3, "its part from image to image", 2)
+    place_sd: float = _number("place_sd_mm", 1e-3, "sd of the force position", 3)
+    edge_sd: float = _number("edge_sd_mm", 1e-3, "sd of an edge position", 3)
     radius: float = _number(
-        "smallest_radius_mm", 1e-3, "smallest ball whose radius is told to a quarter", 1
+        "smallest_radius_mm", 1e-3, "smallest ball whose radius is estimated to a quarter", 1
     )
-    most: float = _number("force_most_N", 1.0, "largest force, of a ball of 10 mm", 2)
+    most: float = _number("force_most_N", 1.0, "largest force of a 10 mm ball", 2)
 
     def table(self) -> dict[str, float]:
         """Return the values by key, in the key's unit."""

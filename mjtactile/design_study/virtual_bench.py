@@ -94,8 +94,8 @@ class VirtualBench:
         found = 0 if seen.ellipses is None else len(seen.ellipses)
         if found < self.circles:
             raise InputError(
-                f"only {found} of {self.circles} circles lie whole in the picture while the "
-                f"membrane is {how}",
+                f"only {found} of {self.circles} circles lie completely in the image while "
+                f"the membrane is {how}",
                 source=self.design.name,
                 field="camera.fx_px",
             )

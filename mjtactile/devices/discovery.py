@@ -74,7 +74,7 @@ def serial_ports(
         if not ask:
             found.append(known)
         elif port.vid is None and port.device not in named:
-            found.append(replace(known, problem=f"built in: not asked without --port {path}"))
+            found.append(replace(known, problem=f"built in: queried only with --port {path}"))
         else:
             found.append(_identify(known, say))
     present = {port.device for port in found}
@@ -130,7 +130,7 @@ def valve_board_at(port: str) -> str:
 
 
 def _identify(port: SerialPort, say: Callable[[str], None]) -> SerialPort:
-    say(f"{port.path}: servos? a valve board?")
+    say(f"{port.path}: searching for servos and a valve board")
     try:
         baud, servos = servos_at(port.path) if "://" not in port.path else (0, {})
         return replace(

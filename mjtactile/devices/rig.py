@@ -138,7 +138,7 @@ def build_device_rig(
 def _check_pace(rig_file: RigFile) -> None:
     if scaled_clock.slow() != 1 and not rig_file.bus.port.startswith(_EMULATED):
         raise InputError(
-            f"{rig_file.bus.port}: only emulated devices can be slow",
+            f"{rig_file.bus.port}: only emulated devices can run slower",
             source=rig_file.path,
             field="--time-scale",
         )

@@ -180,7 +180,7 @@ class ControlTable:
     def __init__(self, model: str):
         if model not in _MODELS:
             raise InputError(
-                f"the emulator knows no servo {model!r}", field="model", choices=_MODELS
+                f"the emulator does not support the servo {model!r}", field="model", choices=_MODELS
             )
         row = _MODELS[model]
         self.size = row.size

@@ -23,7 +23,7 @@ class Jaw:
     def __init__(self, servo: EmulatedServo, config: ServoConfig, source: str):
         if config.transmission not in ("rack", "crank"):
             raise InputError(
-                "the emulator has no such mechanism",
+                "the emulator does not support this mechanism",
                 source=source,
                 field="gripper.servo.transmission",
                 choices=("rack", "crank"),

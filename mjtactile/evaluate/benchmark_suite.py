@@ -128,14 +128,17 @@ def load_suite(name_or_path: str | Path) -> Suite:
     try:
         suite = Suite(**json.loads(path.read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError) as error:
-        raise InputError(f"no suite of tasks: {error}", source=path) from error
+        raise InputError(f"is not a suite of tasks: {error}", source=path) from error
     if suite.judge != VERSION:
-        raise InputError(f"was judged by version {suite.judge}, this is {VERSION}", source=path)
+        raise InputError(
+            f"was scored by version {suite.judge}, but this is version {VERSION}", source=path
+        )
     now = _hashes(suite.tasks, suite.randomization)
     changed = [name for name, known in suite.files.items() if now.get(name) != known]
     if changed:
         raise InputError(
-            f"its results are of other files than these: {', '.join(changed)}", source=path
+            f"its results belong to other versions of these files: {', '.join(changed)}",
+            source=path,
         )
     return suite
 
@@ -202,14 +205,18 @@ def read(suite: Suite, folder: Path, task: str) -> list[dict[str, Any]]:
         if key not in ("object", "controller")
     }
     if options["scenario"] != wanted or options["objects"] != list(suite.objects):
-        raise InputError(f"is not of {suite.name}'s {task}", source=own / store.MANIFEST)
+        raise InputError(
+            f"does not belong to task {task} of suite {suite.name}", source=own / store.MANIFEST
+        )
     changed = [
         name
         for name, expected_hash in suite.files.items()
         if known["files"].get(name, expected_hash) != expected_hash
     ]
     if changed:
-        raise InputError(f"was run with another {', '.join(changed)}", source=own / store.MANIFEST)
+        raise InputError(
+            f"was run with a different {', '.join(changed)}", source=own / store.MANIFEST
+        )
     return store.read_lines(own)
 
 
@@ -239,7 +246,7 @@ def compare(suite: Suite, folder: Path) -> dict[str, Any]:
             tasks.setdefault(task, {})[controller] = _compared(controller, mine, others)
             numbered.setdefault(controller, []).extend(_numbered(suite, place, mine))
     if not tasks:
-        raise InputError(f"no results of {suite.name}", source=folder, field="--suite")
+        raise InputError(f"contains no results of {suite.name}", source=folder, field="--suite")
     known: dict[str, list[Line]] = {}
     for place, task in enumerate(suite.tasks):
         for name in suite.results.get(task, {}):
@@ -292,8 +299,8 @@ def table(suite: Suite, result: Mapping[str, Any]) -> str:
             lines.append(f"| {' | '.join(cells)} |")
     lines += [
         "",
-        "Against: points of its episodes that it holds more, with 95 %, of so many that both came "
-        "to the end of.",
+        "Against: difference of the success rate in percentage points, with 95 % interval, "
+        "and the number of episodes that both completed.",
     ]
     return "\n".join(lines) + "\n"
 

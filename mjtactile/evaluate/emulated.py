@@ -38,20 +38,22 @@ def check(scenario: Scenario) -> bool:
         return False
     if file.emulator is None:
         raise InputError(
-            "has real devices: nobody puts the object back between episodes",
+            "has real devices, where the object is not put back between episodes",
             source=file.path,
             field="--rig",
             choices=["a simulated or an emulated one"],
         )
     if scenario.randomization != NONE:
         raise InputError(
-            "an emulated world is as its rig file says", field="--randomization", choices=[NONE]
+            "an emulated world follows its rig file and is not randomized",
+            field="--randomization",
+            choices=[NONE],
         )
     task = load_task(scenario.task)
     drawn = not task.is_plain and any(one.kind != "move_support" for one in task.happenings)
     if drawn or task.thing != type(task.thing)():
         raise InputError(
-            f"what happens in {task.name!r} does not happen on an emulated rig",
+            f"the disturbances of {task.name!r} are not available on an emulated rig",
             field="--task",
             choices=["lift", "place"],
         )

@@ -42,7 +42,9 @@ class Pool:
         elif self.backend == PROCESSES and not self.scheduler:
             yield {"n_jobs": max(1, min(self.workers, most)), "pre_dispatch": "n_jobs"}
         elif self.backend == PROCESSES:
-            raise InputError("is for a cluster", field="--scheduler", choices=[f"--backend {DASK}"])
+            raise InputError(
+                "applies to a cluster only", field="--scheduler", choices=[f"--backend {DASK}"]
+            )
         else:
             raise InputError(f"{self.backend!r} is unknown", field="--backend", choices=BACKENDS)
 
@@ -79,7 +81,7 @@ def _dask(scheduler: str) -> Iterator[int]:
 
     if not scheduler:
         raise InputError(
-            "where is the cluster?",
+            "the address of the cluster is missing",
             field="--backend",
             choices=[f"--backend {DASK} --scheduler tcp://HOST:8786"],
         )
@@ -113,7 +115,7 @@ def _progress(line: dict[str, Any], done: int, of: int, rate: float) -> str:
     why = f" ({line['reason']})" if line["outcome"] == "error" and line["reason"] else ""
     return (
         f"{done} of {of}: {line['controller']}, {line['object']}, seed {line['seed']}: "
-        f"{line['outcome']}{why}; {3600 * rate:.0f} an hour, {_left((of - done) / rate)} left"
+        f"{line['outcome']}{why}; {3600 * rate:.0f} per hour, {_left((of - done) / rate)} left"
     )
 
 
@@ -151,10 +153,10 @@ def run_all(
             with contextlib.closing(lines):
                 for k, line in enumerate(lines, 1):
                     if line is None:
-                        raise DeviceError("a worker was told to end; --resume goes on")
+                        raise DeviceError("a worker was stopped; --resume continues")
                     kept.add(line)
                     say(_progress(line, k, len(missing), k / (time.monotonic() - start)))
     except TerminatedWorkerError as error:
         raise DeviceError(
-            f"a worker was killed ({' '.join(str(error).split())[:90]}…); --resume goes on"
+            f"a worker was killed ({' '.join(str(error).split())[:90]}…); --resume continues"
         ) from error

@@ -25,9 +25,9 @@ _STYLE = (
 )
 _SHOWN = 12  # drawings of varied values before the rest is folded away
 _LABELS = {
-    "slip_mm": "slip, mm (true)",
-    "force_error_N": "held force, felt less true, N",
-    "peak_to_break_ratio": "peak force over what breaks it (true)",
+    "slip_mm": "slip, mm (ground truth)",
+    "force_error_N": "force error in the hold, N",
+    "peak_to_break_ratio": "peak force over breaking force (ground truth)",
 }
 
 
@@ -115,8 +115,11 @@ def _success(summary: Mapping[str, Any]) -> str:
     return (
         "<h2>Success</h2>"
         + table(head, rows)
-        + "<p>Stopped: the supervisor brought the hand to its safe state, or the controller hung "
-        "or raised. Errors are not the controller's fault, and are not in the shares.</p>"
+        + (
+            "<p>Stopped: the supervisor moved the gripper to its safe state, or the controller "
+            "hung or raised. Errors are not the controller's fault, and are not in the success "
+            "rates.</p>"
+        )
     )
 
 
@@ -124,7 +127,7 @@ def _pairs(summary: Mapping[str, Any]) -> str:
     if not summary["paired"]:
         return ""
     return (
-        "<h2>Compared on the same episodes</h2><ul>"
+        "<h2>Comparison on the same episodes</h2><ul>"
         + "".join(f"<li>{escape(pair_text(pair))}</li>" for pair in summary["paired"])
         + "</ul>"
     )
@@ -163,7 +166,7 @@ def _failures(lines: Sequence[Line]) -> str:
             "phases",
             "reason (of the first)",
             "episodes",
-            "the first again",
+            "rerun of the first",
         ],
         rows,
         text=True,
@@ -183,7 +186,7 @@ def _flags(summary: Mapping[str, Any], lines: Sequence[Line]) -> str:
             reason = escape(reasons.get(kind, ""))
             went = [_went(one["with"]), _went(one["without"])]
             rows.append([escape(name), escape(kind), episodes, *went, reason])
-    title = "<h2>What the simulation doubts of its own numbers</h2>"
+    title = "<h2>Flags of reduced simulation accuracy</h2>"
     if not rows:
         return title + "<p>Nothing.</p>"
     head = ["controller", "doubt", "episodes", "with it", "without it", "reason (of the first)"]
@@ -221,7 +224,7 @@ def _quantiles(name: str, values: Sequence[float]) -> str:
     if not values:
         return f"{escape(name)}: -"
     middle, most, high = (float(np.quantile(values, share)) for share in (0.5, 1.0, 0.95))
-    return f"{escape(name)}: median {middle:.3g}, 95 % below {high:.3g}, most {most:.3g}"
+    return f"{escape(name)}: median {middle:.3g}, 95 % below {high:.3g}, maximum {most:.3g}"
 
 
 def _varied(summary: Mapping[str, Any]) -> str:
@@ -238,7 +241,7 @@ def _varied(summary: Mapping[str, Any]) -> str:
         series = {name: [_point(own, label) for label in labels] for name, own in mine.items()}
         figures.append(_figure(svg.shares(labels, series), _caption(value, mine)))
     if not figures:
-        return "<h2>Success against what varies</h2><p>Nothing varied.</p>"
+        return "<h2>Success against randomized values</h2><p>Nothing was randomized.</p>"
     if len(figures) > _SHOWN:
         rest = (
             f"<details><summary>{len(figures) - _SHOWN} "
@@ -247,17 +250,17 @@ def _varied(summary: Mapping[str, Any]) -> str:
     else:
         rest = ""
     return (
-        "<h2>Success against what "
-        f"varies</h2>{_HOW_VARIED}{_legend(list(controllers))}{_grid(figures[:_SHOWN])}{rest}"
+        "<h2>Success against randomized "
+        f"values</h2>{_HOW_VARIED}{_legend(list(controllers))}{_grid(figures[:_SHOWN])}{rest}"
     )
 
 
 _HOW_VARIED = """<p>
-As many episodes in each bin, written by its middle, with 95 % intervals. p: how often accident
-alone would part failures from successes as far as they are, in the value or (both ways) in its
-distance from the middle (Mann and Whitney); what stays below 5 % shared by all values stands out.
-rho: rank correlation with slip, held force's error and share of the breaking force, which grow
-before anything fails. What has most to do with failures comes first.</p>"""
+Each bin has the same number of episodes and is labeled with its center; intervals are 95 %.
+p: probability that chance alone separates failures from successes at least this far, in the
+value or (both ways) in its distance from the center (Mann and Whitney). Values below 5 %, shared
+by all values, stand out. rho: rank correlation with slip, force error in the hold and fraction of
+the breaking force, which grow before a failure. Values most related to failures come first.</p>"""
 
 
 def _grid(figures: Iterable[str]) -> str:
@@ -302,9 +305,8 @@ def _point(own: Mapping[str, Any], label: str) -> tuple[float, float, float] | N
 
 def _worst(worst: Iterable[Line], pictures: Mapping[str, Path | None]) -> str:
     parts = [
-        "<h2>The worst episodes</h2><p>Failures first (of several kinds each in turn), then "
-        "errors, then what came nearest "
-        "to a failure by force or slip.</p>"
+        "<h2>The worst episodes</h2><p>Failures first (the kinds in turn), then errors, then "
+        "the episodes closest to a failure by force or slip.</p>"
     ]
     for line in worst:
         found = measures(line)
@@ -327,7 +329,7 @@ def _worst(worst: Iterable[Line], pictures: Mapping[str, Path | None]) -> str:
         drawn = ", ".join(f"{name} {value}" for name, value in line.get("randomized", {}).items())
         if drawn:
             parts.append(
-                f"<details><summary>what was drawn</summary><p>{escape(drawn)}</p></details>"
+                f"<details><summary>sampled values</summary><p>{escape(drawn)}</p></details>"
             )
     return "\n".join(parts)
 

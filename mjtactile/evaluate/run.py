@@ -76,7 +76,9 @@ def evaluate(
         episodes = [_recorded(episode, folder) for episode in episodes]
     missing = _without_line(episodes, kept)
     if kept.lines:
-        running.say(f"{len(episodes) - len(missing)} of {len(episodes)} episodes are there already")
+        running.say(
+            f"{len(episodes) - len(missing)} of {len(episodes)} episodes are already complete"
+        )
     workers = _workers(scenario) if running.workers is None else running.workers
     pool = Pool(running.backend, workers, running.scheduler)
     run_all(missing, kept, pool, running.say, running.run_one)
@@ -109,7 +111,7 @@ def write_report(folder: Path, worst_count: int, say: Say = lambda _: None) -> P
     chosen = worst_episodes.worst(lines, worst_count)
     for k, line in enumerate(chosen, 1):
         say(
-            f"picture {k} of {len(chosen)}: {line['controller']}, {line['object']}, seed "
+            f"image {k} of {len(chosen)}: {line['controller']}, {line['object']}, seed "
             f"{line['seed']}"
         )
         name = name_of(line["controller"], line["episode"])
@@ -156,13 +158,15 @@ def merge(folders: Sequence[Path], out: Path, *, partial: bool = False) -> dict[
             )
             if first != other:
                 raise InputError(
-                    f"its {name} are not those of {folders[0]}", source=folder, field="--merge"
+                    f"its {name} differ from those of {folders[0]}", source=folder, field="--merge"
                 )
     lines = _joined(folders)
     options = parts[0]["options"] | {"shard": [1, 1]}
     missing = _missing(options, lines)
     if missing and not partial:
-        raise InputError(f"{missing_text(missing)}; --partial joins what is there", field="--merge")
+        raise InputError(
+            f"{missing_text(missing)}; --partial joins the available ones", field="--merge"
+        )
     whole = parts[0] | {"options": options, "command": store.command(options)}
     joined = store.Store(out, whole, resume=False)
     joined.lines = [lines[key] for key in sorted(lines)]
@@ -179,7 +183,7 @@ def _joined(folders: Sequence[Path]) -> dict[tuple[int, str], dict[str, Any]]:
             key = line["episode"], line["controller"]
             if lines.setdefault(key, line) != line:
                 raise InputError(
-                    f"episode {key[0]} of {key[1]} is not the one in {homes[key]}",
+                    f"episode {key[0]} of {key[1]} differs from the one in {homes[key]}",
                     source=folder,
                     field="--merge",
                 )
@@ -222,7 +226,7 @@ def _files(scenario: Scenario, controllers: Sequence[str], objects: Sequence[str
     stems = [Path(name).stem for name in controllers]
     twice = next((stem for stem in stems if stems.count(stem) > 1), None)
     if twice is not None:
-        raise InputError(f"two of them are called {twice!r}", field="--controller")
+        raise InputError(f"two controllers have the name {twice!r}", field="--controller")
     if emulated.check(scenario):
         rig_files = emulated.files(scenario)
     else:

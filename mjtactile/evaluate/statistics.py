@@ -189,8 +189,8 @@ def _spread(values: Iterable[float | None]) -> dict[str, float | None]:
 def table(summary: Mapping[str, Any]) -> str:
     """The summary as Markdown."""
     lines = [
-        "| controller | object | held | 95 % interval | dropped | crushed | stopped | errors | "
-        "largest force, N: median (worst) | held with, N: 5-95 % | grip over need: median |",
+        "| controller | object | held | 95 % interval | dropped | crushed | stopped | errors "
+        "| largest force, N: median (worst) | held with, N: 5-95 % | grip over need: median |",
         "|---" * 11 + "|",
     ]
     for name, mine in summary["controllers"].items():
@@ -235,7 +235,7 @@ def _flags_text(group: Mapping[str, Any]) -> str:
     flagged = flags.pop("any")
     kinds = ", ".join(f"{kind} {count}" for kind, count in flags.items())
     return (
-        f"the simulation doubts its own numbers in {flagged} of {group['episodes']} episodes "
+        f"{flagged} of {group['episodes']} episodes have flags of reduced simulation accuracy "
         f"({kinds})"
     )
 
@@ -256,18 +256,18 @@ def pair_text(pair: Mapping[str, Any]) -> str:
     low, high = pair["difference_interval"]
     more = pair["episodes_to_settle"]
     if more is None:
-        settled = "no difference seen"
+        settled = "no difference found"
     elif not more:
         settled = "settled"
     else:
-        settled = f"{more} more episodes like these would settle it"
+        settled = f"{more} more episodes like these would make it significant"
     better, other = pair["second"], pair["first"]
     difference = 100 * pair["difference"]
     if difference < 0:  # who holds more comes first
         better, other = other, better
         difference, low, high = -difference, -high, -low
     return (
-        f"{better} holds {difference:.1f} points more than {other} in the same {pair['episodes']} "
-        f"episodes (95 %: {100 * low:+.1f} to {100 * high:+.1f} points; {pair['alike']} ended "
-        f"alike): {settled}."
+        f"{better} holds {difference:.1f} points more than {other} in the same "
+        f"{pair['episodes']} episodes (95 %: {100 * low:+.1f} to {100 * high:+.1f} points; "
+        f"{pair['alike']} with the same outcome): {settled}."
     )

@@ -88,9 +88,7 @@ class Store:
         known = folder / MANIFEST
         if known.exists() and not resume:
             raise InputError(
-                "holds an evaluation already; --resume goes on with it",
-                source=folder,
-                field="--out",
+                "already holds an evaluation; --resume continues it", source=folder, field="--out"
             )
         if known.exists():
             _same(known, what)
@@ -135,7 +133,8 @@ def writing(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise DeviceError(
-            f"{path}: cannot be written: {error.strerror}; what is there is kept, --resume goes on"
+            f"{path}: cannot be written: {error.strerror}; the completed episodes are kept, "
+            "--resume continues"
         ) from error
 
 
@@ -158,14 +157,15 @@ def _line(text: str, source: Path, number: int) -> dict[str, Any]:
             return line
     except (ValueError, AttributeError):
         pass
-    raise InputError("is no episode", source=source, field=f"line {number}")
+    raise InputError("is not an episode", source=source, field=f"line {number}")
 
 
 def _refuse_unknown_files(folder: Path) -> None:
     there = next((name for name in RESULTS if (folder / name).exists()), None)
     if there is not None:
         raise InputError(
-            f"holds {there} and no {MANIFEST}, which says what of: it is kept; name another folder",
+            f"holds {there} without the {MANIFEST} that describes it; it is kept: choose "
+            "another folder",
             source=folder,
             field="--out",
         )
@@ -194,7 +194,7 @@ def _same(path: Path, what: Mapping[str, Any]) -> None:
             else:
                 names = [part]
             raise InputError(
-                f"was begun with another {part}: {', '.join(names) or part}",
+                f"was started with different {part}: {', '.join(names) or part}",
                 source=path,
                 field="--resume",
             )

@@ -69,7 +69,7 @@ def histogram(
         [np.asarray(values, float) for values in series.values()] or [np.zeros(0)]
     )
     if not len(everything):
-        return "<p>nothing was measured</p>"
+        return "<p>no measured values</p>"
     low = float(everything.min())
     high = float(everything.max())
     low, high = (low, high) if high > low else (low - 0.5, high + 0.5)

@@ -61,7 +61,7 @@ def screen(
     """
     if "-mesh" in scenario.effects.split(","):
         raise InputError(
-            "leaves out the sheet already: nothing is left to screen", field="--effects"
+            "already omits the membrane mesh: nothing is left to screen", field="--effects"
         )
     both = {"count": count, "controllers": controllers, "objects": objects}
     cheap = replace(scenario, effects=cheap_effects(scenario.effects))
@@ -69,7 +69,7 @@ def screen(
     evaluate(folder / SCREEN, cheap, **both, running=_resumed(running, folder / SCREEN))
     screened = read_lines(folder / SCREEN)
     again = to_run_again(screened, sample)
-    running.say(f"in full: {len(again)} of them")
+    running.say(f"at full fidelity: {len(again)} of them")
     resumed = _resumed(running, folder / FULL)
     evaluate(folder / FULL, scenario, **both, only=again, running=resumed)
     return compare(screened, read_lines(folder / FULL))
@@ -166,8 +166,9 @@ def _stratum(
 def table(result: Mapping[str, Any]) -> str:
     """The comparison, in Markdown."""
     head = (
-        "| controller | episodes | held, screened | held in full, of all | screened failures: held "
-        "in full | screened held: sample, held in full | outcomes differ |"
+        "| controller | episodes | held, screened | held at full fidelity, of all | screened "
+        "failures: held at full fidelity | screened held: sample, held at full fidelity | "
+        "outcomes differ |"
     )
     lines = [head, "|---" * 7 + "|"]
     for name, one in result["controllers"].items():
@@ -182,7 +183,7 @@ def table(result: Mapping[str, Any]) -> str:
             f"{failed['run_again']} | {held['holds']} of {held['run_again']} | "
             f"{_percent(differ / max(run_again, 1), low, high)} |"
         )
-    words = "95 % limits are exact; of what was held when screened, the sample speaks."
+    words = "95 % limits are exact; for episodes held in the screening, they come from the sample."
     return "\n".join([*lines, "", f"Screened with `--effects={result['level']}`. {words}", ""])
 
 

@@ -27,7 +27,9 @@ def effects_of(
     rows = choose(design, grasped, force_error=wanted, overrides=switched).summary()
     for row in rows:
         if row["effect"] in parse(fidelity.effects) and row["effect"] not in parse(overrides):
-            row["why"] = f"a film is enough: {1e3 * fidelity.force_error:.2g} mN"
+            row["why"] = (
+                f"the quasi-static membrane is sufficient: {1e3 * fidelity.force_error:.2g} mN"
+            )
     return grasped.name, wanted, rows
 
 

@@ -105,8 +105,8 @@ def press(
         if plan.shear:
             world.press(depth)
         say(
-            f"depth {1e3 * depth:.2f} mm: {-steps[-1]['force_true_N'][2]:.3f} N, "
-            f"felt {-steps[-1]['force_estimated_N'][2]:.3f} N"
+            f"depth {1e3 * depth:.2f} mm: {-steps[-1]['force_true_N'][2]:.3f} N, estimated "
+            f"{-steps[-1]['force_estimated_N'][2]:.3f} N"
         )
     if error_estimate:
         grid = world.sensors[0].mesh
@@ -170,9 +170,11 @@ def _coarse(world: PressWorld) -> dict[str, str]:
     if mesh.spacing <= _COARSEST:
         return {}
     return {
-        "shape": f"the simulated sheet bends at its vertices alone, {1e3 * mesh.spacing:.1f} mm "
-        f"apart on {mesh.nx} x {mesh.ny}: what is said of the body's shape is worth no more; "
-        "a finer mesh (--accuracy 0.005N) has the shape that rubber has"
+        "shape": (
+            f"the simulated membrane bends only at its vertices, {1e3 * mesh.spacing:.1f} mm "
+            f"apart on {mesh.nx} x {mesh.ny}, which limits the contact shape; a finer mesh "
+            "(--accuracy 0.005N) has the shape of real rubber"
+        )
     }
 
 

@@ -29,7 +29,7 @@ _LARGEST_STEP = 4e-3  # limit of the time step, s
 # readings of the load cell at the end of a hold
 _REFERENCE_IMAGES = 10
 _LOADS = 10
-_NOT_DETECTED = Status(StatusCode.NOT_ESTIMATED, "recorded on a stage without a sensing chain")
+_NOT_DETECTED = Status(StatusCode.NOT_ESTIMATED, "recorded on a stage without a sensing pipeline")
 _NO_GRIPPER = GripperState(math.nan, math.nan, math.nan, math.nan)
 _NO_COMMAND = Command(0.0, 0.0)
 
@@ -109,7 +109,7 @@ def record_stage(
     say("reference: flat, valve open")
     bench.inflate(0.0, seal=False)
     recorder.add_reference("flat", [[bench.image() for _ in range(_REFERENCE_IMAGES)]], [0.0])
-    say("reference: inflated, nothing touching")
+    say("reference: inflated, no contact")
     bench.inflate(specimen.chamber.supply_gauge, seal=True)
     readings = [bench.pressure() for _ in range(_REFERENCE_IMAGES)]
     recorder.add_reference(

@@ -221,7 +221,7 @@ def explored(
 
 def _line(number: int, new: Sequence[Patch], surface: SurfacePosterior) -> str:
     felt = ", ".join(f"{patch.kind} at {patch.force:.2f} N" for patch in new) or "nothing felt"
-    doubt = f"surface known to {1e3 * mesh_of(surface, _PLAN_EDGE).error():.2f} mm"
+    doubt = f"surface sd {1e3 * mesh_of(surface, _PLAN_EDGE).error():.2f} mm"
     return f"touch {number}: {felt}; {surface.family.name}, {doubt}"
 
 
@@ -253,6 +253,6 @@ class PatchStore:
                 if number + 1 == len(lines):
                     break
                 raise InputError(
-                    f"line {number + 1} is no patch: {error}", source=self.path
+                    f"line {number + 1} is not a patch: {error}", source=self.path
                 ) from error
         return patches

@@ -58,7 +58,8 @@ def patches_of_recording(recording: Recording, group: int, yaw: float = 0.0) -> 
     moments = _re_estimate(recording, session)
     if len(rig.fingers) != 2 or not any(math.isfinite(one.opening) for one in moments):
         raise InputError(
-            "is neither a grip of two fingers nor a press on a stage", source=recording.folder
+            "is neither a grip of two fingers nor an indentation on a stage",
+            source=recording.folder,
         )
     designs = [finger.design for finger in rig.fingers]
     patches = []

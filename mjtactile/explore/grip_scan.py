@@ -119,7 +119,7 @@ def require_two(fingers: int) -> None:
     """Raise InputError for hands of another number of fingers."""
     if fingers != 2:
         raise InputError(
-            f"{fingers} fingers: only two that face each other are understood",
+            f"{fingers} fingers: only two that face each other are supported",
             source="explore",
             field="--rig",
         )

@@ -104,5 +104,5 @@ def _heights(rig: Rig, count: int) -> tuple[float, ...]:
     """Return the heights of the grips."""
     reached = [height for height in HEIGHTS if height <= rig.limits.lift[1]]
     if count < 1:
-        raise InputError("as many as are asked for were made before", field="--touches")
+        raise InputError("the requested number of grips is already complete", field="--touches")
     return tuple(reached[:count])

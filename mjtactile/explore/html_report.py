@@ -41,13 +41,13 @@ _FACTS = (
     ("outcome", "ended", ""),
     ("touches", "touches", ""),
     ("body", "body", ""),
-    ("surface_sd_mm", "surface known to", "mm"),
-    ("surface_error_mm_true", "its error, true", "mm"),
-    ("size_error_true", "error of its size, true", ""),
+    ("surface_sd_mm", "sd of the surface", "mm"),
+    ("surface_error_mm_true", "surface error (ground truth)", "mm"),
+    ("size_error_true", "size error (ground truth)", ""),
     ("volume_mL", "volume", "mL"),
     ("area_mm2", "area", "mm\u00b2"),
     ("stiffness_N_m", "stiffness", "N/m"),
-    ("stiffness_least_N_m", "stiffness at least", "N/m"),
+    ("stiffness_least_N_m", "minimum stiffness, estimated", "N/m"),
 )
 
 
@@ -67,10 +67,11 @@ def write_page(path: Path, found: ExplorationResult, summary: Mapping[str, Any])
         "triangles": mesh.triangles.tolist(),
         "colours": {"stiffness": colours(soft).tolist(), "doubt": _doubt(mesh).tolist()},
         "words": {
-            "stiffness": f"Blue is stiff, red gives way by {1e6 * SOFT / 1e3:.0f} mm under 1 N; "
-            "grey is not known. Dots are touches.",
-            "doubt": "White is known to 0.03 mm and better, orange to 1 mm and worse. Dots are "
-            "touches.",
+            "stiffness": (
+                f"Blue: stiff. Red: deforms by {1e6 * SOFT / 1e3:.0f} mm under 1 N. Gray: "
+                "unknown. Dots: touches."
+            ),
+            "doubt": "White: sd of 0.03 mm or less. Orange: sd of 1 mm or more. Dots: touches.",
         },
         "touched": [
             {"place": 1e3 * patch.middle, "normal": patch.normal} for patch in found.patches
@@ -92,7 +93,7 @@ def _doubt(mesh: Mesh) -> Array:
 
 
 def _body(data: Mapping[str, Any], summary: Mapping[str, Any]) -> Iterator[str]:
-    yield f"<h1>{escape(str(summary.get('object', 'an object')))}, as touched</h1>"
+    yield f"<h1>{escape(str(summary.get('object', 'an object')))}, reconstructed by touch</h1>"
     rows = [
         [escape(label), escape(_words(summary[key], unit))]
         for key, label, unit in _FACTS
@@ -102,10 +103,10 @@ def _body(data: Mapping[str, Any], summary: Mapping[str, Any]) -> Iterator[str]:
     size = " x ".join(f"{value:.1f} \u00b1 {sd:.1f}" for value, sd in told)
     yield table([], [*rows, ["size", f"{size} mm"]])
     yield (
-        '<p><select id="mode"><option value="stiffness">stiffness</option><option value="doubt">'
-        'how well it is known</option></select> <span class="hint">drag: turn; wheel: closer</span>'
-        '</p><canvas id="solid"></canvas><p id="readout" class="hint"></p><noscript>The surface '
-        "needs JavaScript.</noscript>"
+        '<p><select id="mode"><option value="stiffness">stiffness</option><option '
+        'value="doubt">uncertainty</option></select> <span class="hint">drag: rotate; '
+        'wheel: zoom</span></p><canvas id="solid"></canvas><p id="readout" '
+        'class="hint"></p><noscript>The surface needs JavaScript.</noscript>'
     )
     flags = summary.get("flags", {})
     if flags:
@@ -134,7 +135,10 @@ def draw(figure: Any, found: ExplorationResult) -> None:
     mesh = mesh_of(found.surface, _EDGE)
     soft = ComplianceMap.of(found.patches, mesh).by_vertex
     for number, (colour, title) in enumerate(
-        ((colours(soft), "stiffness: blue stiff, red soft"), (_doubt(mesh), "doubt: orange 1 mm"))
+        (
+            (colours(soft), "stiffness: blue stiff, red soft"),
+            (_doubt(mesh), "uncertainty: orange 1 mm"),
+        )
     ):
         axes = figure.add_subplot(1, 2, number + 1, projection="3d")
         _paint(axes, mesh, np.asarray(colour) / 255, found)

@@ -69,8 +69,8 @@ def _checked(scenario: Scenario, wanted: ExplorationGoal) -> ObjectModel:
     model = load_object(scenario.object)
     if wanted.force > _GENTLE * model.break_force:
         raise InputError(
-            f"{wanted.force:g} N is more than half of the {model.break_force:g} N that break "
-            f"{model.name!r}",
+            f"{wanted.force:g} N is more than half of the breaking force of {model.name!r}, "
+            f"{model.break_force:g} N",
             field="--force-N",
         )
     return model
@@ -135,8 +135,8 @@ def explore_in_gripper(
         doubt = 1e3 * mesh_of(believed[0], _PLAN_EDGE).error()
         kinds = ", ".join(patch.kind for patch in new) or "nothing felt"
         say(
-            f"grip {number}: turned {math.degrees(turn):.0f} deg, {1e3 * height:.0f} mm up: "
-            f"{kinds}; surface known to {doubt:.2f} mm"
+            f"grip {number}: rotated {math.degrees(turn):.0f} deg, {1e3 * height:.0f} mm up: "
+            f"{kinds}; surface sd {doubt:.2f} mm"
         )
     found = explored(patches, outcome if patches else "nothing there", number, flags)
     if not patches:

@@ -264,7 +264,7 @@ def find_episodes(path: Path) -> list[RecordedEpisode]:
         found = sorted(log.parent for log in within.rglob(LOG))
     if not found:
         raise InputError(
-            "no recording here or below; an evaluation keeps them with --record",
+            "contains no recording; an evaluation keeps recordings with --record",
             source=path,
             field="RUN",
         )

@@ -181,7 +181,7 @@ class LiveView(Observer):
         except Exception as error:  # noqa: BLE001
             said = " ".join(f"{type(error).__name__}: {error}".split())
             if not self.problem:
-                _logger.warning("the viewer was given up: %s", said)
+                _logger.warning("the viewer was disabled after an error: %s", said)
             self.problem = self.problem or said
 
 
@@ -239,7 +239,7 @@ def _parsed(target: str) -> tuple[str, Path | str]:
     else:
         viewer, _, where = target.partition(":")
     if viewer not in _MODULES:
-        raise InputError(f"{target!r} is no viewer", field="--live", choices=TARGETS)
+        raise InputError(f"{target!r} is not a viewer", field="--live", choices=TARGETS)
     if find_spec(_MODULES[viewer]) is None:
         raise InputError(
             f"{viewer}-sdk is not installed: pip install 'mjtactile[live]'", field="--live"
@@ -251,7 +251,7 @@ def _parsed(target: str) -> tuple[str, Path | str]:
     if path.suffix != suffix:
         raise InputError(f"{where!r} does not end in {suffix}", field="--live", choices=TARGETS)
     if path.exists():
-        raise InputError("exists; nothing is overwritten", source=path, field="--live")
+        raise InputError("exists already; nothing is overwritten", source=path, field="--live")
     if not path.parent.is_dir():
         raise InputError("no such folder", source=path.parent, field="--live")
     return viewer, path

@@ -196,8 +196,9 @@ def to_viewer(sink: RerunSink, url: str = "") -> None:
         return
     if not _is_open() and not _has_screen():
         raise InputError(
-            "there is no screen here to open a viewer on; rerun:FILE.rrd writes a file, and "
-            f"rerun+http://HOST:{PORT}/proxy sends to a viewer that is open elsewhere",
+            "there is no display here for a viewer; rerun:FILE.rrd writes a file, and "
+            f"rerun+http://HOST:{PORT}/proxy sends to a viewer that is open on another "
+            "computer",
             field="--live",
         )
     sink.stream.spawn(port=PORT, default_blueprint=sink.blueprint())

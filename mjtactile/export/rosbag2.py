@@ -20,18 +20,18 @@ from mjtactile.recording.files import to_json
 PACKAGE = "mjtactile_msgs"
 MESSAGES = {
     "Touch": """\
-# What one sensor felt in one image. NaN: unknown; status says why. Frame: header.frame_id, z out \
-of the sensor.
+# Estimates of one sensor from one image. NaN: unknown, see status.
+# Frame: header.frame_id, z out of the sensor.
 std_msgs/Header header
-float64 force_normal        # N, positive for a press
+float64 force_normal        # N, positive under load
 float64 force_normal_sd
-float64 force_shear         # N, its size
-float64[6] wrench           # N and N m about the frame's middle, of the world on the membrane
+float64 force_shear         # N, magnitude
+float64[6] wrench           # N and N m about the frame center, of the world on the membrane
 float64[6] wrench_sd
 bool touching
 string status               # "ok", or why the force is unknown
 string status_code
-float64 age                 # s, of the image when it had been perceived
+float64 age                 # s, age of the image at the end of sensing
 float64 contact_area        # m^2
 float64[2] contact_centroid # m
 float64 contact_depth       # m
@@ -39,22 +39,22 @@ string slip_state           # none, sticking, incipient, slipping, unknown
 float64[2] slip_velocity    # m/s
 float64 slip_distance       # m
 float64 stick_ratio
-string shape_kind           # smooth, face, edge, tip, several, unknown; none where nobody asked
+string shape_kind           # smooth, face, edge, tip, several, unknown; none if not requested
 string shape_family         # ball, cylinder, smooth, disc, block
 float64 shape_area          # m^2
 float64 shape_radius        # m
 float64 shape_direction     # rad from x
 float64[2] shape_curvatures # 1/m, the larger first
-float64[3] shape_place      # m, of its point that is nearest the sensor
+float64[3] shape_place      # m, its point nearest to the sensor
 float64[2] shape_rolling    # rad/s about x and y
 float64[2] shape_sliding    # m/s over the rubber
 float64 shape_spinning      # rad/s about z
 float64 marker_count
-bool valve_open             # false where the finger has none
+bool valve_open             # false for a finger without a valve
 float64 gauge_pressure      # Pa
 """,
     "Command": """\
-# What was sent to the gripper.
+# Command sent to the gripper.
 std_msgs/Header header
 float64 opening             # m
 float64 force_limit         # N
@@ -67,8 +67,8 @@ _RENAMED = {"age": "touch_age"}
 _PACKAGE_XML = f"""\
 <?xml version="1.0"?>
 <package format="3">
-  <name>{PACKAGE}</name><version>0.1.0</version>
-  <description>What mjtactile's sensors feel</description>
+  <name>{PACKAGE}</name><version>0.2.0</version>
+  <description>Estimates of mjtactile's sensors</description>
   <maintainer email="nobody@example.com">mjtactile</maintainer><license>Apache-2.0</license>
   <buildtool_depend>ament_cmake</buildtool_depend><buildtool_depend>rosidl_default_generators</buildtool_depend>
   <depend>std_msgs</depend><exec_depend>rosidl_default_runtime</exec_depend>

@@ -78,7 +78,7 @@ def _mechanics(layout: Layout) -> list[Item]:
             f"{2 * layout.glass_x:.2f} x {2 * layout.glass_y:.2f} x "
             f"{MM * design.glass.thickness:g} mm, n = {design.glass.refractive_index:g}, edges "
             "ground",
-            "float glass, anti-reflection coated where it can be had",
+            "float glass, anti-reflection coated if available",
         ),
         Item(
             "gasket",
@@ -96,7 +96,7 @@ def _mechanics(layout: Layout) -> list[Item]:
         Item(
             "adhesive",
             "1",
-            "fits the rubber, stays soft",
+            "bonds to the rubber, stays soft",
             "silicone adhesive (silicone), rubber cement (latex)",
         ),
     ]
@@ -121,23 +121,23 @@ def _seeing(layout: Layout, optics: Optics) -> list[Item]:
         Item(
             "lens",
             "1",
-            f"f = {optics.focal:.2f} mm, f/{optics.stop:g}, field of view {x:.0f} x {y:.0f} deg "
-            f"({across:.0f} deg across), sharp from {optics.near:.1f} to {optics.far:.1f} mm, "
-            f"focused at {optics.focus:.1f} mm and locked",
+            f"f = {optics.focal:.2f} mm, f/{optics.stop:g}, field of view {x:.0f} x {y:.0f} "
+            f"deg ({across:.0f} deg diagonal), sharp from {optics.near:.1f} to "
+            f"{optics.far:.1f} mm, focused at {optics.focus:.1f} mm and locked",
             "M12",
         ),
         Item(
             "LEDs",
             str(design.leds.count),
-            f"white, 120 deg, {optics.flux:.2g} W of light each while the exposure lasts "
+            f"white, 120 deg, {optics.flux:.2g} W of light each during the exposure "
             f"({100 * optics.exposure * camera.rate:.2g} % of the time)",
             "2835 package, pulsed by the camera's strobe output",
         ),
         Item(
-            "linear polarising film",
+            "linear polarizing film",
             "2",
-            "crossed: one on the LED ring, one on the lens; takes the LEDs' mirror images in the "
-            "pane away",
+            "crossed: one on the LED ring, one on the lens; removes the LEDs' reflections in "
+            "the glass",
             "film",
         ),
     ]
@@ -149,7 +149,7 @@ def _air(layout: Layout) -> list[Item]:
     volume = 1e6 * design.chamber_volume_flat
     supply = 1e-3 * chamber.supply_gauge
     if math.isinf(chamber.valve_conductance):
-        flow = "as fast as it gets"
+        flow = "flow as high as possible"
     else:
         flow = f"{1e9 * chamber.valve_conductance:g} mL/s at 1 kPa"
     resolution = _FORCE_STEP / design.frame.area
@@ -158,15 +158,16 @@ def _air(layout: Layout) -> list[Item]:
         Item(
             "hose",
             f"{_HOSE:g} m",
-            f"{layout.port.bore:g} mm bore, stiff: it holds {hose_volume(layout):.2f} mL with the "
-            f"port, {100 * hose_volume(layout) / volume:.0f} % of the chamber's {volume:.1f} mL: "
-            "write it into chamber.extra_volume_mL; the shorter the better",
+            f"{layout.port.bore:g} mm bore, stiff, as short as possible: it holds "
+            f"{hose_volume(layout):.2f} mL with the port, "
+            f"{100 * hose_volume(layout) / volume:.0f} % of the chamber's {volume:.1f} mL: "
+            "write it into chamber.extra_volume_mL",
             "polyurethane",
         ),
         Item(
             "pump" if supply >= 0 else "vacuum pump",
             "1 a gripper",
-            f"{abs(supply):g} kPa and 50 % more, {max(volume / 1e3, 0.05):.2g} L/min, with a "
+            f"{abs(supply):g} kPa plus 50 %, {max(volume / 1e3, 0.05):.2g} L/min, with a "
             "reservoir and a relief valve",
             "12 V diaphragm pump",
         ),
@@ -174,15 +175,15 @@ def _air(layout: Layout) -> list[Item]:
             "valve",
             "1",
             f"{supply:g} kPa, leak below 0.1 mL/min, {flow}; opens without power, so that a "
-            "dead board vents",
+            "failed board vents",
             "3/2 solenoid valve, or a proportional one",
         ),
         Item(
             "pressure sensor",
             "1",
-            f"gauge, 0 to {max(2 * abs(supply), 2):g} kPa, resolution {resolution:.2g} Pa "
-            f"({1e3 * _FORCE_STEP:g} mN on the whole membrane), zero stable, in a T-piece behind "
-            "the valve",
+            f"gauge pressure, 0 to {max(2 * abs(supply), 2):g} kPa, resolution "
+            f"{resolution:.2g} Pa ({1e3 * _FORCE_STEP:g} mN on the whole membrane), stable "
+            "zero, in a T-piece behind the valve",
             "I2C, temperature-compensated",
         ),
     ]
@@ -193,17 +194,17 @@ def _driving() -> list[Item]:
     return [
         Item(
             "servo",
-            "1 a gripper or finger",
-            f"current-based position mode, {2 * torque:.2g} N m at a pinion of {MM * _PINION:g} mm "
-            f"({_FORCE:g} N, the paper's range, twofold)",
+            "1 per gripper or finger",
+            f"current-based position mode, {2 * torque:.2g} N m at a pinion of "
+            f"{MM * _PINION:g} mm ({_FORCE:g} N, the paper's range, twice)",
             "XL330-M288-T or XM430-W350-T, see docs/how-to/hardware.md",
         ),
         Item(
             "USB adapters",
             "1 + 1 a gripper",
-            "half-duplex TTL at 1 Mbaud for the servos, latency timer 1 ms; serial for the valve "
-            "board",
-            "U2D2 kind; the board's own",
+            "half-duplex TTL at 1 Mbaud for the servos, latency timer 1 ms; serial port for "
+            "the valve board",
+            "U2D2 or similar; that of the board",
         ),
     ]
 
@@ -211,4 +212,6 @@ def _driving() -> list[Item]:
 def table(items: list[Item]) -> str:
     """As Markdown."""
     rows = [f"| {i.what} | {i.count} | {i.wanted} | {i.typical} |" for i in items]
-    return "\n".join(["| what | how many | wanted | typically |", "|---|---|---|---|", *rows])
+    return "\n".join(
+        ["| part | count | requirement | typical product |", "|---|---|---|---|", *rows]
+    )

@@ -88,21 +88,21 @@ def _check_parts(parts: dict[str, Part], solids: dict[str, Any]) -> None:
     for name, part in parts.items():
         if crossing(part):
             raise InputError(
-                f"holes and edges of the {name} would meet; other camera or lens dimensions "
-                "(--camera-holes-mm, --lens-mm, --pupil-mm) may help",
+                f"holes and edges of the {name} would meet; use other camera or lens "
+                "dimensions (--camera-holes-mm, --lens-mm, --pupil-mm)",
                 source="fabricate",
                 field="parts",
             )
         volume = solids[name].volume()
         if solids[name].is_empty() or abs(volume - part.volume) > _VOLUME * part.volume + 0.05:
             raise MjtactileError(
-                f"make: the {name} came out with {volume:.3f} mm3 in place of {part.volume:.3f}: "
+                f"fabricate: the {name} has {volume:.3f} mm3 instead of {part.volume:.3f}: "
                 "its holes meet its edges"
             )
     for one, other, volume in mesh.overlaps(solids):
         raise InputError(
-            f"the {one} and the {other} would intersect by {volume:.3g} mm3; other camera or lens "
-            "dimensions (--camera-holes-mm, --lens-mm, --pupil-mm) may help",
+            f"the {one} and the {other} would intersect by {volume:.3g} mm3; use other camera "
+            "or lens dimensions (--camera-holes-mm, --lens-mm, --pupil-mm)",
             source="fabricate",
             field="parts",
         )
@@ -130,8 +130,11 @@ def _papers(layout: Layout) -> dict[str, bytes]:
 def _bill(layout: Layout, optics: Optics) -> str:
     items = bill_of_materials.bill(layout, optics)
     return (
-        f"# What to buy for {layout.design.name!r}\n\nFor one finger, worked out of the sensor "
-        f"file; what is called typical is a kind of part, not a shop's.\n\n"
+        f"# Bill of materials for {layout.design.name!r}\n"
+        "\n"
+        "For one finger, computed from the sensor file. Typical products are kinds of parts, "
+        "without a vendor.\n"
+        "\n"
         f"{bill_of_materials.table(items)}\n"
     )
 

@@ -80,8 +80,8 @@ def plan_camera(
     Limit(
         "leds.count",
         design.leds.count,
-        f"LEDs would have to give {flux:.2g} W of light each, more than {hw.LED_FLUX:g}, for an "
-        f"exposure of {1e6 * exposure:.0f} us at f/{stop:g} (or take a smaller --speed-mm-s)",
+        f"LEDs would need {flux:.2g} W of light each, more than {hw.LED_FLUX:g}, for an "
+        f"exposure of {1e6 * exposure:.0f} us at f/{stop:g} (or use a smaller --speed-mm-s)",
         math.ceil(design.leds.count * flux / hw.LED_FLUX),
     ).check(source)
     return Optics(
@@ -147,7 +147,7 @@ def _margins(
         Limit(
             f"camera.{name}_px",
             getattr(camera, name),
-            f"shows a marker's edge {-least:.0f} px too far out ({worst})",
+            f"places a marker edge {-least:.0f} px outside the usable image ({worst})",
             high=limit,
         ).check(source)
     return least, worst
@@ -187,13 +187,13 @@ def _stop(design: SensorDesign, hardware: Hardware, near: float, far: float, sou
     what = f"{blurs[stop]:.2f} px at f/{stop:g} from {near:.1f} to {far:.1f} mm"
     if hardware.f_number is not None:
         raise InputError(
-            f"{stop:g} blurs by {what}; the sensor file allows camera.blur_px = {allowed:g}",
+            f"{stop:g} gives a blur of {what}; the sensor file allows camera.blur_px = {allowed:g}",
             field="--f-number",
         )
     Limit(
         "camera.blur_px",
         allowed,
-        f"is sharper than pixels of {1e3 * hardware.pixel:g} um can be: {what}",
+        f"is sharper than possible with pixels of {1e3 * hardware.pixel:g} um: {what}",
         blurs[stop],
     ).check(source)
     return stop
@@ -205,8 +205,8 @@ def _exposure(design: SensorDesign, hardware: Hardware, near: float) -> float:
     Limit(
         "--speed-mm-s",
         hardware.speed,
-        f"needs an exposure of {1e6 * exposure:.1f} us for {hw.SMEAR:g} px of smear, less than "
-        f"{1e6 * _SHORTEST:g}",
+        f"needs an exposure of {1e6 * exposure:.1f} us for {hw.SMEAR:g} px of motion blur, "
+        f"below the minimum of {1e6 * _SHORTEST:g} us",
         high=hardware.speed * exposure / _SHORTEST,
     ).check("")
     return min(exposure, 1 / design.camera.rate)

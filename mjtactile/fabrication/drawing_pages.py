@@ -106,7 +106,7 @@ def _scale_bars(width: float, height: float) -> list[DrawingShape]:
             long = 2.5 if k in (0, round(length / 10)) else 1.2
             found.append(line("scale", place(along, -long), place(along, 0)))
         if axis == 0:
-            text = f'{length:g} mm: measure it, print at 100 %, never "fit to page"'
+            text = f'{length:g} mm: print at 100 %, never "fit to page", and measure it'
         else:
             text = f"{length:g} mm"
         found.append(

@@ -47,7 +47,7 @@ class Layout:
         yield Limit(
             "chamber.depth_mm",
             MM * chamber.depth,
-            "leaves too little wall for the air to come in",
+            "leaves too little wall for the air port",
             MM * chamber.depth - self.wall + need,
         )
         yield Limit(
@@ -59,7 +59,7 @@ class Layout:
         yield Limit(
             "chamber.supply_pressure_kPa",
             1e-3 * abs(chamber.supply_gauge),
-            f"pulls at each of {len(self.bolts)} bolts with more than {hw.BOLT_LOAD:g} N",
+            f"loads each of {len(self.bolts)} bolts with more than {hw.BOLT_LOAD:g} N",
             high=1e-3 * hw.BOLT_LOAD * len(self.bolts) / self.design.frame.area,
         )
 

@@ -71,7 +71,7 @@ def limits_of(design: SensorDesign, hardware: Hardware) -> Iterator[Limit]:
         yield Limit(
             "--press-mm",
             hardware.press,
-            "would press the membrane against the pane",
+            "would press the membrane against the glass",
             high=0.9 * MM * design.chamber.depth,
         )
     yield Limit(
@@ -89,7 +89,7 @@ def _housing(design: SensorDesign) -> Iterator[Limit]:
         yield Limit(
             "fiducials.wall_setback_mm",
             MM * fiducials.step,
-            f"leaves too thin a wall of the rim's {MM * design.frame.rim:g}",
+            f"leaves too thin a wall of the rim of {MM * design.frame.rim:g} mm",
             high=MM * design.frame.rim - hw.PRINT_WALL,
         )
     yield Limit(
@@ -105,20 +105,20 @@ def _pane(design: SensorDesign, hardware: Hardware) -> Iterator[Limit]:
     yield Limit(
         "glass.thickness_mm",
         thickness,
-        f"bends with {glass_stress(design):.3g} MPa under the supply's pressure, more than the "
-        f"{hw.GLASS_STRESS:g} of glass",
+        f"has a bending stress of {glass_stress(design):.3g} MPa under the supply pressure, "
+        f"above the {hw.GLASS_STRESS:g} MPa allowed for glass",
         thickness * math.sqrt(glass_stress(design) / hw.GLASS_STRESS),
     )
     ends = MM * (design.camera.distance - design.chamber.depth - glass.thickness)
     yield Limit(
         "glass.distance_mm",
         distance,
-        f"leaves a gap between pane and chamber, which ends at {ends:g}",
+        f"leaves a gap between glass and chamber, which ends at {ends:g}",
         ends - 0.05,
         ends + 0.05,
     )
     yield Limit(
-        "glass.distance_mm", distance, "lets the lens touch the pane", hardware.lens_front + 1
+        "glass.distance_mm", distance, "lets the lens touch the glass", hardware.lens_front + 1
     )
 
 

@@ -96,7 +96,7 @@ def simulate(
         Limit(
             "chamber.supply_pressure_kPa",
             1e-3 * supply,
-            "is more than this sheet holds: it goes on growing",
+            "exceeds the stability limit of this membrane",
             high=1e-3 * _pressure_limit(design),
         ).check(source)
     ball = min(_BALL, 0.25 * min(frame.length, frame.width))
@@ -115,14 +115,14 @@ def simulate(
                 states.append(
                     _state(
                         world,
-                        f"pressed {1e3 * depth:.2g} mm deep at {name}, filled at "
+                        f"indented by {1e3 * depth:.2g} mm at {name}, filled at "
                         f"{1e-3 * pressure:g} kPa",
                     )
                 )
             say(f"pressed at {name}")
     except SimulationError as error:
         raise InputError(
-            f"the membrane does not do what is asked of it at {1e-3 * supply:g} kPa and a press of "
+            f"the membrane fails at {1e-3 * supply:g} kPa and an indentation of "
             f"{1e3 * depth:.2g} mm: {error.reason}",
             source=source,
             field="chamber.supply_pressure_kPa",

@@ -105,7 +105,7 @@ def _clamp_ring(layout: Layout) -> Part:
         "clamp_ring",
         (plate(*layout.z_ring, flange(layout), [inner, *bolt_holes(layout)]),),
         _LIGHT,
-        what="holds the rubber on the frame's flange",
+        what="clamps the rubber on the frame's flange",
     )
 
 
@@ -144,7 +144,7 @@ def _frame(layout: Layout) -> Part:
         tuple(_frame_layer(layout, low, high) for low, high in pairwise(cuts)),
         _PRINTED,
         bore,
-        what="the airtight frame; air comes in on its +x side",
+        what="airtight frame with the air port on its +x side",
     )
 
 
@@ -202,7 +202,7 @@ def _glass_seat(layout: Layout) -> Part:
             plate(layout.z_glass_plane, layout.z_glass, flange(layout), [pocket, *holes]),
         ),
         _LIGHT,
-        what="presses the pane against gasket and frame",
+        what="presses the glass against gasket and frame",
     )
 
 
@@ -226,7 +226,7 @@ def _camera_mount(layout: Layout) -> Part:
         "camera_mount",
         (back, tube, front),
         _PRINTED,
-        what="light-tight tube with the places of LED ring and camera, and four M3 holes for a jaw",
+        what="light-tight tube with seats for LED ring and camera, and four M3 holes for a jaw",
     )
 
 
@@ -253,7 +253,7 @@ def _led_ring(layout: Layout) -> Part:
         (board, leds),
         (0.2, 0.55, 0.3),
         make=False,
-        what="LEDs in the plane of the lens's pupil: led_ring.svg",
+        what="LEDs in the plane of the lens pupil: led_ring.svg",
     )
 
 
@@ -321,5 +321,5 @@ def _stretch_jig(layout: Layout) -> Part:
             Layer(0.0, _PEG_HEIGHT, tuple(Region(circle(PEG, x, y)) for x, y in pegs(layout))),
         ),
         (0.75, 0.62, 0.35),
-        what="holds the sheet at its pre-stretch while it is glued to the rim; a tool, not a part",
+        what="tool that holds the rubber at its pre-stretch while it is glued to the rim",
     )

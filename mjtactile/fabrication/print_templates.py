@@ -65,13 +65,14 @@ def marker_pages(layout: Layout) -> list[PrintedPage]:
     stretch = layout.design.membrane.pre_stretch
     half_x, half_y = page_size(layout)
     if stretch != 1:
-        scaled = f"at 1/{stretch:g} of the mounted size: the rubber is printed unstretched"
+        scaled = f"scale 1/{stretch:g} of the mounted size: print on unstretched rubber"
     else:
         scaled = "no pre-stretch"
     tags = (
         f"{design.markers.count} markers, {scaled}",
         f"radius {MM * design.markers.radius * marker_shrink(design, layout.hardware):.4g} mm "
-        f"here, {MM * design.markers.radius:g} mm mounted; seen from inside, as the camera does",
+        f"here, {MM * design.markers.radius:g} mm mounted; view from inside, as from the "
+        "camera",
     )
     around = [
         *_register(layout, 1 / stretch),
@@ -95,7 +96,7 @@ def marker_pages(layout: Layout) -> list[PrintedPage]:
             half_y,
             (
                 *tags,
-                "the pattern is its own mirror image: print it as it is; crosses on the edge: "
+                "the pattern is mirror-symmetric: print it unmirrored; crosses on the edge: "
                 "peg holes",
             ),
         ),
@@ -104,7 +105,7 @@ def marker_pages(layout: Layout) -> list[PrintedPage]:
             [*cut, *around, *holes],
             half_x,
             half_y,
-            (*tags, "cut along red; punch the pegs' holes"),
+            (*tags, "cut along red lines; punch the peg holes"),
         ),
         page(
             f"{name}: as mounted",
@@ -112,7 +113,7 @@ def marker_pages(layout: Layout) -> list[PrintedPage]:
             layout.outer_x + 6,
             layout.outer_y + 6,
             (
-                "print on film, lay on the mounted membrane:",
+                "print on transparent film, lay on the mounted membrane:",
                 "markers and opening must coincide within 0.3 mm",
             ),
         ),
@@ -153,7 +154,7 @@ def fiducial_page(layout: Layout) -> PrintedPage | None:
     ]
     groove = layout.groove
     if groove is None:
-        note = "white under the black; register the marks with the pane's edges"
+        note = "white under the black; align the marks with the glass edges"
         ground = MM * (fiducials.radius + fiducials.ground)
         outlines = [
             DrawingShape("faint", "ground", contour=circle(ground, MM * x, MM * y))
@@ -163,7 +164,9 @@ def fiducial_page(layout: Layout) -> PrintedPage | None:
             DrawingShape("mark", "pane", contour=Contour(layout.glass_x, layout.glass_y))
         )
     else:
-        note = "white matte film: cut along red, in strips, glue to the rim's inner face"
+        note = (
+            "white matte film: cut along red lines into strips, glue to the inner face of the rim"
+        )
         outlines = [
             DrawingShape("cut", "lip", contour=groove_outline(layout, groove[2] - _QS_PLAY)),
             DrawingShape("cut", "lip", contour=mouth(layout)),
@@ -173,7 +176,7 @@ def fiducial_page(layout: Layout) -> PrintedPage | None:
         [*outlines, *black],
         layout.outer_x,
         layout.outer_y,
-        (f"{fiducials.count} circles of radius {radius:g} mm, as the camera sees them", note),
+        (f"{fiducials.count} circles of radius {radius:g} mm, view from the camera", note),
     )
 
 
@@ -199,9 +202,8 @@ def led_page(layout: Layout) -> PrintedPage:
         DrawingShape("cut", "board", contour=circle(layout.led_inner)),
     ]
     notes = [
-        "circuit board 1.6 mm; LEDs (2835) on the membrane's side,",
-        "their light leaving in the plane of the lens's pupil; drawn as seen from the camera, "
-        "through the board",
+        "circuit board 1.6 mm; LEDs (2835) on the membrane side,",
+        "emission in the plane of the lens pupil; view from the camera, through the board",
     ]
     for number, (x, y) in enumerate(led_places(layout), 1):
         out = (layout.led_outer + 4) / math.hypot(x, y)
@@ -268,6 +270,6 @@ def board_page(design: SensorDesign) -> PrintedPage:
         (
             f"ChArUco {board.columns} x {board.rows}, squares {square:g} mm, markers "
             f"{MM * board.marker:g} mm, {board.dictionary}",
-            f"glue it to something flat, measure a square: --square-mm {square:g}",
+            f"glue it to a flat plate, measure a square: --square-mm {square:g}",
         ),
     )

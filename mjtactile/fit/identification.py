@@ -92,7 +92,8 @@ def _sensor(recordings: Sequence[Path], sensor: Path | None) -> tuple[str, Senso
     files = [load_recording(path).header.get("files", {}).get("sensor") for path in recordings]
     if files[0] is None or any(file is None or file["text"] != files[0]["text"] for file in files):
         raise InputError(
-            "the recordings do not name one sensor file; say which to begin from", field="--sensor"
+            "the recordings do not name a common sensor file; specify the initial one",
+            field="--sensor",
         )
     text = files[0]["text"]
     return text, sensor_from_table(
@@ -108,7 +109,7 @@ def _with_fixed_values(
     for field, value in known.items():
         if field not in SI:
             raise InputError(
-                f"{field!r} is no field of a sensor file", field="--fix", choices=sorted(SI)
+                f"{field!r} is not a field of a sensor file", field="--fix", choices=sorted(SI)
             )
         section, attribute, scale = SI[field]
         by_section[section][attribute] = value * scale
@@ -141,7 +142,7 @@ def _sheet(
         name := _untold(sheet.names, sheet.values, sheet.cov, "membrane", _HELD_FIRST)
     ) is not None:
         held[name] = getattr(design.membrane, name)
-        say(f"membrane: {name} is not in these recordings and keeps the file's value")
+        say(f"membrane: the recordings do not determine {name}; it keeps the file's value")
         sheet = fit_membrane(design, evidence, known=held, touch_sd=touch_sd, mesh=mesh, say=say)
     return free, sheet
 

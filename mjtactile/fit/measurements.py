@@ -107,7 +107,7 @@ def read_evidence(
     recording = load_recording(path)
     if finger not in recording.fingers or len(recording.references) != 2:
         raise InputError(
-            f"has no references of a finger {finger!r}",
+            f"has no references of finger {finger!r}",
             source=path,
             field="--recording",
             choices=recording.fingers if len(recording.references) == 2 else None,
@@ -132,7 +132,7 @@ def read_evidence(
     gauge = math.nan if reading is None else calibration.pressure(reading)
     at_rest = _hold(design, seen, gauge, None, math.nan)
     if at_rest is None:
-        raise InputError("too few markers are seen at rest", source=path, field="--recording")
+        raise InputError("too few markers were detected at rest", source=path, field="--recording")
     return Evidence(
         str(path),
         stage,

@@ -34,28 +34,31 @@ class ParameterInfo:
         return sd <= max(self.share * abs(value), self.least)
 
 
-_BULGE = "inflate it to 0.5 kPa, where its tension holds it, and to 3 kPa, where its modulus does"
-_TAP = "press fast and hold (protocol `tap`), with a pressure sensor"
+_BULGE = (
+    "inflate it to 0.5 kPa, where its tension dominates, and to 3 kPa, where its modulus dominates"
+)
+_TAP = "load it quickly and hold (protocol `tap`), with a pressure sensor"
 ABOUT: Mapping[str, ParameterInfo] = {
     "membrane.young_MPa": ParameterInfo("modulus", _BULGE, 0.05),
     "membrane.pre_stretch": ParameterInfo("pre-stretch", _BULGE, 0.0, 0.003),
     "membrane.thickness_mm": ParameterInfo(
         "thickness",
-        "no recording tells it from the modulus: measure the sheet, then --fix "
-        "membrane.thickness_mm=…",
+        "recordings determine only its product with the modulus: measure the thickness, then "
+        "--fix membrane.thickness_mm=…",
     ),
     "membrane.friction": ParameterInfo(
-        "friction", "drag a pressed indenter until it slides (protocol `drag`)"
+        "friction", "drag a loaded indenter until it slides (protocol `drag`)"
     ),
     "chamber.extra_volume_mL": ParameterInfo(
         "gas volume",
-        "press with the valve closed (protocol `press`), with a pressure sensor",
+        "load it with the valve closed (protocol `press`), with a pressure sensor",
         0.0,
         math.inf,
     ),
     "chamber.leak_mL_s_kPa": ParameterInfo(
         "leak",
-        "leave it inflated and closed for a minute (protocol `still`), with a pressure sensor",
+        "keep it inflated with the valve closed for a minute (protocol `still`), with a "
+        "pressure sensor",
         0.1,
         5e-4,
     ),
@@ -73,11 +76,9 @@ GAS_FRACTION = (
     0.05  # of the gas behind the flat membrane: sd up to which its volume counts as known
 )
 NOT_FITTED = {
-    "membrane.poisson_ratio": "taken as the file says: modulus and pre-stretch "
-    "are those of a sheet with this ratio",
-    "chamber.valve_mL_s_kPa": "the recordings begin when the valve has closed",
-    "damping": "the simulated rubber has none that a file could set, and a camera is too slow to "
-    "see it",
+    "membrane.poisson_ratio": "taken from the file; modulus and pre-stretch refer to it",
+    "chamber.valve_mL_s_kPa": "recordings start after the valve has closed",
+    "damping": "not a file parameter of the simulated rubber, and too fast for a camera",
 }
 
 
@@ -158,6 +159,10 @@ def correlations(names: Sequence[str], cov: Array, states: Mapping[str, str]) ->
         one, two = (ABOUT[n].name if n in ABOUT else n for n in (names[i], names[j]))
         advice = next((ABOUT[n].record for n in (names[j], names[i]) if n in ABOUT), "")
         apart = all(states.get(n, "fitted") == "fitted" for n in (names[i], names[j]))
-        verb = "are known better together than alone" if apart else "cannot be told apart from this"
+        verb = (
+            "are determined better together than separately"
+            if apart
+            else "cannot be separated by these recordings"
+        )
         sentences.append(f"{one} and {two} {verb} (correlation {rho:+.2f}): {advice}")
     return sentences

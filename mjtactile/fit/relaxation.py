@@ -67,8 +67,8 @@ class RelaxationFit:
     def sentence(self) -> str:
         begin, end = self.within
         return (
-            f"from {begin:g} to {end:.0f} s {100 * self.faded:.1f} % of the lasting stress fades "
-            f"(+-{100 * self.faded_sd:.1f} %)"
+            f"from {begin:g} to {end:.0f} s {100 * self.faded:.1f} % of the long-term stress "
+            f"relaxes (+-{100 * self.faded_sd:.1f} %)"
         )
 
     def to_table(self) -> dict[str, Any]:
@@ -110,8 +110,8 @@ def fit_relaxation(path: Path, design: SensorDesign, finger: str) -> RelaxationF
     lasts = float(memories.time[free].max(initial=0.0) - memories.time[free].min(initial=math.inf))
     if not np.isfinite(memories.pressure).all() or lasts < _FREE_MIN:
         raise InputError(
-            f"shows no free membrane for {_FREE_MIN:g} s with its pressure: inflate, and leave "
-            "it, or press, hold and let go",
+            f"contains no unloaded membrane with known pressure for {_FREE_MIN:g} s: inflate "
+            "and wait, or load, hold and release",
             source=path,
             field="--relaxation",
         )

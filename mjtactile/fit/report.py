@@ -36,13 +36,13 @@ def text_of(result: FitResult) -> str:
     sheet = result.design.membrane
     lines += [
         "",
-        f"modulus times thickness: {sheet.young * sheet.thickness:.4g} N/m, which is what "
-        "forces rest on",
-        f"markers are left by {1e6 * result.sheet.rms:.1f} um (rms)",
+        f"modulus times thickness: {sheet.young * sheet.thickness:.4g} N/m, the scale of all "
+        "forces",
+        f"marker residual: {1e6 * result.sheet.rms:.1f} um (rms)",
     ]
     if result.gas is not None:
         lines += [
-            f"pressures of {run.name} are left by "
+            f"pressure residual of {run.name}: "
             f"{float(np.sqrt(np.mean((p - run.pressure) ** 2))):.1f} Pa (rms)"
             for run, p in zip(result.gas.runs, result.gas.fitted, strict=True)
         ]
@@ -62,7 +62,7 @@ def _held(row: Any) -> str:
         where = f"{1e3 * row.depth:g} mm deep, {1e3 * row.shear:g} mm along x"
     force = "" if math.isnan(row.force_measured) else f", load cell {row.force_measured:.4f} N"
     return (
-        f"held out, {row.recording}, {where}, {row.pressure:.0f} Pa: markers off by "
+        f"held out, {row.recording}, {where}, {row.pressure:.0f} Pa: marker error "
         f"{1e6 * row.rms:.1f} um (rms), predicted {row.force:.4f} N{force}"
     )
 
@@ -91,7 +91,7 @@ def _plot_parameters(axes: Any, result: FitResult) -> None:
     )
     axes.set_yticks(list(places), [n.field.partition(".")[2] for n in fitted], fontsize=7)
     axes.axvline(0.0, color="k", lw=0.8)
-    axes.set(xlabel="against the sensor file, %", title="numbers, 95 %")
+    axes.set(xlabel="change from the sensor file, %", title="numbers, 95 %")
     axes.grid(alpha=0.3)
 
 
@@ -104,8 +104,8 @@ def _plot_markers(axes: Any, result: FitResult) -> None:
         axes.plot(off, "o-", ms=4, label=evidence.name[-24:])
     axes.set(
         xlabel="hold",
-        ylabel="markers off, um (rms)",
-        title="markers, simulated less measured",
+        ylabel="marker error, um (rms)",
+        title="markers, simulated minus measured",
         ylim=(0, None),
     )
     axes.legend(fontsize=6)
@@ -140,7 +140,7 @@ def _plot_pressures(axes: Any, result: FitResult) -> None:
         return
     for run, fitted in zip(result.gas.runs, result.gas.fitted, strict=True):
         axes.plot(run.time, fitted - run.pressure, lw=0.7, label=run.name[-24:])
-    axes.set(xlabel="s", ylabel="Pa", title="pressure, simulated less measured")
+    axes.set(xlabel="s", ylabel="Pa", title="pressure, simulated minus measured")
     axes.legend(fontsize=6)
     axes.grid(alpha=0.3)
 
@@ -150,7 +150,7 @@ def _plot_light(figure: Any, axes: Any, result: FitResult) -> None:
         result.picture.residual, cmap="coolwarm", vmin=-3, vmax=3, interpolation="nearest"
     )
     figure.colorbar(shown, ax=axes, label="grey levels")
-    axes.set(title="light, measured less fitted", xticks=[], yticks=[])
+    axes.set(title="light, measured minus fitted", xticks=[], yticks=[])
 
 
 def _plot_held_out(axes: Any, result: FitResult) -> None:

@@ -131,7 +131,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         self._left_out = dict.fromkeys(disabled_effects(self._rig.scene.effects), False)
         if observation == "image" and not self._pictures:
             raise InputError(
-                "no image is drawn",
+                "no image is rendered",
                 source="Grasp-v0",
                 field="observation",
                 choices=["wrench", "markers"],
@@ -176,7 +176,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
     def step(self, action: Array) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """One camera period with `action`. After the end of an episode it must be reset."""
         if self._over:
-            raise gymnasium.error.ResetNeeded("the episode is over: reset it")
+            raise gymnasium.error.ResetNeeded("the episode has ended: call reset()")
         rig = self._rig
         cycle = self._cycle
         deadline = cycle.now + rig.period
@@ -224,7 +224,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
 
     @property
     def _rig(self) -> Rig:
-        assert self._session is not None, "it was closed"
+        assert self._session is not None, "the environment is closed"
         return self._session.rig
 
     def _scenario_of(self, seed: int) -> Scenario:
@@ -244,7 +244,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         if rig.scene is None:
             rig.close()
             raise InputError(
-                f"the rig {self.scenario.rig!r} is not simulated here",
+                f"the rig {self.scenario.rig!r} is not a simulated rig",
                 source="Grasp-v0",
                 field="rig",
                 choices=SIMULATES,

@@ -29,7 +29,7 @@ def space_of(kind: str, designs: Sequence[SensorDesign]) -> gymnasium.spaces.Spa
     sizes = {(d.markers.count, d.camera.height, d.camera.width) for d in designs}
     if len(sizes) > 1:
         raise InputError(
-            "the fingers' sensors differ, so that they cannot be stacked",
+            "the fingers have different sensors, whose observations cannot be stacked",
             source="Grasp-v0",
             field="observation",
             choices=["wrench"],

@@ -32,7 +32,7 @@ _DTYPES = {
 # Name of a return code in kernels.h: exception and message.
 _ERRORS = {
     "NO_MEMORY": (MemoryError, "no memory"),
-    "REFUSED": (ValueError, "arguments that it cannot work with"),
+    "REFUSED": (ValueError, "invalid arguments"),
     "NOT_DEFINITE": (np.linalg.LinAlgError, "a matrix is not finite or not positive definite"),
 }
 _DECLARATION = re.compile(r"^(int64_t|double|void) (\w+)\(([^;]*)\);", re.M)
@@ -232,7 +232,7 @@ class _Kernel:
 
         def call_with_nothing(*now: Any) -> Any:
             if now:
-                raise TypeError(f"{self.declaration.name}: all its arguments are bound")
+                raise TypeError(f"{self.declaration.name}: all arguments are bound")
             return function(*fixed)
 
         bound_call = call if later else call_with_nothing
@@ -326,7 +326,7 @@ def _written(what: str, argument: KernelArgument, dtype: np.dtype) -> _Converter
 
 def _null(what: str, argument: KernelArgument) -> None:
     if not argument.optional:
-        raise TypeError(f"{what} cannot be left out")
+        raise TypeError(f"{what} is required")
 
 
 def _wrong_size(what: str, argument: KernelArgument, array: np.ndarray, size: float) -> str:

@@ -102,8 +102,8 @@ def attach(
     design = load_sensor(sensor)
     if mesh is not None and min(mesh) < _MIN_MESH:
         raise InputError(
-            f"{mesh} vertices make a bulge that sensing takes for a disturbed one; at least "
-            f"({_MIN_MESH}, {_MIN_MESH})",
+            f"{mesh} vertices give a bulge that sensing rejects as disturbed; at least "
+            f"({_MIN_MESH}, {_MIN_MESH}) are needed",
             source="attach",
             field="mesh",
         )

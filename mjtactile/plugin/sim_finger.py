@@ -224,15 +224,15 @@ class SimFinger:
         now = float(self._data.time)
         if now < self._time:
             raise InputError(
-                f"time went back from {self._time:g} to {now:g} s: call reset() of every finger "
-                "after mj_resetData",
+                f"time decreased from {self._time:g} to {now:g} s: call reset() of every "
+                "finger after mj_resetData",
                 source=f"finger {self.name!r}",
             )
         if now > self._time + slack:
             raise InputError(
-                f"it was left at {self._time:g} s and the scene is at {now:g} s: call "
-                "mjtactile.step(model, data, fingers) with all fingers in place of mj_step, or "
-                "reset()",
+                f"is at {self._time:g} s while the scene is at {now:g} s: call "
+                "mjtactile.step(model, data, fingers) with all fingers instead of mj_step, "
+                "or reset()",
                 source=f"finger {self.name!r}",
             )
 
@@ -254,7 +254,7 @@ def step(
     """
     for finger in fingers:
         if not finger.belongs_to(data):
-            raise InputError("it was bound to other data", source=f"finger {finger.name!r}")
+            raise InputError("is bound to other data", source=f"finger {finger.name!r}")
     for _ in range(nstep):
         for finger in fingers:
             finger.before_step()
@@ -271,8 +271,7 @@ def _address(model: mujoco.MjModel, name: str, size: int) -> slice:
     found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)
     if found < 0:
         raise InputError(
-            f"the model has no sensor {name!r}; was it compiled from the spec that the sensor "
-            "was attached to?",
+            f"has no sensor {name!r}; compile it from the spec to which the sensor was attached",
             source="bind",
             field="model",
         )

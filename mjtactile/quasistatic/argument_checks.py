@@ -24,7 +24,7 @@ def grid(counts: Any) -> tuple[int, int]:
         found = ()
     if len(found) != 2 or not all(_MIN_NODES <= count <= _MAX_NODES for count in found):
         raise InputError(
-            f"{counts} must be two numbers of nodes, {_MIN_NODES} to {_MAX_NODES}", field="grid"
+            f"{counts} is not two numbers of nodes from {_MIN_NODES} to {_MAX_NODES}", field="grid"
         )
     return found[0], found[1]
 
@@ -35,27 +35,27 @@ def environments(obstacles: Any) -> list[Collection[Obstacle]]:
     every: list[Any] = list(obstacles) if is_list else [obstacles]
     listed: list[Any] = [(one,) if isinstance(one, Obstacle) else one for one in every]
     if not is_list or not all(isinstance(one, Collection) for one in listed):
-        raise InputError("must be a list of bodies for each environment", field="obstacles")
+        raise InputError("must be a list of obstacles for each environment", field="obstacles")
     if len({len(one) for one in listed}) != 1:
-        raise InputError("every environment wants as many bodies", field="obstacles")
+        raise InputError("every environment needs the same number of obstacles", field="obstacles")
     return listed
 
 
 def require_batch(field: str, batch: Any, shape: tuple[int, ...]) -> None:
     """Raise InputError where something is no batch of displacements of this shape."""
     if not isinstance(batch, MembraneSolutionBatch):
-        raise InputError(f"{type(batch).__name__} is no MembraneSolutionBatch", field=field)
+        raise InputError(f"{type(batch).__name__} is not a MembraneSolutionBatch", field=field)
     if batch.x.shape != shape:
-        raise InputError(f"is of {batch.x.shape}, not {shape}", field=field)
+        raise InputError(f"has shape {batch.x.shape}, not {shape}", field=field)
 
 
 def require_state(state: Any, shape: tuple[int, ...]) -> None:
     """Raise InputError where something is no state of displacements of this shape."""
     if not isinstance(state, MembraneSolution):
-        raise InputError(f"{type(state).__name__} is no MembraneSolution", field="state")
+        raise InputError(f"{type(state).__name__} is not a MembraneSolution", field="state")
     if state.x.shape != shape:
         raise InputError(
-            f"is of a film of {state.x.shape[1:]} nodes, not {shape[1:]}", field="state"
+            f"belongs to a membrane with {state.x.shape[1:]} nodes, not {shape[1:]}", field="state"
         )
 
 
@@ -71,7 +71,7 @@ def pressure(gauge: Any) -> float:
     try:
         found = float(gauge)
     except (TypeError, ValueError):
-        raise InputError(f"{gauge!r} is not a number of Pa", field="gauge_pressure") from None
+        raise InputError(f"{gauge!r} is not a pressure in Pa", field="gauge_pressure") from None
     if not 0 < found < _MAX_GAUGE:
         raise InputError(f"{found:g} Pa must be above ambient", field="gauge_pressure")
     return found

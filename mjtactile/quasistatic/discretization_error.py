@@ -4,7 +4,7 @@ The force of a contact narrower than a few cells depends on its position between
 obstacles are slightly too soft. A table gives the error. It comes from balls, rods, pins and blades
 of 0.4 to 16 mm at random positions and angles, compared with membranes of 81 x 61 and 121 x 91
 nodes. It also includes loads of the independent membrane model. For its accuracy on other obstacles
-see docs/validation/benchmarks.md, "The film".
+see docs/validation/benchmarks.md, "Quasi-static membrane".
 """
 
 from __future__ import annotations

@@ -79,7 +79,8 @@ def inflate(film: Uninflated) -> MembraneSolution:
     else:
         return MembraneSolution(x, force, found)
     raise InputError(
-        f"sensor {film.design.name}: the sheet finds no rest at {film.gauge_pressure:g} Pa",
+        f"sensor {film.design.name}: no equilibrium of the membrane was found at "
+        f"{film.gauge_pressure:g} Pa",
         field="gauge_pressure",
     )
 

@@ -326,15 +326,15 @@ class QuasistaticMembrane:
         self._require_rest(state)
         pressing = state.pressed_by.bodies
         if not pressing and state.force.any():
-            raise InputError("is of a batch, and does not know its bodies", field="state")
+            raise InputError("belongs to a batch, which stores no obstacles", field="state")
         if any(body.kind == "heights" for body in pressing):
-            raise InputError("rests on heights, which have no pose", field="state")
+            raise InputError("is in contact with a height field, which has no pose", field="state")
         rows, pool = obstacle_rows.pooled(pressing, self.grid)
         return derived(self, state, moved_rows(rows), pool, np.full(6, POSE_STEP))
 
     def _require_rest(self, state: MembraneSolution) -> None:
         if not state.converged or state.x.shape != self.rest.x.shape:
-            raise InputError("is not at rest, or not of this film", field="state")
+            raise InputError("is not an equilibrium of this membrane", field="state")
 
     def patches(self, state: MembraneSolution) -> list[StuckPatch]:
         """Compute the in-plane stiffness of each contact patch, if it sticks.

@@ -130,7 +130,7 @@ def obstacle(
     pool = _pool(kind, corners, data)
     if kind == "disc" and size[2] > min(size[0], size[1]):
         raise InputError(
-            "a rim's radius is at most the disc's radius and half height", field="sizes"
+            "the rim radius must not exceed the disc's radius and half height", field="sizes"
         )
     numbers[17] = len(pool)
     if kind == "heights":
@@ -185,7 +185,10 @@ def listed(obstacles: Obstacle | Iterable[Obstacle], field: str) -> list[Obstacl
     found: list[Obstacle] = list(obstacles) if isinstance(obstacles, Iterable) else [obstacles]
     for one in found:
         if not isinstance(one, Obstacle):
-            raise InputError(f"{one!r} is no body; Film.obstacle makes them", field=field)
+            raise InputError(
+                f"{one!r} is not an obstacle; create it with QuasistaticMembrane.obstacle",
+                field=field,
+            )
     return found
 
 
@@ -199,7 +202,7 @@ def pooled(bodies: Sequence[Obstacle], grid: tuple[int, int]) -> tuple[Array, Ar
         return bodies[0].numbers[None], None
     for body in bodies:
         if body.kind == "heights" and (shape := (*map(int, body.numbers[1:3]),)) != grid:
-            raise InputError(f"heights are over {shape} nodes, not {grid}", field="obstacle")
+            raise InputError(f"heights have {shape} nodes, not {grid}", field="obstacle")
     rows = np.array([body.numbers for body in bodies]).reshape(-1, NUMBERS)
     sizes = [body.pool.size for body in bodies]
     if not any(sizes):
@@ -243,18 +246,18 @@ def _pool(kind: str, corners: Array | None, data: ArrayLike | None) -> Array:
         return _hull(corners)
     if kind not in ("mesh", "triangles", "heights"):
         if data is not None:
-            raise InputError(f"a {kind} has none", field="data")
+            raise InputError(f"a {kind} takes no data", field="data")
         return _NO_POOL
     if data is None:
         raise InputError(f"{kind} want some", field="data")
     if kind == "heights":
         field = np.asarray(data, dtype=float)
         if field.ndim != 2 or np.isnan(field).any() or (field == -np.inf).any():
-            raise InputError("heights are (nx, ny), finite or +inf", field="data")
+            raise InputError("heights must be (nx, ny), finite or +inf", field="data")
         return field.reshape(-1, 1)
     corners = finite("data", data, (-1, 3, 3)).reshape(-1, 9)
     if not len(corners):
-        raise InputError("has no triangle", field="data")
+        raise InputError("contains no triangle", field="data")
     return corners
 
 
@@ -283,7 +286,7 @@ def _rotation(R_SO: ArrayLike | None) -> Array:
     if given.shape == (4,):
         length = float(np.linalg.norm(finite("R_SO", given, (4,))))
         if abs(length - 1) > _UNIT:
-            raise InputError(f"is a quaternion of length {length:g}, not 1", field="R_SO")
+            raise InputError(f"is a quaternion of norm {length:g}, not 1", field="R_SO")
         w, x, y, z = given / length
         given = np.array([
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -295,7 +298,7 @@ def _rotation(R_SO: ArrayLike | None) -> Array:
     off = [_dot(x, x) - 1, _dot(y, y) - 1, _dot(z, z) - 1, _dot(x, y), _dot(y, z), _dot(z, x)]
     crossed = [y[1] * z[2] - y[2] * z[1], y[2] * z[0] - y[0] * z[2], y[0] * z[1] - y[1] * z[0]]
     if max(map(abs, off)) > 1e-5 or _dot(x, crossed) < 0:
-        raise InputError("is no rotation", field="R_SO")
+        raise InputError("is not a rotation", field="R_SO")
     return R.ravel()
 
 
@@ -308,7 +311,7 @@ def finite(field: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
     try:
         array = np.asarray(values, dtype=float)
     except (TypeError, ValueError) as error:
-        raise InputError("is not a field of numbers", field=field) from error
+        raise InputError("is not an array of numbers", field=field) from error
     fits = array.shape == shape or (
         array.ndim == len(shape)
         and all(want in (-1, have) for want, have in zip(shape, array.shape, strict=True))

@@ -108,7 +108,7 @@ def changed_bodies(
     made = [shape(place) for place in (at, *(at + np.diag(by)))]
     listed = [obstacles.listed(one, "shape") for one in made]
     if len({len(one) for one in listed}) != 1:
-        raise InputError("gives another number of bodies after a step", field="shape")
+        raise InputError("returns a different number of obstacles after a step", field="shape")
     return listed, by
 
 
@@ -159,7 +159,7 @@ def derived(
     fixed = (film._numbers, film._law, *film.grid, room.size, room, settings)
     given = _given(state, rows, pool, by)
     if _ask("film_derive", *fixed, *given, by_x, by_force, by_detection):
-        raise InputError("does not rest on these bodies, but elsewhere", field="state")
+        raise InputError("is not an equilibrium on these obstacles", field="state")
     picked = (by_detection[:, place] for place in (PRESSURE, VOLUME, AREA))
     return SolutionSensitivities(by_x, by_force, by_detection[:, WRENCH], *picked)
 
@@ -208,4 +208,6 @@ def _ask(name: str, *arguments: Any) -> Any:
     try:
         return kernel(name)(*arguments)
     except np.linalg.LinAlgError as error:
-        raise InputError("loses its balance here", field="state") from error
+        raise InputError(
+            "is unstable: the stiffness is not positive definite", field="state"
+        ) from error

@@ -104,48 +104,64 @@ def _of_part(part: str, name: str, unknown: Any) -> Callable[[CycleLike], Any]:
 
 
 SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
-    "time": ("s", "the rig's clock", lambda c: c.time),
-    "phase": ("", "of the command sent in this cycle", lambda c: c.sent.phase),
+    "time": ("s", "time on the rig's clock", lambda c: c.time),
+    "phase": ("", "phase of the command sent in this cycle", lambda c: c.sent.phase),
     "image_time": (
         "s",
-        "when each camera's image was captured",
+        "capture time of each camera's image",
         lambda c: [image.time for image in c.images],
     ),
-    "force_normal": ("N", "felt, positive for a press", _of_touch(lambda t: t.force_normal)),
-    "force_normal_sd": ("N", "its standard deviation", _of_touch(lambda t: t.force_normal_sd)),
-    "force_shear": ("N", "felt along the membrane, its size", _of_touch(_shear)),
+    "force_normal": (
+        "N",
+        "estimated normal force, positive when pressing",
+        _of_touch(lambda t: t.force_normal),
+    ),
+    "force_normal_sd": (
+        "N",
+        "standard deviation of `force_normal`",
+        _of_touch(lambda t: t.force_normal_sd),
+    ),
+    "force_shear": ("N", "magnitude of the estimated shear force", _of_touch(_shear)),
     "wrench": (
         "N, N m",
-        "felt: force on the membrane (x, y, z) and torque about the middle of the frame, frame S; "
-        "a press has a negative z",
+        "estimated force on the membrane (x, y, z) and torque about the center of the frame, "
+        "frame S; z is negative when pressing",
         _of_part("traction", "wrench", _NAN6),
     ),
     "wrench_sd": (
         "N, N m",
-        "its standard deviations",
+        "standard deviations of `wrench`",
         _of_touch(
             lambda t: _NAN6 if t.traction is None else np.sqrt(np.diag(t.traction.wrench_cov))
         ),
     ),
-    "touching": ("", "whether something presses on the membrane", _of_touch(lambda t: t.touching)),
-    "status": ("", '"ok", or why the force is unknown', _of_touch(lambda t: t.status)),
+    "touching": (
+        "",
+        "true if an object is in contact with the membrane",
+        _of_touch(lambda t: t.touching),
+    ),
+    "status": ("", '"ok", or the reason why the force is unknown', _of_touch(lambda t: t.status)),
     "status_code": (
         "",
-        "the same in a word or two, one of `StatusCode`",
+        "short code of the status, one of `StatusCode`",
         _of_touch(lambda t: t.status.code),
     ),
-    "touch_age": ("s", "age of the image when it had been perceived", _of_touch(lambda t: t.age)),
+    "touch_age": ("s", "age of the image at the end of perception", _of_touch(lambda t: t.age)),
     "contact_area": (
         "m^2",
-        "of all that touches; 0 without contact",
+        "total contact area; 0 without contact",
         _of_part("contact", "area", np.nan),
     ),
-    "contact_centroid": ("m", "its middle (x, y), frame S", _of_part("contact", "centroid", _NAN2)),
-    "contact_depth": ("m", "of the deepest indentation", _of_part("contact", "depth", np.nan)),
+    "contact_centroid": (
+        "m",
+        "contact centroid (x, y), frame S",
+        _of_part("contact", "centroid", _NAN2),
+    ),
+    "contact_depth": ("m", "maximum indentation depth", _of_part("contact", "depth", np.nan)),
     "patches": (
         "m^2, m, N",
-        "each place that touches, the strongest first: `area`, `centroid`, `depth`, `force` (x, y, "
-        "z), `semi_axes` and `angle` (rad from x) of its ellipse",
+        "contact patches, the strongest first: `area`, `centroid`, `depth`, `force` (x, y, "
+        "z), `semi_axes` and `angle` (rad from x) of the ellipse",
         _of_touch(lambda t: [_patch(p) for p in t.patches]),
     ),
     "slip_state": (
@@ -155,76 +171,74 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
     ),
     "slip_velocity": (
         "m/s",
-        "of the object over the membrane (x, y), frame S",
+        "velocity of the object relative to the membrane (x, y), frame S",
         _of_part("slip", "velocity", _NAN2),
     ),
-    "slip_distance": ("m", "slipped since the touch began", _of_part("slip", "distance", np.nan)),
+    "slip_distance": (
+        "m",
+        "slip distance since the start of the contact",
+        _of_part("slip", "distance", np.nan),
+    ),
     "stick_ratio": (
         "",
-        "share of the contact that still sticks",
+        "fraction of the contact that still sticks",
         _of_part("slip", "stick_ratio", np.nan),
     ),
     "shape_kind": (
         "",
-        "of the body that touches: smooth, face, edge, tip, several or unknown; none where nobody "
-        "asked",
+        "kind of contact shape: smooth, face, edge, tip, several or unknown; none if not requested",
         _of_part("shape", "kind", "none"),
     ),
     "shape_family": (
         "",
-        "the narrower kind: ball, cylinder, smooth, disc, block; of several bodies all, with + "
-        "between",
+        "shape model: ball, cylinder, smooth, disc, block; several are joined by +",
         _of_part("shape", "family", "none"),
     ),
     "shape_area": (
         "m^2",
-        "of the membrane that lies on that body",
+        "membrane area in contact with the shape",
         _of_part("shape", "area", np.nan),
     ),
     "shape_area_interval": (
         "m^2",
-        "where it is with 68 %: from, to",
+        "68 % interval of `shape_area`: from, to",
         _of_part("shape", "area_interval", _NAN2),
     ),
     "shape_radius": (
         "m",
-        "of a ball, a lying cylinder, a disc",
+        "radius of a ball, a lying cylinder or a disc",
         _of_part("shape", "radius", np.nan),
     ),
     "shape_direction": (
         "rad",
-        "from x, of an edge or of the smaller curvature",
+        "angle from x, of an edge or of the smaller curvature",
         _of_part("shape", "direction", np.nan),
     ),
     "shape_curvatures": (
         "1/m",
-        "of a smooth body where it touches, the larger first",
+        "curvatures of a smooth shape at the contact, the larger first",
         _of_part("shape", "curvatures", _NAN2),
     ),
     "shape_place": (
         "m",
-        "the body's point that is nearest the sensor (x, y, z), frame S",
+        "point of the shape that is nearest to the sensor (x, y, z), frame S",
         _of_part("shape", "p_SO", _NAN3),
     ),
-    "shape_outline": (
-        "m",
-        "of its contact: points (x, y), frame S, as many as there are",
-        _of_touch(_outline),
-    ),
+    "shape_outline": ("m", "contact outline: up to 24 points (x, y), frame S", _of_touch(_outline)),
     "shape_rolling": (
         "rad/s",
-        "how the body turns about x and y, frame S; of a round one what its place over the rubber "
-        "comes to where it does not slip",
+        "rotation rate of the shape about x and y, frame S; for a round shape the rate that "
+        "its motion over the rubber implies without slip",
         _of_part("shape.motion", "rolling", _NAN2),
     ),
     "shape_sliding": (
         "m/s",
-        "of the body over the rubber (x, y), frame S",
+        "velocity of the shape relative to the rubber (x, y), frame S",
         _of_part("shape.motion", "sliding", _NAN2),
     ),
     "shape_spinning": (
         "rad/s",
-        "of the body over the rubber about z",
+        "rotation rate of the shape relative to the rubber about z",
         _of_part("shape.motion", "spinning", np.nan),
     ),
     "marker_count": (
@@ -232,30 +246,34 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
         "markers found",
         _of_touch(lambda t: 0 if t.markers is None else len(t.markers)),
     ),
-    "opening": ("m", "as the gripper reports", lambda c: c.gripper.opening),
-    "speed": ("m/s", "of the opening", lambda c: c.gripper.speed),
-    "effort": ("N", "at a jaw, as the servo believes it", lambda c: c.gripper.effort),
-    "lift_height": ("m", "of the hand above where it started", lambda c: c.gripper.lift_height),
-    "gripper_time": ("s", "when that was so", lambda c: c.gripper.time),
-    "gripper_age": ("s", "and how long ago when it was handed over", lambda c: c.gripper.age),
-    "valve_open": ("", "of each valve", _valves("is_open")),
-    "gauge_pressure": ("Pa", "null without a pressure sensor", _valves("gauge_pressure")),
-    "valve_time": ("s", "when that was so", _valves("time")),
-    "valve_age": ("s", "and how long ago", _valves("age")),
-    "command_opening": ("m", "as sent, after limits", lambda c: c.sent.opening),
+    "opening": ("m", "opening reported by the gripper", lambda c: c.gripper.opening),
+    "speed": ("m/s", "speed of the opening", lambda c: c.gripper.speed),
+    "effort": ("N", "force at a jaw, estimated by the servo", lambda c: c.gripper.effort),
+    "lift_height": ("m", "height of the gripper above its start", lambda c: c.gripper.lift_height),
+    "gripper_time": ("s", "time of the measurement", lambda c: c.gripper.time),
+    "gripper_age": ("s", "age of the measurement when it was delivered", lambda c: c.gripper.age),
+    "valve_open": ("", "true for each open valve", _valves("is_open")),
+    "gauge_pressure": (
+        "Pa",
+        "gauge pressure of each chamber; null without a pressure sensor",
+        _valves("gauge_pressure"),
+    ),
+    "valve_time": ("s", "time of the measurement", _valves("time")),
+    "valve_age": ("s", "age of the measurement", _valves("age")),
+    "command_opening": ("m", "commanded opening, after limits", lambda c: c.sent.opening),
     "command_force_limit": (
         "N",
-        "the same; null where none was commanded yet",
+        "force limit, after limits; null before the first command",
         lambda c: c.sent.force_limit,
     ),
     "command_lift_height": ("m", "the same", lambda c: c.sent.lift_height),
     "command_pressure": (
         "Pa",
-        "the same, of each finger's chamber; null while the air is left alone",
+        "gauge pressure of each finger's chamber, after limits; null if not commanded",
         _pressures,
     ),
-    "command_reason": ("", "what the controller said of it, where it gives up", _reason),
-    "memory": ("", "the controller's own notebook", lambda c: dict(c.sent.memory)),
+    "command_reason": ("", "reason that the controller gives for an abort", _reason),
+    "memory": ("", "memory of the controller", lambda c: dict(c.sent.memory)),
     "perception_ms": (
         "ms",
         "wall time of the sensing chain, all fingers",
@@ -263,19 +281,19 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
     ),
     "state": (
         "",
-        "of the supervisor (docs/how-to/hardware.md)",
+        "state of the supervisor (docs/how-to/hardware.md)",
         lambda c: getattr(c, "state", "running"),
     ),
-    "reason": ("", "why, if it is not running", lambda c: getattr(c, "reason", "")),
+    "reason": ("", "reason, if the state is not running", lambda c: getattr(c, "reason", "")),
 }
 """Unit and meaning of each key, and the function that reads it from a cycle."""
 
 TRUE: Mapping[str, tuple[str, str]] = {
-    "force_normal_true": ("N", "what scoring saw"),
-    "wrench_true": ("N, N m", "of the contact forces on each membrane, as `wrench`"),
-    "marker_error_true": ("m", "mean distance of the markers found from where they were"),
-    "object_position_true": ("m", "of the object's body (x, y, z), frame W"),
-    "object_quaternion_true": ("", "its rotation (w, x, y, z), frame W"),
+    "force_normal_true": ("N", "normal force on each membrane"),
+    "wrench_true": ("N, N m", "contact wrench on each membrane, as `wrench`"),
+    "marker_error_true": ("m", "mean distance of the detected markers from their true positions"),
+    "object_position_true": ("m", "position of the object (x, y, z), frame W"),
+    "object_quaternion_true": ("", "rotation of the object (w, x, y, z), frame W"),
 }
 """The same of the columns that only a simulation has; `mjtactile.runtime.grasp_scoring` gives
 them."""

@@ -149,7 +149,7 @@ class Recording:
         if not (len(self) and self.columns[key].dtype == object):
             return self.columns[key].reshape(len(self), *(self.columns[key].shape[1:] or (1,)))
         raise InputError(
-            f"{key!r} is not a column of numbers; see columns[{key!r}]", source=self.folder
+            f"{key!r} is not a column of numbers; use columns[{key!r}]", source=self.folder
         )
 
     def require_images(self) -> None:
@@ -161,7 +161,7 @@ class Recording:
         have = sum(len(names) > 0 for names in self.columns["images"])
         if have < len(self):
             raise InputError(
-                f"{have} of {len(self)} cycles have their images, and all are needed; record "
+                f"only {have} of {len(self)} cycles have images, and all are needed; record "
                 "with --frames all",
                 source=self.folder,
             )
@@ -236,7 +236,7 @@ def load_recording(path: str | Path) -> Recording:
     folder = folder / "recording" if (folder / "recording").is_dir() else folder
     log = folder / LOG
     if not log.is_file():
-        raise InputError(f"no recording here: there is no {LOG}", source=folder)
+        raise InputError(f"contains no recording: {LOG} is missing", source=folder)
     try:
         rows, problems = _parse(log)
     except OSError as error:
@@ -291,13 +291,16 @@ def _parse(log: Path) -> tuple[list[dict[str, Any]], list[str]]:
                 row = None
             if not isinstance(row, dict):
                 return rows, [
-                    f"line {number} is cut off or broken; it and what follows was left out"
+                    f"line {number} is truncated or corrupt; it and all following lines were "
+                    "ignored"
                 ]
             row = current_row(row)
             is_cycle = row.get("kind") == "cycle"
             first = first or (row if is_cycle else {})
             if wrong := wrong_column(row, first) if is_cycle else wrong_note(row):
-                return rows, [f"line {number} is broken: {wrong}; it and what follows was left out"]
+                return rows, [
+                    f"line {number} is corrupt: {wrong}; it and all following lines were ignored"
+                ]
             rows.append(row)
     return rows, []
 

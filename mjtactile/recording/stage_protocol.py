@@ -103,10 +103,10 @@ def describe(move: Move) -> str:
     if not move.touches:
         return f"{move.time:g} s: lift off"
     if move.is_weight:
-        return f"{move.time:g} s: put on what weighs {move.force:g} N, indenter and all"
+        return f"{move.time:g} s: apply a weight of {move.force:g} N, indenter included"
     shear = f", {1e3 * move.shear:g} mm along x" if move.shear else ""
     return (
-        f"{move.time:g} s: to {1e3 * move.depth:g} mm below first touch{shear}, at "
+        f"{move.time:g} s: move to {1e3 * move.depth:g} mm below the first contact{shear}, at "
         f"{1e3 * move.speed:g} mm/s"
     )
 
@@ -123,7 +123,7 @@ def stage_from_note(note: Mapping[str, Any], source: object) -> Stage:
         x, y = at
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
-            f"not a stage: {error}",
+            f"is not a stage: {error}",
             source=source,
             field="stage",
             choices=("indenter", "at_mm", "moves"),
@@ -138,7 +138,7 @@ def _moves(rows: Sequence[Mapping[str, Any]], source: str) -> tuple[Move, ...]:
     late = next((i for i in range(1, len(moves)) if moves[i].time <= moves[i - 1].time), None)
     if late is not None:
         raise InputError(
-            "is not later than the move before", source=source, field=f"move {late + 1}, time_s"
+            "is not later than the previous move", source=source, field=f"move {late + 1}, time_s"
         )
     return moves
 
@@ -147,7 +147,7 @@ def _move(row: Mapping[str, Any], source: str, number: int) -> Move:
     unknown = [key for key in row if key not in COLUMNS]
     if unknown or "time_s" not in row:
         raise InputError(
-            f"column {unknown[0]!r}" if unknown else "no column time_s",
+            f"column {unknown[0]!r}" if unknown else "column time_s is missing",
             source=source,
             choices=COLUMNS,
         )

@@ -212,7 +212,7 @@ class Recorder(Observer):
                 self._queue.put(None, timeout=_FLUSH_TIME)
             self._thread.join(_FLUSH_TIME)
             if self._thread.is_alive():
-                self._stop_recording("the disk stands still")
+                self._stop_recording("the disk does not respond")
 
     def never_began(self, error: BaseException) -> bool:
         """Return True if a run left no useful data, for example because a device was missing.
@@ -241,7 +241,7 @@ class Recorder(Observer):
             return (self.folder / LOG).open("x", encoding="utf-8")
         except FileExistsError as error:
             raise InputError(
-                "holds a recording already; nothing is overwritten", source=self.folder
+                "already contains a recording; nothing is overwritten", source=self.folder
             ) from error
         except OSError as error:
             raise InputError(f"cannot be written: {error.strerror}", source=self.folder) from error
@@ -266,7 +266,7 @@ class Recorder(Observer):
             first = not self.problem
             self.problem = self.problem or " ".join(text.split())
         if first:
-            _logger.warning("%s: the recording was given up: %s", self.folder, self.problem)
+            _logger.warning("%s: the recording was stopped: %s", self.folder, self.problem)
 
     def _write_loop(self) -> None:
         """The background thread: images first, then the line that names them."""

@@ -216,8 +216,7 @@ def _require_replayable(recording: Recording, design: SensorDesign, folder: str)
     has_cycles = len(recording) > 0 and "start_opening" in recording.notes
     if not has_cycles or len(recording.references) != 2:
         raise InputError(
-            "cannot be replayed: it has no cycles, or was made without its reference images",
-            source=folder,
+            "cannot be replayed: it has no cycles or no reference images", source=folder
         )
     recording.require_images()
     recorded = recording.header.get("design")

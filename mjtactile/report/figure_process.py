@@ -86,7 +86,7 @@ def figure_writer_process() -> Iterator[FigureWriter]:
     with contextlib.ExitStack() as stack:
         worker = None
         with contextlib.suppress(OSError):  # a computer that has no room for another process
-            worker = WorkerProcess(__name__, "draws the figure")
+            worker = WorkerProcess(__name__, "renders the figure")
             stack.callback(worker.close)
         yield FigureWriter(worker)
 

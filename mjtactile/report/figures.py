@@ -17,7 +17,7 @@ def new_figure(name: str, size: tuple[float, float], dpi: int = 110) -> Any:
         from matplotlib.figure import Figure
     except ImportError:
         sys.stderr.write(
-            f"mjtactile: warning: {name} was not drawn: pip install 'mjtactile[plots]'\n"
+            f"mjtactile: warning: {name} was not plotted: pip install 'mjtactile[plots]'\n"
         )
         return None
     figure = Figure(figsize=size, dpi=dpi, layout="constrained")

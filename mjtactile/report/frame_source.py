@@ -46,7 +46,10 @@ def read_frames(source: Path) -> Iterator[NamedImage]:
         files = sorted(path for path in source.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
         if not files:
             raise InputError(
-                "a folder without images", source=source, field="SOURCE", choices=IMAGE_SUFFIXES
+                "the folder contains no images",
+                source=source,
+                field="SOURCE",
+                choices=IMAGE_SUFFIXES,
             )
         yield from (_read(path) for path in files)
     elif not source.is_file():
@@ -77,7 +80,7 @@ def _read_video(path: Path) -> Iterator[NamedImage]:
     finally:
         video.release()
     if count == 0:
-        raise InputError("a video without a frame that can be read", source=path, field="SOURCE")
+        raise InputError("the video contains no readable frame", source=path, field="SOURCE")
 
 
 def to_image(frame: NamedImage, design: SensorDesign) -> Image | str:
@@ -88,8 +91,8 @@ def to_image(frame: NamedImage, design: SensorDesign) -> Image | str:
     want = (design.camera.height, design.camera.width)
     if pixels.shape != want:
         return (
-            f"{pixels.shape[1]} x {pixels.shape[0]} pixels, the sensor's camera has {want[1]} x "
-            f"{want[0]}"
+            f"the image has {pixels.shape[1]} x {pixels.shape[0]} pixels, the sensor's camera "
+            f"{want[1]} x {want[0]}"
         )
     return Image(pixels)
 

@@ -35,7 +35,7 @@ def plot_section(
     """
     picture = np.full((*size, 3), _PAPER, np.uint8)
     if shape is None:
-        _write(picture, "nothing that is known touches", (8, 17))
+        _write(picture, "no known contact shape", (8, 17))
         return picture
     said = f"{describe_shape(shape)}; believed black" + (", true orange" if len(true) else "")
     _write(picture, said, (8, 17))

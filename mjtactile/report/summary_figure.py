@@ -88,7 +88,7 @@ def write_figure(
             axes = figure.add_subplot(grid[:, 0])
             render_scene(axes, scene, snapshot.touch, FINGER_COLOURS)
             axes.set_title(
-                f"the scene at t = {snapshot.time:.2f} s, and the forces felt", fontsize=11
+                f"scene at t = {snapshot.time:.2f} s, with the estimated forces", fontsize=11
             )
         for finger, name in enumerate(recording.fingers[:fingers]):
             column = columns - fingers + finger
@@ -155,7 +155,7 @@ def _plot_estimate(axes: Any, touch: Touch, name: str) -> None:
     """Write the estimated force as text; synthetic touch has neither an image nor a surface."""
     axes.set_axis_off()
     felt = f"{touch.force_normal:.2f} ± {touch.force_normal_sd:.2f} N"
-    text = f"{name}: touch was drawn\nnormal force {felt}"
+    text = f"{name}: synthetic touch\nnormal force {felt}"
     axes.text(0.5, 0.5, text, ha="center", transform=axes.transAxes, fontsize=11)
 
 
@@ -177,7 +177,7 @@ def _plot_image(axes: Any, image: Image, ellipses: Ellipses, title: str) -> None
         curves = np.concatenate([curves, curves[:, :1], gap], axis=1)
         axes.plot(*curves.reshape(-1, 2).T, color="#39d353", linewidth=1.1)
         axes.plot(*ellipses.center_px.T, "+", color="#ff5a4f", markersize=4)
-    how = "fitted" if image.pixels.size else "drawn, and no image"
+    how = "fitted" if image.pixels.size else "(synthetic, no image)"
     axes.set_title(f"{title}: {len(ellipses)} ellipses {how}", fontsize=11)
     axes.set_xlabel("u [px]")
     axes.set_ylabel("v [px]")
@@ -236,7 +236,7 @@ def plot_surface_map(axes: Any, touch: Touch, unit: float | None = None) -> None
     axes.view_init(elev=38, azim=-62)
     felt = f"{touch.force_normal:.2f} ± {touch.force_normal_sd:.2f} N"
     axes.set_title(
-        "membrane, and the traction on it with a minus sign\n"
+        "membrane, and traction with inverted sign\n"
         f"normal force {felt if touch.status == 'ok' else f'unknown: {touch.status}'}",
         fontsize=11,
     )
@@ -249,7 +249,7 @@ def _plot_shape(axes: Any, shape: ContactShape, scene: SceneCamera | None, finge
         axes.plot(*(_MM * piece.T), color=_TRUE_BODY, linewidth=2.0, zorder=4)
     for line in lines_of(shape):
         axes.plot(*(_MM * line.T), color="#111111", linewidth=1.3, zorder=5)
-    said = describe_shape(shape) + ("; true body orange" if len(true) else "")
+    said = describe_shape(shape) + ("; ground truth orange" if len(true) else "")
     axes.text2D(0.5, 0.98, said, transform=axes.transAxes, ha="center", va="top", fontsize=10)
 
 
@@ -312,7 +312,7 @@ def _plot_forces(axes: Any, recording: Recording, snapshot: CycleLike | None) ->
     shaded and named."""
     time = recording.columns["time"]
     axes.set_xlabel("time [s]")
-    axes.set_ylabel("normal force on a finger [N]")
+    axes.set_ylabel("normal force per finger [N]")
     if len(time) == 0:
         axes.text(0.5, 0.5, "no cycle was recorded", ha="center", transform=axes.transAxes)
         return

@@ -61,7 +61,7 @@ def write_video(
     """
     if path.suffix not in FORMATS:
         raise InputError(
-            f"{path.suffix or 'no suffix'!r} is no film that can be written",
+            f"{path.suffix or 'no suffix'!r} is not a supported video format",
             source=path,
             choices=FORMATS,
         )

@@ -31,7 +31,13 @@ class AsBuiltSensor:
 
     finger: str
     focal_fraction: float = number(
-        "fx_percent", -50, 50, PERCENT, default=0.0, group="sensor", about="more focal length"
+        "fx_percent",
+        -50,
+        50,
+        PERCENT,
+        default=0.0,
+        group="sensor",
+        about="increase of the focal length",
     )
     center: tuple[float, float] = numbers(
         "center_px",
@@ -40,12 +46,16 @@ class AsBuiltSensor:
         500,
         default=(0.0, 0.0),
         group="sensor",
-        about="principal point off by so much",
+        about="offset of the principal point",
     )
     k1: float | None = number(
-        "k1", -1, 1, default=None, about="its own first distortion coefficient, not the file's"
+        "k1",
+        -1,
+        1,
+        default=None,
+        about="first distortion coefficient, in place of that of the file",
     )
-    k1_offset: float = number("k1_offset", -1, 1, default=0.0, group="sensor", about="more of k1")
+    k1_offset: float = number("k1_offset", -1, 1, default=0.0, group="sensor", about="offset of k1")
     shift: tuple[float, float, float] = numbers(
         "camera_shift_mm",
         "xyz",
@@ -54,7 +64,7 @@ class AsBuiltSensor:
         MM,
         default=(0.0, 0.0, 0.0),
         group="sensor",
-        about="camera, with its pane, off its place in S",
+        about="displacement of the camera with its glass, frame S",
     )
     tilt: tuple[float, float, float] = numbers(
         "camera_tilt_deg",
@@ -64,9 +74,16 @@ class AsBuiltSensor:
         DEGREE,
         default=(0.0, 0.0, 0.0),
         group="sensor",
-        about="rotation vector of the camera, with its pane",
+        about="rotation vector of the camera with its glass",
     )
-    blur: float = number("blur_px", -5, 10, default=0.0, group="sensor", about="more blur, px (sd)")
+    blur: float = number(
+        "blur_px",
+        -5,
+        10,
+        default=0.0,
+        group="sensor",
+        about="increase of the blur, px (standard deviation)",
+    )
     noise_fraction: float = number(
         "noise_percent", -100, 1000, PERCENT, default=0.0, group="sensor", about="more noise"
     )
@@ -86,7 +103,12 @@ class AsBuiltSensor:
         "thickness_percent", -90, 400, PERCENT, default=0.0, group="sensor", about="thicker"
     )
     pre_stretch: float = number(
-        "pre_stretch_offset", -0.2, 0.5, default=0.0, group="sensor", about="more of it"
+        "pre_stretch_offset",
+        -0.2,
+        0.5,
+        default=0.0,
+        group="sensor",
+        about="offset of the pre-stretch",
     )
     creep: float = number(
         "creep_percent",
@@ -94,7 +116,7 @@ class AsBuiltSensor:
         50,
         PERCENT,
         default=0.0,
-        about="of the lasting stress, that fades in each decade from 1 to 1000 s",
+        about="fraction of the long-term stress that relaxes in each decade from 1 to 1000 s",
     )
     friction_fraction: float = number(
         "friction_percent", -100, 400, PERCENT, default=0.0, group="sensor", about="more friction"
@@ -108,12 +130,12 @@ class AsBuiltSensor:
             low=0,
             high=40_000,
             group="sensor",
-            about="numbers of markers that are not there",
+            about="numbers of the missing markers",
         ),
         (),
     )
     leak: float = number(
-        "leak_mL_s_kPa", 0, 1e3, ML_S_KPA, default=0.0, group="gas", about="through a hole"
+        "leak_mL_s_kPa", 0, 1e3, ML_S_KPA, default=0.0, group="gas", about="leak through a hole"
     )
     warming: float = number(
         "temperature_drift_K_min",
@@ -122,17 +144,13 @@ class AsBuiltSensor:
         1 / 60,
         default=0.0,
         group="gas",
-        about="of gas and walls",
+        about="temperature drift of gas and walls",
     )
     valve_zero: float = number(
-        "pressure_offset_Pa",
-        -1000,
-        1000,
-        default=0.0,
-        about="its pressure sensor shows so much more",
+        "pressure_offset_Pa", -1000, 1000, default=0.0, about="offset of the pressure sensor"
     )
     camera: CameraFaults = part(
-        "camera", CameraFaults, default=UNTROUBLED, about="what its pictures suffer"
+        "camera", CameraFaults, default=UNTROUBLED, about="faults of its images"
     )
 
 

@@ -51,10 +51,15 @@ class ObjectChange:
     """Deviation of the object from its file; None: the pose that the seed gives."""
 
     size: float = number(
-        "size_percent", -50, 100, PERCENT, default=0.0, about="larger, with its mass"
+        "size_percent", -50, 100, PERCENT, default=0.0, about="increase of the size, with the mass"
     )
     mass: float = number(
-        "mass_percent", -90, 900, PERCENT, default=0.0, about="heavier at its size"
+        "mass_percent",
+        -90,
+        900,
+        PERCENT,
+        default=0.0,
+        about="increase of the mass at constant size",
     )
     friction: float = number(
         "friction_percent",
@@ -62,18 +67,25 @@ class ObjectChange:
         400,
         PERCENT,
         default=0.0,
-        about="more, with the membranes, the table and its stand",
+        about="increase of the friction with the membranes, the table and its stand",
     )
     stiffness: float = number(
-        "stiffness_percent", -90, 900, PERCENT, default=0.0, about="of its springs or elements"
+        "stiffness_percent",
+        -90,
+        900,
+        PERCENT,
+        default=0.0,
+        about="increase of the stiffness of springs or elements",
     )
     breaking: float = number(
-        "breaking_percent", -90, 900, PERCENT, default=0.0, about="more force before it breaks"
+        "breaking_percent", -90, 900, PERCENT, default=0.0, about="increase of the breaking force"
     )
     place: tuple[float, float] | None = numbers(
-        "place_mm", "xy", -30, 30, MM, default=None, about="on the table"
+        "place_mm", "xy", -30, 30, MM, default=None, about="pose on the table"
     )
-    yaw: float | None = number("yaw_deg", -180, 180, DEGREE, default=None, about="on the table")
+    yaw: float | None = number(
+        "yaw_deg", -180, 180, DEGREE, default=None, about="pose on the table"
+    )
 
 
 UNCHANGED = ObjectChange()
@@ -84,17 +96,21 @@ class RigChange:
     """Deviation of the gripper from its file."""
 
     delay: float = number(
-        "delay_ms", 0, 1000, MS, default=0.0, about="until a command takes effect"
+        "delay_ms", 0, 1000, MS, default=0.0, about="delay until a command takes effect"
     )
     jitter: float = number(
-        "jitter_ms", 0, 1000, MS, default=0.0, about="more delay, evenly from 0 to this"
+        "jitter_ms", 0, 1000, MS, default=0.0, about="additional delay, uniform from 0 to this"
     )
     backlash: float = number(
-        "backlash_mm", 0, 10, MM, default=0.0, about="of the opening, in its gears"
+        "backlash_mm", 0, 10, MM, default=0.0, about="gear backlash of the opening"
     )
     speed: float = number("speed_percent", -90, 400, PERCENT, default=0.0, about="faster")
     force_noise: float = number(
-        "force_noise_N", 0, 10, default=0.0, about="sd of the closing force that is reported"
+        "force_noise_N",
+        0,
+        10,
+        default=0.0,
+        about="standard deviation of the reported closing force",
     )
 
 
@@ -259,7 +275,9 @@ def _read_spread(section: Section, entry: Number) -> Spread | None:
     if kind is list:
         low, high = section.numbers(entry.key, ("low", "high"), entry.low, entry.high)
         if low > high:
-            raise section.fail(entry.key, f"[{low:g}, {high:g}] is not [low, high]")
+            raise section.fail(
+                entry.key, f"[{low:g}, {high:g}] is not an ascending range [low, high]"
+            )
         return Spread(low, high)
     if kind is not dict:
         value = section.number(entry.key, entry.low, entry.high)

@@ -31,7 +31,9 @@ def calibrated_gripper(config: GripperConfig) -> GripperConfig:
     lines = {_SERVO["id"].read(line, ...): line for line in table.sections("servo", 1, 8)}
     ids = [servo.id for servo in config.servos]
     if sorted(lines) != sorted(ids):
-        raise table.fail("servo", f"of servos {sorted(lines)}, but the rig file has {sorted(ids)}")
+        raise table.fail(
+            "servo", f"is for servos {sorted(lines)}, but the rig file has {sorted(ids)}"
+        )
     return replace(config, servos=tuple(_servo(servo, lines[servo.id]) for servo in config.servos))
 
 
@@ -40,13 +42,13 @@ def gripper_state(config: GripperConfig) -> PartState:
     table = _read(config)
     if table is None:
         path = config.calibration
-        where = "names no file" if path is None else f"{path} is not there"
-        text = f"never measured ({where}): the rig file's values count"
+        where = "the rig file names none" if path is None else f"{path} does not exist"
+        text = f"never measured ({where}): the values of the rig file apply"
         return PartState("gripper", "missing", text)
     date = table.text("date")[:10]
     if table.text("fingerprint") == gripper_fingerprint(config):
         return PartState("gripper", "good", f"of {date}")
-    text = f"of {date}, older than the rig file, whose servos have changed since: not used"
+    text = f"of {date}, not used: the servos in the rig file have changed since"
     return PartState("gripper", "outdated", text)
 
 

@@ -97,7 +97,7 @@ def make_law(
         or len(set(parts)) != len(parts)
     ):
         raise ValueError(
-            "needs at least two pairs, the first column rising, the openings rising or falling "
-            "throughout"
+            "needs at least two pairs, with an increasing first column and openings that "
+            "only increase or only decrease"
         )
     return JawLaw(kind, table=tuple(table))

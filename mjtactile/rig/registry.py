@@ -74,10 +74,12 @@ def build_rig(scenario: Scenario | str, design: SensorDesign | None = None, **fi
         argument = ""
         kind = file.backend
     if kind not in SIMULATES and (wanted.accuracy, wanted.effects) != ("", "auto"):
-        raise InputError(f"the rig {name!r} is not simulated here", field="--accuracy or --effects")
+        raise InputError(
+            f"the rig {name!r} is not a simulated rig", field="--accuracy or --effects"
+        )
     if kind not in SIMULATES and wanted.randomization != NONE:
         raise InputError(
-            f"the rig {name!r} is not simulated here: its world is what it is",
+            f"the rig {name!r} is not a simulated rig: its world cannot be randomized",
             field="--randomization",
             choices=[NONE],
         )

@@ -39,7 +39,7 @@ def load_scenario(source: str | Path) -> Scenario:
     path = Path(source).expanduser()
     if path.suffix not in (".toml", ".json"):
         raise InputError(
-            f"{path.suffix or 'no suffix'!r} is no scenario's",
+            f"{path.suffix or 'no suffix'!r} is not a scenario format",
             source=path,
             field="--scenario",
             choices=["FILE.toml", "RUN/summary.json"],
@@ -49,7 +49,7 @@ def load_scenario(source: str | Path) -> Scenario:
     whole = read_json(path)
     table = whole.get("scenario") if isinstance(whole, Mapping) else None
     if not isinstance(table, Mapping):
-        raise InputError("holds no scenario", source=path, field="scenario")
+        raise InputError("contains no scenario", source=path, field="scenario")
     return scenario_from_table(table, path, label="scenario")
 
 
@@ -117,7 +117,7 @@ def with_sensors(file: RigFile | SimRigFile, sensors: Mapping[str, str]) -> RigF
     names = list(_fitted(file))
     for name in sensors:
         if name not in names:
-            raise InputError(f"no finger {name!r} on {file.name}", field="sensors", choices=names)
+            raise InputError(f"{file.name} has no finger {name!r}", field="sensors", choices=names)
     if isinstance(file, RigFile):
         cameras = (
             replace(camera, sensor=sensors.get(camera.finger, camera.sensor))

@@ -53,7 +53,7 @@ def calibration_findings(rig_file: RigFile, default: SensorDesign) -> Iterator[F
             "bad",
             "calibration of the gripper",
             str(error),
-            "measure it again: `mjtactile calibrate gripper`",
+            "repeat the calibration: `mjtactile calibrate gripper`",
         )
 
 
@@ -69,16 +69,17 @@ def _finger_findings(
             "bad",
             what,
             str(error),
-            "is it this finger's, whole, and of this sensor? else measure it again",
+            "check that the file is complete and belongs to this finger and sensor, else "
+            "repeat the calibration",
         )
         return
     if calibration is None:
         yield Finding(
             "warn",
             what,
-            "the rig file names none: the sensor file's values count",
-            f'write calibration = "{camera.finger}.json" into its [[camera]], '
-            "then `mjtactile calibrate --help`",
+            "the rig file names none: the values of the sensor file apply",
+            f'add calibration = "{camera.finger}.json" to its [[camera]], then see '
+            "`mjtactile calibrate --help`",
         )
         return
     has_valve = any(valve.finger == camera.finger for valve in rig_file.valves)

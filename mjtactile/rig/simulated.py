@@ -61,7 +61,7 @@ class SimFingerConfig:
     def validate(self, section: Section) -> None:
         """Raise InputError for a name that a simulated scene cannot hold."""
         if "/" in self.name:
-            message = f"{self.name!r} has a slash, which parts names of a simulated scene"
+            message = f"{self.name!r} contains a slash, which separates names in a simulated scene"
             raise section.fail("name", message)
 
 

@@ -150,7 +150,7 @@ def _has_landed(cycle: ControlCycle) -> bool:
         return True
     if cycle.rig.goal.place_height > 0 and not any(map(may_hold, cycle.touch)):
         return True
-    why = f"the controller ended ({command.phase}) with the hand in the air"
+    why = f"the controller ended ({command.phase}) with the gripper raised"
     cycle.supervisor.make_safe(why, cycle.now)
     return False
 
@@ -206,7 +206,9 @@ def _make_room(cycle: ControlCycle) -> None:
 
 def _report_disabled_effects(cycle: ControlCycle) -> None:
     names = ", ".join(cycle.left_out)
-    cycle.observer.message(f"Command.memory: what cannot be written is not recorded: {names}")
+    cycle.observer.message(
+        f"Command.memory: entries that cannot be written are not recorded: {names}"
+    )
     cycle.observer.note(memory_left_out=list(cycle.left_out))
 
 

@@ -210,7 +210,7 @@ def load_controller(name_or_path: str | Path) -> Controller:
         line = getattr(error, "lineno", None)
         where = f"line {line}" if line else None
         raise ControllerError(
-            f"does not import: {type(error).__name__}: {error}", source=path, field=where
+            f"cannot be imported: {type(error).__name__}: {error}", source=path, field=where
         ) from error
     function = getattr(module, "step", None)
     if not callable(function):

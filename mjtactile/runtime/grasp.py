@@ -142,14 +142,14 @@ class _Log(Observer):
         if len(before) in (0, len(self.phases)):
             return ""
         return (
-            f"the controller gave up in phase {before[-1]!r}, {len(before) * period:.1f} s "
-            "after it began" + (f": {self.said}" if self.said else "")
+            f"the controller aborted in phase {before[-1]!r}, {len(before) * period:.1f} s "
+            "after its start" + (f": {self.said}" if self.said else "")
         )
 
     def ended(self) -> str:
         """Return the reason why a finished controller set nothing down, or ""."""
         if self.left:
-            return "the controller ended (done) with the hand in the air"
+            return "the controller ended (done) with the gripper raised"
         return ""
 
     def peak_force(self) -> float:

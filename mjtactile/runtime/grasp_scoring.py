@@ -192,7 +192,7 @@ class GraspScore:
         task.
         """
         if self.outcome() == "dropped" and self._is_held and self.fell:
-            return "it was let go of in the air, and fell"
+            return "it was released in the air and fell"
         if self.outcome() == "dropped" and self._is_held and self.judge is not None:
             return self.judge.failure()
         model = self.world.model
@@ -200,8 +200,9 @@ class GraspScore:
         if self.outcome() != "dropped" or self._grip_start is None or weight <= self._carried:
             return ""
         return (
-            f"too heavy for this grip: it weighs {weight:.2g} N, and with a friction of "
-            f"{min(self._friction):.2g} the fingers could carry {self._carried:.2g} N at most"
+            f"too heavy for this grip: it weighs {weight:.2g} N, and the fingers can carry at "
+            f"most {self._carried:.2g} N with a friction coefficient of "
+            f"{min(self._friction):.2g}"
         )
 
     def outcome(self) -> str:

@@ -41,7 +41,7 @@ class PerceptionPool:
         with contextlib.ExitStack() as unless_all_start:
             self._workers = [
                 unless_all_start.enter_context(
-                    contextlib.closing(WorkerProcess(__name__, "feels for the loop"))
+                    contextlib.closing(WorkerProcess(__name__, "runs perception"))
                 )
                 for _ in range(count)
             ]
@@ -65,7 +65,7 @@ class PerceptionPool:
         for worker, _ in self._shares(perceptions):
             if worker.outcome(_START) is None:
                 raise DeviceError(
-                    f"a process that feels for the loop has not started within {_START:g} s"
+                    f"a process that runs perception has not started within {_START:g} s"
                 )
         try:
             yield self

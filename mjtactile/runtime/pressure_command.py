@@ -20,8 +20,8 @@ def check(rig: Rig, wanted: Command) -> None:
         return
     if rig.limits.pressure is None:
         raise InputError(
-            f"rig {rig.name!r} has no valves with a pressure gauge that obey: the air in its "
-            "fingers stays as it is",
+            f"rig {rig.name!r} has no controllable valves with a pressure sensor: the "
+            "pressure in its fingers cannot be changed",
             source="Command",
             field="gauge_pressure",
         )

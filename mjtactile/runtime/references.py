@@ -60,7 +60,7 @@ def take_references(
     for valve in valves:
         valve.open(0.0)
     yield ReferenceImages("flat", settled_images(fingers, clock), [0.0 for _ in valves])
-    say("reference: inflated, nothing touching")
+    say("reference: inflated, no contact")
     inflate(fingers, clock)
     readings: list[list[float | None]] = []
     images = settled_images(

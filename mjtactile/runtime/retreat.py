@@ -117,7 +117,7 @@ def _doubt(touch: Sequence[Touch], opening: float, goal: float) -> str:
     """Return the measured values of a hand that is not verified open, as text."""
     jaws = "the opening is unknown"
     if math.isfinite(opening):
-        jaws = f"the jaws are at {1e3 * opening:.1f} mm and not at {1e3 * goal:.1f} mm"
+        jaws = f"the jaws are at {1e3 * opening:.1f} mm instead of {1e3 * goal:.1f} mm"
     forces = [
         f"{one.force_normal:.2f} N" if math.isfinite(one.force_normal) else "unknown"
         for one in touch

@@ -165,7 +165,7 @@ class Supervisor:
         ]
         sunk = [
             f"the membrane of chamber {i} has sunk to {1e9 * t.surface.volume:.0f} mm^3 from "
-            f"{1e9 * bulge:.0f} mm^3 with nothing touching"
+            f"{1e9 * bulge:.0f} mm^3 without contact"
             for i, (t, bulge) in enumerate(zip(touch, self._bulge, strict=True))
             if t.surface is not None
             and not t.touching

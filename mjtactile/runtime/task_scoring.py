@@ -138,11 +138,14 @@ class TaskScorer:
         if math.isfinite(counts.upright):
             tilt, height = self._standing()
             if math.degrees(abs(tilt)) > math.degrees(counts.upright):
-                return f"it does not stand: tilted by {math.degrees(tilt):.0f} deg"
+                return f"it is not upright: tilted by {math.degrees(tilt):.0f} deg"
             if abs(height - self._start[1]) > _STANDS:
-                return f"it does not stand: {1e3 * (height - self._start[1]):+.0f} mm off its place"
+                return (
+                    "it does not stand at its place: height off by "
+                    f"{1e3 * (height - self._start[1]):+.0f} mm"
+                )
         if self.bump > counts.bump:
-            return f"it was set down with {self.bump:.2g} N s"
+            return f"it was set down with an impact of {self.bump:.2g} N s"
         return ""
 
     def measures(self) -> dict[str, float]:
@@ -163,12 +166,12 @@ class TaskScorer:
     def _handover_failure(self, within: float) -> str:
         late = self.let_go_at - self.pulls
         if math.isnan(late):
-            return "it was never let go of"
+            return "it was never released"
         if late < 0:
-            return f"it was let go of {-late:.1f} s before somebody took it"
+            return f"it was released {-late:.1f} s before the pull"
         if self.torn:
-            return "it was torn out of the hand, which did not open"
-        return f"it was let go of after {late:.1f} s of pulling" if late > within else ""
+            return "it was pulled out of the gripper, which did not open"
+        return f"it was released only {late:.1f} s after the pull" if late > within else ""
 
     def _patch(self, number: int) -> tuple[Array, float]:
         """Return center and radius of the contact patch on a membrane.

@@ -75,7 +75,7 @@ class UnsensedForceMonitor(Observer):
         self._most = float(beyond[least])
         names = " and ".join(self._names)
         self._text = (
-            f"the servos push with {effort[least]:.1f} N and {names} feel {felt[least]:.1f} N in "
-            f"the mean: frames, fingers' sides or the jaws themselves carry {self._most:.1f} N, "
-            f"give or take {allowed:.1f}"
+            f"the servos push with {effort[least]:.1f} N, but {names} measure "
+            f"{felt[least]:.1f} N on average: frames, finger sides or the jaws carry "
+            f"{self._most:.1f} N, more than the allowed {allowed:.1f} N"
         )

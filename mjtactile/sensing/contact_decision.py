@@ -59,8 +59,8 @@ class ContactDecision:
             return Status(StatusCode.FIT_FAILED, "the markers fit no membrane shape")
         return Status(
             StatusCode.OVERLOADED,
-            "overloaded: the markers fit no membrane shape since they showed "
-            f"{-force[2]:.1f} N of pressing and {np.hypot(force[0], force[1]):.1f} N of shear",
+            "overloaded: the markers fit no membrane shape after a normal force of "
+            f"{-force[2]:.1f} N and a shear force of {np.hypot(force[0], force[1]):.1f} N",
         )
 
     def traction(self, estimate: Estimate, moved: float, time: float) -> Traction:
@@ -114,16 +114,16 @@ class ContactDecision:
             state = self._with_zero_followed(state, estimate, found.time - before.time)
         sd = float(np.sqrt(traction.wrench_cov[2, 2]))
         if abs(moved) > s.gauge.moved_max:
-            text = f"the chamber's pressure has moved by {moved:+.0f} Pa since the last image"
+            text = f"the chamber pressure has changed by {moved:+.0f} Pa since the last image"
             status = Status(StatusCode.PRESSURE_CHANGING, text)
-            lost = slip.unknown(status.code, "the air moves")
+            lost = slip.unknown(status.code, "the pressure is changing")
             return replace(touch, slip=lost, status=status), state
         pulled = found.force < -max(s.zero.pull_max, s.zero.touch_sd * sd)
         if quiet and (pulled or shape.drift > s.zero.drift_max):
             status = Status(
                 StatusCode.REFERENCE_LOST,
-                "the membrane seems pulled, or shifted: the rest reference is lost (temperature, "
-                "camera)",
+                "the membrane appears pulled or shifted: the rest reference is lost "
+                "(temperature, camera)",
             )
             lost = slip.unknown(status.code, "no zero")
             return replace(touch, slip=lost, status=status), state

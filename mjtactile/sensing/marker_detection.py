@@ -105,7 +105,7 @@ class MarkerDetector:
         seen = len(markers)
         if self._are_enough(seen):
             return OK
-        text = f"only {seen} of {self.design.markers.count} markers seen"
+        text = f"only {seen} of {self.design.markers.count} markers detected"
         return Status(StatusCode.TOO_FEW_MARKERS, text)
 
     def locate(self, state: PipelineState, image: Image, expected: Array, what: str) -> Markers:
@@ -137,8 +137,8 @@ class MarkerDetector:
             return
         if is_overexposed(grey_image(image), ellipses, "dark", self.settings.locate):
             raise DeviceError(
-                f"sensor {self.design.name}: {what}: the picture is overexposed, white around "
-                "most markers; less light, exposure or gain"
+                f"sensor {self.design.name}: {what}: the image is overexposed, white around "
+                "most markers; reduce light, exposure or gain"
             )
 
     def require(self, markers: Markers, what: str) -> None:

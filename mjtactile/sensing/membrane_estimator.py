@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from mjtactile.sensing.force.rest_equilibrium import InverseRest
 from mjtactile.sensing.pipeline_state import KNOCKS_SURE, PipelineState, Reference
 from mjtactile.sensing.settings import Settings
 
+_SAME_TIME = 0.1  # maximum time between an image and a reading that are compared, s
 _SET_ASIDE_FRACTION = 0.03  # of the markers, and at least one: more are not dirt
 
 
@@ -28,7 +30,8 @@ class Estimate:
     """Membrane `shape` estimated from the `markers`, relative to the sensor at `rest`.
 
     `state` contains the gas state, from pressure sensor and shape. If without a history two shapes
-    explain the markers, `other` is the less likely one.
+    explain the markers, `other` is the less likely one. `pressure_gap` is the measured minus the
+    estimated gauge pressure, Pa; 0 without a pressure sensor.
     """
 
     markers: Markers
@@ -36,6 +39,7 @@ class Estimate:
     rest: InverseRest
     state: PipelineState
     other: Shape | None = None
+    pressure_gap: float = 0.0
 
 
 class MembraneEstimator:
@@ -78,6 +82,10 @@ class MembraneEstimator:
         known = without(markers, state.set_aside)
         found = self._with_gas(state, reference, known, time, reading)
         is_seen = state.camera is not None
+        if self._is_doubtful(state, found.shape):
+            face = self._face(state, reference, found, time, reading)
+            if face is not None:
+                return face
         if state.belief is not None and self._has_changed(found.shape):
             state = replace(state, belief=None)
             found = self._with_gas(state, reference, known, time, reading)
@@ -116,6 +124,54 @@ class MembraneEstimator:
         most = s.inverse.excess_max * max(1.0, load / s.inverse.overload_min) ** 2
         sharp = float(shape.excess[0].mean()) > most and not drifted
         return not sharp and shape.misfit < s.inverse.misfit_max
+
+    def _is_doubtful(self, state: PipelineState, shape: Shape) -> bool:
+        """Return True if a loaded membrane fits only by drift or by discounted markers."""
+        s = self._settings.inverse
+        if float(np.linalg.norm(self._inverse.force(shape))) < s.face_load:
+            return False
+        changed = state.belief is not None and self._has_changed(shape)
+        excess = float(shape.excess[0].mean())
+        return changed or shape.drift > s.face_drift or excess > s.face_excess
+
+    def _face(
+        self,
+        state: PipelineState,
+        reference: Reference,
+        found: Estimate,
+        time: float,
+        reading: PressureReading | None,
+    ) -> Estimate | None:
+        """Return the estimate for a wide face that presses, if the markers favor it, else None.
+
+        A face that is wider than the frame moves nearly all markers alike, as a changed camera or
+        a lost gas does. The prior of compact contacts would discount the markers, or take the load
+        for such a change. The hypotheses are compared by their evidence; a camera that changes in
+        the very image has the prior probability exp(-`face_change`).
+        """
+        s = self._settings.inverse
+        fresh = replace(state, shape=None)
+
+        def fit(start: PipelineState, correlation: float | None = None) -> Estimate:
+            return self._with_gas(
+                start, reference, found.markers, time, reading, correlation=correlation
+            )
+
+        evidence = fit(fresh, s.face_correlations[1]).shape.log_evidence
+        if evidence < found.shape.log_evidence + s.face_margin:
+            return None
+        if state.camera is None:
+            changed = [replace(state, belief=None, knocked=KNOCKS_SURE)]
+            if state.belief is not None:
+                changed.append(replace(state, belief=None))
+            others = max(fit(other).shape.log_evidence for other in changed)
+            if others - s.face_change > evidence:
+                return None
+        face = fit(fresh, s.face_correlations[0])
+        if not self.fits_markers(face.shape):
+            return None
+        kept = replace(face.state, shape=state.shape, belief=state.belief, knocked=0)
+        return replace(face, state=kept)
 
     def _static_retry(
         self,
@@ -202,6 +258,7 @@ class MembraneEstimator:
         reading: PressureReading | None,
         *,
         camera: CameraDriftFilter | None = None,
+        correlation: float | None = None,
     ) -> Estimate:
         """Estimate the shape together with the gas state.
 
@@ -212,19 +269,23 @@ class MembraneEstimator:
         before = camera or self._camera(state, time)
         gas = self._gas_before(state.gas, rest, time, reading)
         if gas is None:
-            shape = self._fit(before, state, rest, markers)
+            shape = self._fit(before, state, rest, markers, correlation)
             belief = self._belief(before, shape, reference, rest, time)
             return Estimate(markers, shape, rest, replace(state, belief=belief))
-        shape, rest, volume = self._shape_with(before, gas, rest, state, markers, time)
+        fit = partial(self._shape_with, before, markers=markers, time=time, correlation=correlation)
+        shape, rest, volume = fit(gas, rest, state)
         seen = self.gauge.saw(gas, time, volume, self._settings.inverse.dent_fraction)
         if reading is not None and not gas.is_open:
             seen, told = self.gauge.read(seen, reading)
             if told:
-                shape, rest, volume = self._shape_with(before, seen, rest, state, markers, time)
+                shape, rest, volume = fit(seen, rest, state)
                 seen = seen.refine_estimate(volume)
         belief = self._belief(before, shape, reference, rest, time)
         state = replace(state, gas=seen, reference=replace(reference, rest=rest), belief=belief)
-        return Estimate(markers, shape, rest, state)
+        gap = 0.0
+        if reading is not None and not reading.is_open and abs(time - reading.time) < _SAME_TIME:
+            gap = reading.gauge_pressure - shape.gauge_pressure
+        return Estimate(markers, shape, rest, state, pressure_gap=gap)
 
     def _gas_before(
         self, gas: GasState | None, rest: InverseRest, time: float, reading: PressureReading | None
@@ -248,13 +309,14 @@ class MembraneEstimator:
         state: PipelineState,
         markers: Markers,
         time: float,
+        correlation: float | None,
     ) -> tuple[Shape, InverseRest, float]:
         """Return the shape for the given gas state, the sensor at rest with it, and the gas volume,
         m^3."""
         chamber = self._design.chamber
         now, sd = self.gauge.gas_at(gas, time)
         rest = self._inverse.with_gas(rest, now, sd, gas.seen[-1][1])
-        shape = self._fit(camera, state, rest, markers)
+        shape = self._fit(camera, state, rest, markers, correlation)
         volume = self._inverse.volume(shape.c)
         pressure = now.gauge_pressure(volume, chamber.ambient, chamber.polytropic_exponent)
         return replace(shape, gauge_pressure=pressure), rest, volume
@@ -265,9 +327,12 @@ class MembraneEstimator:
         state: PipelineState,
         rest: InverseRest,
         markers: Markers,
+        correlation: float | None,
     ) -> Shape:
         lost = state.knocked >= KNOCKS_SURE and state.camera is not None
-        return self._inverse.estimate(markers, rest, state.shape, camera=camera, lost=lost)
+        return self._inverse.estimate(
+            markers, rest, state.shape, camera=camera, lost=lost, correlation=correlation
+        )
 
     def _camera(self, state: PipelineState, time: float) -> CameraDriftFilter | CameraDriftEstimate:
         """Return the prior of the camera drift before the image is evaluated."""

@@ -342,8 +342,7 @@ class SensingPipeline:
         """
         if state.reference is None:
             raise DeviceError(
-                f"sensor {self.design.name}: an image before the references of the flat and the "
-                "resting membrane"
+                f"sensor {self.design.name}: an image was given before the flat and rest references"
             )
         unknown = Touch(image.time, now - image.time, np.nan, np.nan, False)
         markers, state = self.see(state, image)

@@ -58,19 +58,19 @@ _OPTION_NAMES = {
 _REQUIRED = {
     "integrator": (
         mujoco.mjtIntegrator.mjINT_DISCRETE,
-        "only it is implicit in the stiffness of membrane and gas",
+        "only this one is implicit in the stiffness of membrane and gas",
     ),
     "solver": (
         mujoco.mjtSolver.mjSOL_CG,
         "the gas couples all vertices, which makes Newton's Hessian dense and PGS explicit",
     ),
-    "cone": (mujoco.mjtCone.mjCONE_ELLIPTIC, "static friction is remembered by its rows"),
+    "cone": (mujoco.mjtCone.mjCONE_ELLIPTIC, "static friction needs its friction rows"),
 }
 _RECOMMENDED = {
     **_REQUIRED,
     "jacobian": (mujoco.mjtJacobian.mjJAC_SPARSE, "a membrane has hundreds of degrees of freedom"),
-    "tolerance": (1e-7, "1e-5 leaves 2 mN of noise in a held force, 1e-4 6 mN"),
-    "iterations": (300, "so many may be needed at first touch"),
+    "tolerance": (1e-7, "1e-5 leaves 2 mN of noise in a constant force, 1e-4 leaves 6 mN"),
+    "iterations": (300, "the first touch may need as many"),
     "noslip_iterations": (0, "they treat membrane stiffness explicitly"),
 }
 _NEEDED = {
@@ -151,7 +151,8 @@ def attach_membrane(
         set_physics(child, grid, on)
     elif design.relaxation is not None:
         raise InputError(
-            "a film's rubber does not relax: leave out relaxation as well as the sheet",
+            "the rubber of a quasi-static membrane does not relax: leave out relaxation as "
+            "well as the mesh",
             source=design.name,
             field="effects",
         )
@@ -182,7 +183,7 @@ def _check_prefix(spec: mujoco.MjSpec, prefix: str) -> None:
     is_taken = any(flex.name == prefix + FLEX for flex in spec.flexes)
     if is_taken or spec.body(prefix + BODY) is not None:
         raise InputError(
-            f"{prefix!r} is taken: the scene has a body {prefix + BODY!r}",
+            f"{prefix!r} is already in use: the scene has a body {prefix + BODY!r}",
             source="attach",
             field="prefix",
         )
@@ -223,7 +224,7 @@ def configure_options(spec: mujoco.MjSpec, timestep: float = 4e-3) -> tuple[str,
     changes = []
     for name, (value, why) in {
         **_RECOMMENDED,
-        "timestep": (timestep, "forces are good to 1 mN from 1 to 7 ms"),
+        "timestep": (timestep, "forces are accurate to 1 mN from 1 to 7 ms"),
     }.items():
         before = getattr(option, name)
         if before != value:
@@ -240,7 +241,7 @@ def configure_options(spec: mujoco.MjSpec, timestep: float = 4e-3) -> tuple[str,
     if not option.disableflags & mujoco.mjtDisableBit.mjDSBL_AUTORESET:
         option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         changes.append(
-            "flag autoreset: enable -> disable (a diverged run must not rewind and go on silently)"
+            "flag autoreset: enable -> disable (a diverged run must not restart silently)"
         )
     if option.enableflags & mujoco.mjtEnableBit.mjENBL_OVERRIDE:
         option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
@@ -286,7 +287,7 @@ def check_options(option: Any, *, source: str) -> None:
             "timestep",
             f"{option.timestep:g} s",
             f"{low:g} to {high:g} s",
-            "contact forces are wrong beyond",
+            "contact forces are wrong outside this range",
         )
     if option.jacobian == mujoco.mjtJacobian.mjJAC_DENSE:
         refuse(
@@ -314,7 +315,7 @@ def _site(spec: mujoco.MjSpec, site: mujoco.MjsSite | str) -> mujoco.MjsSite:
     found = spec.site(site) if isinstance(site, str) else site
     if found is None:
         raise InputError(
-            f"no site {site!r} in the scene",
+            f"the scene has no site {site!r}",
             source="attach",
             field="site",
             choices=[s.name for s in spec.sites if s.name],
@@ -322,8 +323,8 @@ def _site(spec: mujoco.MjSpec, site: mujoco.MjsSite | str) -> mujoco.MjsSite:
     carrier = _mocap_carrier(found.parent)
     if carrier is not None:
         raise InputError(
-            f"{found.name!r} is on the mocap body {carrier!r}, which cannot carry a membrane: put "
-            "it on a body that follows this one by a weld",
+            f"{found.name!r} is on the mocap body {carrier!r}, which cannot carry a membrane: "
+            "put it on a body that a weld connects to this one",
             source="attach",
             field="site",
         )

@@ -38,12 +38,14 @@ class SimCamera:
         directly in grasps only.
         """
         if Effect.CHAIN not in effects:
-            raise InputError("touch is drawn in grasps only", field="--effects -pipeline")
+            raise InputError(
+                "synthetic touch is available in grasps only", field="--effects -pipeline"
+            )
         self._sensor = sensor
         self._suffered = FaultyImage(specimen.camera, seed)
         if self._suffered.are_any and Effect.IMAGES not in effects:
             raise InputError(
-                "camera troubles need images, and none are drawn", field="--effects -images"
+                "image faults need images, and none are rendered", field="--effects -images"
             )
         design = set_camera_effects(sensor.design, effects)
         place = {"pose": camera_pose(design, specimen), "radius": marker_radii(design, specimen)}

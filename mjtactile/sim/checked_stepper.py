@@ -110,8 +110,8 @@ class Stepper:
         flags, reason = self._monitor.look()
         if min(self._unsolved) > 0.5 * self._check_every:
             flags["solver"] = (
-                f"the solver did not converge in {self._model.opt.iterations} iterations: forces "
-                "are rough; use a smaller timestep"
+                f"the solver did not converge in {self._model.opt.iterations} iterations: "
+                "forces are inaccurate; use a smaller timestep"
             )
         self._unsolved = [0, self._unsolved[0]]
         for watcher in self.watchers:

@@ -45,27 +45,32 @@ def examine_simulated(rig: SimRigFile, sensor: str = "dense") -> list[Finding]:
         spec = read_mjcf(rig.model)
     except InputError as error:
         return [
-            Finding("bad", "model", str(error), "mend the MJCF; `python -m mujoco.viewer` shows it")
+            Finding(
+                "bad", "model", str(error), "correct the MJCF; `python -m mujoco.viewer` shows it"
+            )
         ]
     missing = [
         Finding(
             "bad",
             error.field or "name",
             str(error).split(": ", 2)[-1],
-            "mend the name in the rig file",
+            "correct the name in the rig file",
         )
         for error in missing_names(spec, rig)
     ]
     if missing:
         return missing
-    findings = [Finding("ok", "names", "sites, actuators and bodies are all there"), _options(spec)]
+    findings = [Finding("ok", "names", "all sites, actuators and bodies exist"), _options(spec)]
     try:
         world = GripperWorld(rig, designs, _tip_height(designs))
     except InputError as error:
         return [
             *findings,
             Finding(
-                "bad", error.field or "rig", str(error), "nothing more can be checked until then"
+                "bad",
+                error.field or "rig",
+                str(error),
+                "correct this first; it prevents all further checks",
             ),
         ]
     findings += [*_fingers(world), *_arm(world)]
@@ -74,15 +79,20 @@ def examine_simulated(rig: SimRigFile, sensor: str = "dense") -> list[Finding]:
     except SimulationError as error:
         return [
             *findings,
-            Finding("bad", "simulation", str(error), "the rig does not stand still by itself"),
+            Finding(
+                "bad",
+                "simulation",
+                str(error),
+                "correct the rig: it does not stay at rest without commands",
+            ),
         ]
 
 
 def _options(spec: mujoco.MjSpec) -> Finding:
     changed = [change.split(" (")[0] for change in configure_options(spec)]
-    text = "are those that the sensors need"
+    text = "are those that the sensors require"
     if changed:
-        text = f"the sensors need other ones, and get them: {', '.join(changed)}"
+        text = f"the sensors require other values, which are set: {', '.join(changed)}"
     return Finding("ok", "options", text)
 
 
@@ -103,35 +113,37 @@ def _fingers(world: GripperWorld) -> Iterator[Finding]:
             yield Finding(
                 "bad",
                 what,
-                f"z of site {finger.site!r} points {angle:.0f} degrees away from the middle of the "
-                "fingertips",
-                "turn the site: its z goes out of the sensor, towards the object",
+                f"z of site {finger.site!r} points {angle:.0f} degrees away from the center "
+                "of the fingertips",
+                "rotate the site: its z points out of the sensor, towards the object",
             )
         elif cosine < _ASKEW:
             yield Finding(
                 "warn",
                 what,
-                f"z of site {finger.site!r} misses the middle of the fingertips by {angle:.0f} "
-                "degrees",
-                "the sensor touches with an edge first; turn or move the site",
+                f"z of site {finger.site!r} misses the center of the fingertips by "
+                f"{angle:.0f} degrees",
+                "the sensor touches with an edge first; rotate or move the site",
             )
         elif abs(inward[2]) > _LEANING:
             yield Finding(
                 "warn",
                 what,
-                f"leans by {math.degrees(math.asin(abs(inward[2]))):.0f} degrees from the upright",
-                "the sensor touches with an edge first; another keyframe, or turn the site",
+                f"is tilted by {math.degrees(math.asin(abs(inward[2]))):.0f} degrees from the "
+                "vertical",
+                "the sensor touches with an edge first; choose another keyframe, or rotate "
+                "the site",
             )
         elif abs(away[2]) > _UNEVEN:
             yield Finding(
                 "warn",
                 what,
-                f"is {1e3 * abs(away[2]):.1f} mm {'below' if away[2] > 0 else 'above'} the middle "
-                "of the fingertips",
-                "an object is tilted when it is gripped; move the site",
+                f"is {1e3 * abs(away[2]):.1f} mm {'below' if away[2] > 0 else 'above'} the "
+                "center of the fingertips",
+                "an object tilts when it is gripped; move the site",
             )
         else:
-            yield Finding("ok", what, f"site {finger.site!r} faces the middle of the fingertips")
+            yield Finding("ok", what, f"site {finger.site!r} faces the center of the fingertips")
 
 
 def _arm(world: GripperWorld) -> Iterator[Finding]:
@@ -150,14 +162,15 @@ def _arm(world: GripperWorld) -> Iterator[Finding]:
     yield Finding(
         "ok",
         "arm",
-        f"{len(held)} servos reach all {1e3 * rig.lift.travel:.0f} mm: {', '.join(held)}",
+        f"{len(held)} servos reach the full {1e3 * rig.lift.travel:.0f} mm: {', '.join(held)}",
     )
     if loose:
         yield Finding(
             "warn",
             "arm",
             f"nothing holds {', '.join(map(repr, loose))}",
-            "give these joints position actuators, name theirs in lift.actuators, or take them out",
+            "give these joints position actuators, name their actuators in lift.actuators, "
+            "or remove them",
         )
 
 
@@ -196,16 +209,16 @@ def _jaws(reached: dict[float, tuple[float, float]], low: float, high: float) ->
         yield Finding(
             "bad",
             "jaws",
-            f"move the wrong way: asked to close, the fingertips go {way}",
-            "turn the sign of mm_per_rad or mm_per_mm, or the table round",
+            f"move in the wrong direction: on a command to close, the fingertips move {way}",
+            "reverse the sign of mm_per_rad or mm_per_mm, or the order of the table",
         )
         return
     if response_open - response_closed < _MOVES:
         yield Finding(
             "bad",
             "jaws",
-            f"do not move: asked to close, the fingertips go {way}",
-            "is it the right actuator? is its force enough? does something jam?",
+            f"do not move: on a command to close, the fingertips move {way}",
+            "check that it is the right actuator, that its force suffices and that nothing jams",
         )
         return
     wrong = max(abs(opened - response_open), abs(closed - response_closed))
@@ -213,20 +226,22 @@ def _jaws(reached: dict[float, tuple[float, float]], low: float, high: float) ->
         yield Finding(
             "warn",
             "jaws",
-            f"are not where the law says: by it they go from {_mm(opened)} to {_mm(closed)} mm, by "
-            f"the sites {way}",
-            "mend law, ratio or jaw_offset_mm",
+            f"do not follow the transmission: it gives {_mm(opened)} to {_mm(closed)} mm, the "
+            f"sites move {way}",
+            "correct transmission, mm_per_rad or mm_per_mm, or jaw_offset_mm",
         )
     elif max(abs(opened - high), abs(closed - low)) > _OPENING_WRONG:
         yield Finding(
             "warn",
             "jaws",
             f"reach {_mm(closed)} to {_mm(opened)} mm, not {_mm(low)} to {_mm(high)} mm",
-            "opening_min_mm and opening_max_mm should be what they reach",
+            "set opening_min_mm and opening_max_mm to the reached values",
         )
     else:
         yield Finding(
-            "ok", "jaws", f"open and close, {way}; law and sites agree within {1e3 * wrong:.2f} mm"
+            "ok",
+            "jaws",
+            f"open and close, {way}; transmission and sites agree within {1e3 * wrong:.2f} mm",
         )
 
 
@@ -241,17 +256,17 @@ def _touches(touched: dict[str, set[tuple[str, str, str]]]) -> Iterator[Finding]
             "bad",
             f"finger {prefix.rstrip('/')}",
             f"its sensor touches {geom!r} {where}",
-            "move the site, or let that geom touch no sensor (contype 0)",
+            "move the site, or exclude that geom from contact with the sensors (contype 0)",
         )
     if not found:
-        yield Finding("ok", "sensors", "touch nothing, inflated, opened or closed")
+        yield Finding("ok", "sensors", "touch nothing when inflated, opened or closed")
 
 
 def _lift(world: GripperWorld, sag: float) -> Iterator[Finding]:
     """Up by the whole travel."""
     lift = world.rig.lift
     if lift.kind == "none":
-        yield Finding("warn", "lift", "there is none: what is grasped stays on the table")
+        yield Finding("warn", "lift", "does not exist: a grasped object stays on the table")
         return
     world.set_lift_target(lift.travel)
     _wait(world, _SLACK * lift.travel / lift.speed + 0.5)
@@ -260,21 +275,21 @@ def _lift(world: GripperWorld, sag: float) -> Iterator[Finding]:
         yield Finding(
             "bad",
             "lift",
-            f"asked for {1e3 * lift.travel:.0f} mm, the hand rose by {1e3 * risen:.1f} mm",
-            "a shorter travel_mm, or stiffer and stronger servos",
+            f"commanded {1e3 * lift.travel:.0f} mm, the gripper rose by {1e3 * risen:.1f} mm",
+            "reduce travel_mm, or use stiffer and stronger servos",
         )
     elif abs(sag) > 0.5 * _HEIGHT_WRONG:
         yield Finding(
             "warn",
             "lift",
-            f"the hand sank by {1e3 * sag:.1f} mm at the start",
-            'stiffer servos, or gravcomp="1"',
+            f"the gripper sank by {1e3 * sag:.1f} mm at the start",
+            'use stiffer servos, or gravcomp="1"',
         )
     else:
         yield Finding(
             "ok",
             "lift",
-            f"{lift.kind}: the hand rose by {1e3 * risen:.1f} of {1e3 * lift.travel:.0f} mm",
+            f"{lift.kind}: the gripper rose by {1e3 * risen:.1f} of {1e3 * lift.travel:.0f} mm",
         )
 
 
@@ -286,21 +301,21 @@ def _force(world: GripperWorld) -> Iterator[Finding]:
         yield Finding(
             "bad",
             "force",
-            f"{text}: too little to grip with",
-            "a larger forcerange, or the ratio of the law is wrong",
+            f"{text}: too little for a grasp",
+            "use a larger forcerange, or correct the ratio of the transmission",
         )
     elif reached < wanted:
         yield Finding(
             "warn",
             "force",
             f"{text}, force_max_N says {wanted:g}",
-            "a larger forcerange, or a smaller force_max_N",
+            "use a larger forcerange, or a smaller force_max_N",
         )
     else:
         yield Finding(
             "ok",
             "force",
-            f"force_max_N = {wanted:g} on each finger is within what the actuators can",
+            f"force_max_N = {wanted:g} on each finger is within the range of the actuators",
         )
 
 

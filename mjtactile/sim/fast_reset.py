@@ -28,8 +28,8 @@ class Restart:
         world = rig.scene
         if not movable(world):
             raise InputError(
-                "an object that is no rigid body, or what stands around it, cannot be moved "
-                "without a new model",
+                "a soft or jointed object, or one with loose geoms, cannot be moved without "
+                "a new model",
                 source=world.object.path,
                 field="object",
             )

@@ -170,13 +170,15 @@ def _load(path: Path, wanted: str, name: str) -> dict[str, SensingErrorModel]:
         errors = {name: parse_error_model(table[name]) for name in ("errors", "varied")}
     except FileNotFoundError:
         raise InputError(
-            f"the errors of its chain were never measured: {how}", source=name, field="--effects"
+            f"the errors of its pipeline are not measured yet: run {how}",
+            source=name,
+            field="--effects",
         ) from None
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"no errors of a chain: {error!r}", source=path) from error
+        raise InputError(f"not a table of pipeline errors: {error!r}", source=path) from error
     if measured_of != wanted:
         raise InputError(
-            f"the errors of its chain were measured of another design of that name: {how}",
+            f"the errors of its pipeline were measured for another design of that name: run {how}",
             source=name,
             field="--effects",
         )

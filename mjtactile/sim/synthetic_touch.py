@@ -111,7 +111,7 @@ class SyntheticTouchSource:
     def __init__(self, sensor: AnySensor, errors: SensingErrorModel, friction: float, seed: int):
         if not isinstance(sensor, QuasistaticSensor):
             raise InputError(
-                "touch is drawn of a film, not of a mesh",
+                "synthetic touch needs a quasi-static membrane, not a mesh",
                 field="--effects",
                 choices=["-mesh,-pipeline"],
             )

@@ -157,7 +157,7 @@ def explain(
     differs = any(np.nanmax(values, initial=0.0) > 1.0 for values in tolerances.values())
     if not differs:
         return SimComparison(there, here, None, found, {}, (), None, differs=False)
-    say(f"they differ: {len(causes)} causes are tried")
+    say(f"recording and simulation differ: {len(causes)} causes are tested")
     fingers = there.fingers
     asked = [{cause.name: (cause.probe,) * fingers} for cause in causes]
     run_all = many or (lambda wanted: [attempted(simulate, one) for one in wanted])

@@ -62,7 +62,7 @@ def shadow_of(
         ran: Any = Parallel(n_jobs=workers)(delayed(attempted)(again.run, one) for one in wanted)
         return list(ran)
 
-    say("the simulator does it again")
+    say("simulating the recording")
     chosen = causes_of(staged, tuple(causes))
     return explain(found, again.run, chosen, many=many, say=say), episode
 
@@ -74,7 +74,7 @@ def _hand(
     name = thing or header.get("object")
     if not name:
         raise InputError(
-            "the recording does not say what was grasped", source=folder, field="--object"
+            "the recording does not name the grasped object", source=folder, field="--object"
         )
     scenario = Scenario(object=name, rig=rig, sensor=episode.design, seed=header.get("seed") or 0)
     return GripperReplay(folder, replace(scenario, effects=without_rendering("auto")), until)

@@ -15,7 +15,7 @@ from mjtactile.sim_comparison.attribution import SimComparison, TestedParameter
 from mjtactile.sim_comparison.discrepancy_parameters import words
 from mjtactile.sim_comparison.signals import KINDS, TOLERANCE, UNIT, Signals
 
-_COLOURS = {"recorded": "#1f5fa8", "simulated": "#b9b9b9", "with what is named": "#d1571b"}
+_COLOURS = {"recorded": "#1f5fa8", "simulated": "#b9b9b9", "simulated with the cause": "#d1571b"}
 _WIDTH = 520
 _HEIGHT = 170
 _LEFT = 46
@@ -26,14 +26,17 @@ _BOTTOM = 26
 def verdict(shadow: SimComparison) -> str:
     """Return one line: agreement of rig and simulator, or the cause of their difference."""
     if not shadow.differs:
-        return "does as the simulator does, as far as the tolerances go"
+        return "agrees with the simulator within the tolerances"
     where = " and ".join(parting(shadow))
     if shadow.named is None:
-        return f"parts from the simulator in {where}; no one cause explains it"
+        return f"differs from the simulator in {where}; no single cause explains it"
     named = say(shadow.named)
     if shadow.alike:
-        named += ", or " + ", or ".join(say(one) for one in shadow.alike) + " (not told apart)"
-    return f"parts from the simulator in {where}: {named} ({100 * shadow.explains:.0f} % of it)"
+        named += ", or " + ", or ".join(say(one) for one in shadow.alike) + " (indistinguishable)"
+    return (
+        f"differs from the simulator in {where}: {named} (explains {100 * shadow.explains:.0f} % "
+        "of it)"
+    )
 
 
 def parting(shadow: SimComparison) -> list[str]:
@@ -98,20 +101,22 @@ def page(shadow: SimComparison, fingers: Sequence[str], title: str) -> str:
     body = [f"<h1>{escape(title)}</h1>", f"<p><b>{escape(verdict(shadow))}</b></p>"]
     if shadow.named is not None:
         body.append(f"<p>{escape(say(shadow.named, fingers))}</p>")
-        body.append(f"<p>What to do: {escape(shadow.named.cause.remedy)}</p>")
+        body.append(f"<p>Remedy: {escape(shadow.named.cause.remedy)}</p>")
     body.append(_legend(shadow))
     for number, finger in enumerate(fingers):
         body.append(f"<h2>{escape(finger)}</h2>")
         body += [_chart(kind, shadow, number) for kind in KINDS]
-    body.append("<h2>How far apart, rms</h2>")
-    body.append(html.table(["", *fingers, "tolerance", "left with it"], _apart_rows(shadow)))
+    body.append("<h2>Differences, rms</h2>")
+    body.append(
+        html.table(["", *fingers, "tolerance", "remaining with the cause"], _apart_rows(shadow))
+    )
     if shadow.tried:
         rows = [
             (escape(one.cause.name), escape(say(one, fingers)), f"{100 * one.explains:.0f} %")
             for one in shadow.tried
         ]
-        body.append("<h2>What was tried</h2>")
-        body.append(html.table(["cause", "as much as fits", "explains"], rows, text=True))
+        body.append("<h2>Tested causes</h2>")
+        body.append(html.table(["cause", "best fit", "explains"], rows, text=True))
     return html.document(title, body)
 
 
@@ -154,7 +159,7 @@ def _curve(kind: str, signals: Signals, there: Signals, finger: int) -> Array:
 
 _WHAT = {
     "force": "normal force, N",
-    "markers": "markers from the recorded ones, rms um",
+    "markers": "marker distance from the recording, rms, um",
     "pressure": "gauge pressure, Pa",
 }
 
@@ -165,7 +170,7 @@ def _chart(kind: str, shadow: SimComparison, finger: int) -> str:
     curves = {"recorded": _curve(kind, there, there, finger)}
     curves["simulated"] = _curve(kind, shadow.simulated, there, finger)
     if shadow.explained is not None:
-        curves["with what is named"] = _curve(kind, shadow.explained, there, finger)
+        curves["simulated with the cause"] = _curve(kind, shadow.explained, there, finger)
     if kind == "markers":
         del curves["recorded"]
     values = np.concatenate(list(curves.values()))

@@ -70,7 +70,7 @@ class ControlWindow(plugin.ViewerPlugin):
     def _build_state(self, moment: StudioSnapshot | None) -> None:
         show = self.show
         if moment is None or moment.session is None:
-            imgui.TextUnformatted("references are being taken" if not show.outcome else "")
+            imgui.TextUnformatted("measuring the reference state" if not show.outcome else "")
         else:
             state = moment.session
             imgui.TextUnformatted(f"t = {moment.time:.2f} s   {state.phase}   {state.state}")
@@ -91,7 +91,7 @@ class ControlWindow(plugin.ViewerPlugin):
             show.halt()
         imgui.PopStyleColor(2)
         if show.may_pause:
-            if imgui.Button("go on###pause" if show.paused else "pause###pause"):
+            if imgui.Button("resume###pause" if show.paused else "pause###pause"):
                 show.paused = not show.paused
             imgui.SameLine()
             if imgui.Button("one cycle"):
@@ -135,7 +135,7 @@ class ControlWindow(plugin.ViewerPlugin):
         limits = session.rig.limits
         assert state is not None
         wish = show.wish
-        changed, on = imgui.Checkbox("in place of the controller", wish is not None)
+        changed, on = imgui.Checkbox("override the controller", wish is not None)
         if changed:
             show.wish = ManualGoal(state.opening, state.lift_height) if on else None
         if wish is None or not on:
@@ -148,7 +148,7 @@ class ControlWindow(plugin.ViewerPlugin):
         )
         imgui.EndDisabled()
         _, lift = imgui.SliderFloat("lift, mm", 1e3 * wish.lift_height, 0.0, 1e3 * most[1], "%.1f")
-        changed, squeezes = imgui.Checkbox("squeeze as hard as", squeezes)
+        changed, squeezes = imgui.Checkbox("regulate the force", squeezes)
         force = (0.5 if changed else wish.force) if squeezes else math.nan
         if squeezes:
             _, force = imgui.SliderFloat("felt, N", force, *_SQUEEZE, "%.2f")

@@ -46,13 +46,13 @@ def refusal(headers: Headers) -> str:
     """
     host = headers.get("Host", "")
     if not _HOST.fullmatch(host.lower()):
-        return f"not for {host!r}: this is for the computer that it runs on"
+        return f"not available for {host!r}: the server accepts requests from its own computer only"
     origin = headers.get("Origin")
     if origin is not None and urlsplit(origin).netloc.lower() != host.lower():
-        return f"not for pages of {origin!r}"
+        return f"not available for pages of {origin!r}"
     opens_page = headers.get("Sec-Fetch-Mode") == "navigate"
     if not opens_page and headers.get("Sec-Fetch-Site", "none") not in _OURS:
-        return "not for other pages"
+        return "not available for other pages"
     return ""
 
 

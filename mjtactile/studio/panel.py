@@ -195,8 +195,8 @@ class Panel(plugin.ViewerPlugin):
                 for text, value in (
                     ("net force", look.forces),
                     ("outlines, centre of pressure", look.contacts),
-                    ("forces by place", look.field),
-                    ("what the cameras see", look.camera),
+                    ("force distribution", look.field),
+                    ("camera images", look.camera),
                 )
             )
             self.look = scene_overlays.OverlayOptions(
@@ -251,7 +251,7 @@ def flagged_text(ellipses: Ellipses | None) -> str:
     reasons, counts = np.unique(ellipses.status[ellipses.status != "ok"], return_counts=True)
     if not len(reasons):
         return ""
-    return f"{counts.sum()} of {len(ellipses)} not trusted: " + ", ".join(
+    return f"{counts.sum()} of {len(ellipses)} rejected: " + ", ".join(
         f"{reason}" if count == 1 else f"{reason} ({count})"
         for reason, count in zip(reasons, counts, strict=True)
     )

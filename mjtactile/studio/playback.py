@@ -152,7 +152,7 @@ class PlaybackWindow(plugin.ViewerPlugin):
             if changed:
                 tape.playing = False
                 tape.at = at
-            felt = f"{len(tape.history.rows)} of {len(tape.recording)} cycles felt"
+            felt = f"{len(tape.history.rows)} of {len(tape.recording)} cycles processed"
             imgui.TextUnformatted(felt if len(tape.history.rows) < len(tape.recording) else "")
             imgui.TextWrapped(tape.outcome or tape.said)
         imgui.End()

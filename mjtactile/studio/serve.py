@@ -39,10 +39,10 @@ def launch_window(
 
     Raises MjtactileError, with a remedy, if there is no display or no graphics support.
     """
-    instead = "leave --native away, and open the address that is printed"
+    instead = "omit --native, and open the printed address"
     if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise MjtactileError(
-            f"--native: there is no display here (DISPLAY, WAYLAND_DISPLAY): {instead}"
+            f"--native: no display is available (DISPLAY, WAYLAND_DISPLAY): {instead}"
         )
     try:
         # import here, so that missing libraries raise an error in this thread
@@ -105,7 +105,7 @@ def watch(
 def _wait_for_page(show: SessionBridge) -> None:
     """Wait until a page is open, so that its user sees the whole run. Raises Interrupted."""
     if not checked_at.is_set():
-        show.message("the grasp begins when the page is open (--no-wait: at once)")
+        show.message("the grasp starts when the page is open (--no-wait: immediately)")
     while not (checked_at.wait(0.1) or show.closed.is_set()):
         signals.check()
 

@@ -28,7 +28,7 @@ from mjtactile.runtime.session import Session
 from mjtactile.studio.manual_control import ManualControl, ManualGoal
 from mjtactile.studio.snapshot import FingerSnapshot, History, Pose, SessionState, StudioSnapshot
 
-RED_BUTTON = "somebody pressed the red button"
+RED_BUTTON = "the red button was pressed"
 _PAUSED = 0.02  # period of checks during a pause, s
 
 Task = Callable[[Session], None]
@@ -38,7 +38,7 @@ class RestartRequested(SimulationError):
     """Request for another run: the present world is abandoned."""
 
     def __init__(self) -> None:
-        super().__init__("another run was asked for", step=0, time=0.0)
+        super().__init__("another run was requested", step=0, time=0.0)
 
 
 @dataclass(frozen=True)
@@ -222,7 +222,7 @@ class SessionBridge(Observer):
         if self.session is None or self.may_pause:
             raise RestartRequested
         self.session.make_safe(
-            "Studio was closed" if self.closed.is_set() else "another run was asked for"
+            "Studio was closed" if self.closed.is_set() else "another run was requested"
         )
 
     def _wait(self, time: float) -> None:

@@ -98,7 +98,7 @@ class StateSync(plugin.SimPlugin):
     @messages.handler(priority=messages.Priority.USER)
     def on_load(self, _: messages.LoadModelEvent) -> bool:
         """A model that is dropped on the page, or "Reload": the scene is the session's."""
-        self.complain('the scene is the session\'s: choose an object under "another run"')
+        self.complain('the scene belongs to the session: choose an object under "another run"')
         return True
 
     @messages.handler(priority=messages.Priority.USER)

@@ -199,7 +199,7 @@ def test_a_membrane_deforms_under_a_grasp_and_the_panels_numbers_are_the_session
             and is_dark(parts[1]).mean() > 0.98
         )
     )
-    studio.press("go on")
+    studio.press("resume")
     studio.until(
         lambda f: f["phase"] == "hold" and f["paused"], "it holds; the host pauses it there"
     )
@@ -297,7 +297,7 @@ def test_a_page_that_was_closed_and_opened_again_goes_on(studio):
     studio.open("two")
     studio.is_up()
     studio.picture(lambda shot, _: shot[SCENE].std() > 10)
-    studio.press("go on")
+    studio.press("resume")
     studio.until(lambda f: f["number"] > number, "it goes on")
 
 

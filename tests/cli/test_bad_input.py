@@ -63,7 +63,11 @@ CASES = {
     "no break force": bad_object("break_force_N", "strength", "break_force_N"),
     "unknown material": bad_object('"solid"', '"stone"', "material", "stone", "soft"),
     "wider than the jaws open": bad_object(
-        "0.016 0.016 0.02", "0.06 0.06 0.06", "stands in the way", "they open to 80 mm", "wider"
+        "0.016 0.016 0.02",
+        "0.06 0.06 0.06",
+        "touches a sensor before",
+        "they open to 80 mm",
+        "wider",
     ),
     "field missing": bad_sensor("young_MPa = 1.0", "", "membrane.young_MPa"),
     "misspelt": bad_sensor("young_MPa", "yung_MPa", "yung_MPa", "young_MPa"),

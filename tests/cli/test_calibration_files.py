@@ -117,7 +117,10 @@ def test_doctor_says_what_is_missing_refused_and_outdated(rig, tmp_path, capsys)
         "refused" in found["calibration of left, frame"]["text"]
         and "bent" in found["calibration of left, frame"]["text"]
     )
-    assert "older than the sensor file" in found["calibration of left, force"]["text"]
+    assert (
+        "values of the sensor file have changed since"
+        in found["calibration of left, force"]["text"]
+    )
     assert found["calibration of right, lens"]["text"].startswith("never measured")
     assert found["calibration of right, lens"]["remedy"] == (
         f"`mjtactile calibrate camera --rig {rig} --finger right`"

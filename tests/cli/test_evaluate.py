@@ -106,7 +106,10 @@ def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile, monkeypatch, cap
         (["--task", "poor"], "poor: unknown task (valid: bump, "),
         (["--effects", "+bendig"], "is not +NAME"),
         (["--rig", "two_xm430"], "two_xm430"),
-        (["--controller", "gentle", "--controller", "gentle"], "two of them are called 'gentle'"),
+        (
+            ["--controller", "gentle", "--controller", "gentle"],
+            "two controllers have the name 'gentle'",
+        ),
     ],
 )
 def test_bad_words(capsys, words, text):

@@ -20,11 +20,13 @@ def refused(capsys, *arguments):
 
 def test_what_is_refused(capsys, tmp_path):
     assert "--touches" in refused(capsys, "--touches", "0")
-    assert "half of the 2.5 N" in refused(capsys, "--object", "egg", "--force-N", "1.6")
+    assert "half of the breaking force of 'egg', 2.5 N" in refused(
+        capsys, "--object", "egg", "--force-N", "1.6"
+    )
     assert "no holder holds" in refused(capsys, "--object", "tofu", "--force-N", "0.1")
     assert "--resume" in refused(capsys, "--resume", "--out", str(tmp_path / "none"))
     assert "valid: --setup gripper" in refused(capsys, "--setup", "stage", "--rig", "emulated")
-    assert "turns it by itself" in refused(capsys, "--rotation-deg", "90")
+    assert "a simulation turns the object itself" in refused(capsys, "--rotation-deg", "90")
     three = refused(capsys, "--rig", "sim_three_finger")
     assert "3 fingers: only two that face each other" in three
     assert "--input" in refused(

@@ -79,7 +79,7 @@ def test_a_fit_writes_a_sensor_file_and_its_report(recording, tmp_path, capsys):
         and found["membrane.pre_stretch"]["state"] == "known"
     )
     assert found["membrane.friction"]["state"] == "not in these recordings"
-    assert "drag a pressed indenter" in out.read_text()
+    assert "drag a loaded indenter" in out.read_text()
     assert {path.name for path in tmp_path.iterdir()} >= {
         "mine.toml",
         "mine.fit.json",
@@ -89,7 +89,7 @@ def test_a_fit_writes_a_sensor_file_and_its_report(recording, tmp_path, capsys):
 
 def test_bad_input_is_one_line(recording, tmp_path, capsys):
     for words, says in [
-        (["--fix", "membrane.colour=3"], "no field"),
+        (["--fix", "membrane.colour=3"], "is not a field"),
         (["--fix", "young"], "FIELD=NUMBER"),
         (["--finger", "thumb"], "thumb"),
     ]:

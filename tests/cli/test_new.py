@@ -77,7 +77,7 @@ def test_a_random_object_is_written_to_be_looked_at(mjtactile, tmp_path):
     )
     assert_one_line(
         mjtactile("new", "object", "other", "--template", "random"),
-        ["'random' does not ship", "random:N"],
+        ["'random' is not a shipped file", "random:N"],
     )
 
 

@@ -90,7 +90,7 @@ def run_folder(tmp_path_factory):
 def test_an_older_run_is_refused_and_stays(run_folder, capsys, command):
     before = {path: path.read_bytes() for path in run_folder.rglob("*") if path.is_file()}
     assert main([*(word.format(old=run_folder) for word in command), "--out", str(run_folder)]) == 2
-    assert "holds recording already" in capsys.readouterr().err
+    assert "already contains recording" in capsys.readouterr().err
     assert {path: path.read_bytes() for path in run_folder.rglob("*") if path.is_file()} == before
     assert load_recording(run_folder).complete
 
@@ -106,7 +106,7 @@ def test_an_older_run_is_refused_and_stays(run_folder, capsys, command):
 def test_older_results_are_refused_and_stay(tmp_path, capsys, command, name):
     (tmp_path / name).write_text("precious")
     assert main([*command, "--out", str(tmp_path)]) == 2
-    assert f"holds {name} already" in capsys.readouterr().err
+    assert f"already contains {name}" in capsys.readouterr().err
     assert (tmp_path / name).read_text() == "precious"
 
 

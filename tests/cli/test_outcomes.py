@@ -63,7 +63,7 @@ def test_an_object_that_is_not_gripped_is_dropped(mjtactile, tmp_path):
         report["peak_force_true_N"] == pytest.approx(0.0, abs=1e-9)
         and report["hold_force_true_N"] == 0.0
     )
-    assert "gave up" not in report.get("reason", "")  # it went through to its end
+    assert "controller aborted" not in report.get("reason", "")  # it went through to its end
 
 
 @pytest.mark.slow
@@ -89,7 +89,7 @@ def test_a_controller_that_gives_up_says_when(mjtactile, tmp_path):
     )
     report = json.loads(process.stdout)
     assert (process.returncode, report["outcome"]) == (1, "dropped")
-    assert report["reason"] == "the controller gave up in phase 'close', 1.6 s after it began: shy"
+    assert report["reason"] == "the controller aborted in phase 'close', 1.6 s after its start: shy"
     log = load_recording(tmp_path / "result" / "recording")
     assert log.columns["command_reason"][-1] == "shy"
 

@@ -138,7 +138,7 @@ def test_one_that_is_killed_is_said_and_leaves_its_chains_as_they_were(pool):
         for pid in children():
             os.kill(pid, signal.SIGKILL)
         with pytest.raises(
-            DeviceError, match="a process that feels for the loop has ended \\(by signal 9\\)"
+            DeviceError, match="a process that runs perception has ended \\(by signal 9\\)"
         ):
             both.perceive([IMAGE, IMAGE], 2.0)
     assert [chain.state for chain in chains] == [0, 0]
@@ -166,7 +166,7 @@ def test_a_grasp_whose_process_is_killed_sets_down_and_says_why(tmp_path):
         Recorder(tmp_path, {"object": "egg"}) as recorder,
         pytest.raises(
             DeviceError,
-            match="stopped safely: a process that feels for the loop has ended \\(by signal 9\\)",
+            match="stopped safely: a process that runs perception has ended \\(by signal 9\\)",
         ),
     ):
         run_grasp(scenario, [recorder, killing], workers=1)

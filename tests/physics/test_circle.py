@@ -170,7 +170,7 @@ def test_large_stretch_is_flagged_and_small_is_not():
     assert "stretch" not in world.flags
     settle(world, 12e3)
     assert world.sensors[0].stretches()[0][:, 1].mean() > 1.2
-    assert f"beyond {STRETCHED}" in world.flags["stretch"]
+    assert f"exceeds {STRETCHED}" in world.flags["stretch"]
 
 
 def test_the_price_of_the_plain_law_is_flagged():

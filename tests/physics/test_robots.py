@@ -235,7 +235,7 @@ def test_a_base_that_is_turned_in_a_frame_is_raised_straight_up(tmp_path):
             [('keyframe = "home"', 'keyframe = "rest"')],
             r"sim\.keyframe: .* \(valid: home\)",
         ),
-        ("sim", [], [('"right_fingertip"', '"left_fingertip"')], r"two fingers are at one site"),
+        ("sim", [], [('"right_fingertip"', '"left_fingertip"')], r"two fingers have the same site"),
         ("sim", [("<mujoco", "<mujocko")], [], r"model\.xml: not valid MJCF"),
         (
             "sim",
@@ -320,7 +320,7 @@ def test_the_doctor_finds_the_shipped_ones_well(name):
             ],
             [],
             [
-                "warn finger left: z of site 'left_fingertip' misses the middle of the fingertips "
+                "warn finger left: z of site 'left_fingertip' misses the center of the fingertips "
                 "by 30 degrees"
             ],
         ),
@@ -329,15 +329,15 @@ def test_the_doctor_finds_the_shipped_ones_well(name):
             [],
             [("mm_per_mm = 1.0", "mm_per_mm = -1.0\njaw_offset_mm = 120")],
             [
-                "bad jaws: move the wrong way: asked to close, the fingertips go from 0.0 "
-                "to 120.0 mm"
+                "bad jaws: move in the wrong direction: on a command to close, the fingertips "
+                "move from 0.0 to 120.0 mm"
             ],
         ),
         (
             "sim",
             [],
             [("mm_per_mm = 1.0", "mm_per_mm = 1.1")],
-            ["warn jaws: are not where the law says"],
+            ["warn jaws: do not follow the transmission"],
         ),
         (
             "sim",

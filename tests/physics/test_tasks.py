@@ -111,7 +111,7 @@ def test_what_one_finger_touches_is_no_longer_pulled_at_and_stays_taken():
 
 @pytest.mark.parametrize(
     ("phase", "failure"),
-    [("release", ""), ("hold", "it was torn out of the hand, which did not open")],
+    [("release", ""), ("hold", "it was pulled out of the gripper, which did not open")],
 )
 def test_what_slides_out_of_a_closed_hand_was_not_handed_over(monkeypatch, phase, failure):
     judge = TaskScorer(GraspWorld("paper16", "vial", mesh=MESH), load_task("hand-over"), pulls=0.0)

@@ -56,7 +56,7 @@ def test_a_box_is_weighed_and_its_edges_are_flagged(turned, above, steps):
     geom = f'<geom type="box" size="{size}" euler="0 {turned} 0" mass="0.05"/>'
     model, data, finger = scene(geom, z=0.1045 + above)
     mjtactile.step(model, data, [finger], nstep=steps)
-    assert "mm from the middle of its face" in finger.flags["sharp_edge"]
+    assert "mm from the center of its face" in finger.flags["sharp_edge"]
     touch = finger.touch
     assert touch.status == "ok"
     # N: by then it has come to rest within 10 mN

@@ -12,12 +12,12 @@ from mjtactile.commands.calibrate import camera, force, frame, gripper, valve
 SIMULATES = False
 KINDS = {"camera": camera, "valve": valve, "frame": frame, "force": force, "gripper": gripper}
 DESCRIPTION = """\
-Measure what a sensor's specimen or a gripper really is, and keep it: each command writes its part,
-with residuals, date, versions, into the calibration file of a finger, which the rig file names
-([[camera]] calibration = "left.json"). grasp, probe, record and reconstruct use it, doctor says
-what is missing. A bad measurement is refused with the reason, and replaces nothing.
+Calibrate an as-built sensor or gripper. Each command writes its part, with residuals, date and
+versions, into the calibration file of a finger, which the rig file names
+([[camera]] calibration = "left.json"). grasp, probe, record and reconstruct use it; doctor
+lists missing parts. A bad measurement is refused with the reason and replaces nothing.
 
-The order for a new finger: camera (lens), valve, frame (flat membrane), force; gripper any time."""
+Order for a new finger: camera (lens), valve, frame (flat membrane), force; gripper any time."""
 EPILOG = """\
 examples:
   mjtactile calibrate camera --print board.png             a board to print and glue to glass
@@ -27,8 +27,8 @@ examples:
   mjtactile calibrate force --rig my_gripper.toml --load-cell
   mjtactile calibrate gripper --rig my_gripper.toml
 
-`mjtactile calibrate WHAT --help` says what to do, what is written, and what is refused;
-docs/how-to/hardware.md has the whole story with numbers. exit codes: 0 good, 1 measured but
+`mjtactile calibrate WHAT --help` describes the procedure, the output and the limits;
+docs/how-to/hardware.md has the full procedure with numbers. exit codes: 0 good, 1 measured but
 refused, 2 bad input, 3 a device failed.
 """
 
@@ -39,7 +39,7 @@ class _Kinds:
 
     def add_to(self, parser: argparse.ArgumentParser) -> None:
         kinds = parser.add_subparsers(
-            title="what to calibrate", metavar="WHAT", dest="what", required=True
+            title="calibration procedures", metavar="WHAT", dest="what", required=True
         )
         for name, kind in KINDS.items():
             sub = kinds.add_parser(
@@ -55,7 +55,9 @@ class _Kinds:
 
 _SHARED = (
     arg.flag(
-        "--json", "print one JSON object to stdout, all else to stderr", default=argparse.SUPPRESS
+        "--json",
+        "print one JSON object to stdout, all other output to stderr",
+        default=argparse.SUPPRESS,
     ),
     arg.flag("--debug", "show the traceback of an error", default=argparse.SUPPRESS),
 )

@@ -14,20 +14,20 @@ from mjtactile.commands.calibrate.terminal import check_folder, finish, say
 from mjtactile.commands.output import print_json, stdout_to_stderr
 from mjtactile.report.frame_source import read_frames
 
-HELP = "lens and focal length from pictures of a printed board (ROS camera_info)"
+HELP = "lens and focal length from images of a printed board (ROS camera_info)"
 DESCRIPTION = """\
-Intrinsics of a camera from pictures of a ChArUco board: take the membrane and glass off, print
-the board (--print), glue it to something flat, measure a square with a caliper (--square-mm).
-Take 15 to 30 pictures that fill the view between them, with the board tilted by 20 to 40 degrees
-left, right, up and down in most, sharp to the edges, lens and focus as they will be used.
+Calibrate the intrinsics of a camera from images of a ChArUco board. Remove the membrane and the
+glass, print the board (--print), glue it to something flat, and measure a square with a caliper
+(--square-mm). Take 15 to 30 sharp images that together cover the whole view, most with the
+board tilted by 20 to 40 degrees left, right, up or down. Do not change lens and focus later.
 
-Or of a flat board of equal circles on a square grid, such as `mjtactile detect-circles` finds
-(--from-circles --pitch-mm 25.4 --radius-mm 6.35): how many there are does not matter, and
-some may be missing. That refits a camera whose file has no k3, from the pictures
-themselves.
+A flat board of equal circles on a square grid also works, as detected by
+`mjtactile detect-circles` (--from-circles --pitch-mm 25.4 --radius-mm 6.35). The number of
+circles does not matter, and some may be missing. This refits a camera whose file has no k3,
+from the images themselves.
 
-From pictures (SOURCE: a folder, an image or a video) or live (--rig FILE --finger left: move the
-board; a picture is taken when it rests somewhere new)."""
+From images (SOURCE: a folder, an image or a video) or live (--rig FILE --finger left: move the
+board; an image is taken when the board rests at a new position)."""
 EPILOG = """\
 examples:
   mjtactile calibrate camera --print board.png --square-mm 5
@@ -39,33 +39,32 @@ examples:
 
 Writes the part `lens` of the finger's calibration file, or with --out FILE.yaml a ROS
 camera_info (plumb_bob). Both with verdict, reasons, date, versions, rms_px (corners, all
-pictures), holdout_px (in pictures that were not fitted), view_rms_px by picture, sd of each
-parameter, coverage (share of the view), tilt_deg of each picture, dropped pictures. Refused
-(exit code 1): fewer than 8 usable pictures, rms above 0.5 px, holdout above 0.7 px, focal
-length known to less than 0.5 %, fewer than 3 pictures tilted by 15 degrees, corners in less
-than 60 % of the view.
+images), holdout_px (in held-out images), view_rms_px of each image, sd of each parameter,
+coverage (fraction of the view), tilt_deg of each image, dropped images. Refused (exit code 1):
+fewer than 8 usable images, rms above 0.5 px, holdout above 0.7 px, sd of the focal length
+above 0.5 %, fewer than 3 images tilted by 15 degrees, corners in less than 60 % of the view.
 """
 
 ARGUMENTS = (
     arg.positional("source", "SOURCE", "folder, image or video of the board", nargs="?", type=Path),
-    *output_options.arguments("pictures are taken with its camera", finger="left"),
-    arg.option("--views", "N", "pictures to take live", 20, type=int),
-    arg.option("--seconds", "S", "longest time to take them in", 300.0, type=float),
-    arg.option("--board", "CxR", "squares of the board in x and y", "9x7"),
+    *output_options.arguments("images are taken with its camera", finger="left"),
+    arg.option("--views", "N", "number of images to take live", 20, type=int),
+    arg.option("--seconds", "S", "time limit for taking them", 300.0, type=float),
+    arg.option("--board", "CxR", "number of squares of the board in x and y", "9x7"),
     arg.option("--square-mm", "MM", "side of a square, as measured", 5.0, type=float),
     arg.option("--marker-mm", "MM", "side of a marker (default: 0.75 squares)", type=float),
     arg.option("--dictionary", "NAME", "ArUco dictionary", "4X4_50"),
-    arg.flag("--from-circles", "the board is one of equal circles on a square grid"),
-    arg.option("--pitch-mm", "MM", "from one circle's centre to the next", type=float),
+    arg.flag("--from-circles", "use a board of equal circles on a square grid"),
+    arg.option("--pitch-mm", "MM", "distance between the centers of adjacent circles", type=float),
     arg.option("--radius-mm", "MM", "radius of the circles", type=float),
-    arg.flag("--bright", "circles are bright on a dark ground"),
+    arg.flag("--bright", "circles are bright on a dark background"),
     arg.flag(
         "--k3",
-        "fit the distortion's sixth order too (wide lenses); from circles it is fitted "
-        "without being asked for where it is plainly there",
+        "also fit the sixth order of the distortion (wide lenses); from circles it is fitted "
+        "automatically where it is significant",
     ),
     arg.option(
-        "--print", "FILE.png", "write the board as an image, and end", dest="print_to", type=Path
+        "--print", "FILE.png", "write the board as an image and exit", dest="print_to", type=Path
     ),
 )
 
@@ -78,7 +77,9 @@ def run(options: argparse.Namespace) -> int:
         return _print_board(options, _board(options))
     finder, calibrate = _method(options)
     if options.source is None and options.rig is None:
-        raise InputError("give pictures (SOURCE), or --rig to take some", field="SOURCE")
+        raise InputError(
+            "no images are given: name them (SOURCE), or add --rig to take some", field="SOURCE"
+        )
     out: Path | None = options.out
     goal = None
     if out is not None and out.suffix in (".yaml", ".yml"):
@@ -113,11 +114,11 @@ def run(options: argparse.Namespace) -> int:
         path,
         {**verdict, **residuals, **info},
         [
-            f"{len(fit.view_rms)} pictures, {len(fit.dropped)} left out; corners fit to "
-            f"{fit.rms:.3f} px, {fit.holdout_px:.3f} px in pictures that were not fitted",
+            f"{len(fit.view_rms)} images, {len(fit.dropped)} dropped; corner residual "
+            f"{fit.rms:.3f} px, {fit.holdout_px:.3f} px in held-out images",
             f"  focal length {fx:.2f}, {fy:.2f} px (sd {fit.sd[0]:.2f}, {fit.sd[1]:.2f}), "
-            f"centre {cx:.2f}, {cy:.2f} px",
-            f"  {100 * fit.coverage:.0f} % of the view seen, board tilted by up to "
+            f"center {cx:.2f}, {cy:.2f} px",
+            f"  {100 * fit.coverage:.0f} % of the view covered, board tilted by up to "
             f"{fit.tilts.max():.0f} degrees",
         ],
     )
@@ -127,8 +128,8 @@ def _fits(fit, design) -> list[str]:
     """Why the camera is refused for this sensor; nothing for a good one."""
     size = design.camera.width, design.camera.height
     wrong = (
-        f"the pictures have {fit.size[0]} x {fit.size[1]} pixels, sensor {design.name!r} has "
-        f"{size[0]} x {size[1]}"
+        f"the images have {fit.size[0]} x {fit.size[1]} pixels, but sensor {design.name!r} "
+        f"has {size[0]} x {size[1]}"
     )
     return [*fit.reasons, *([wrong] if fit.size != size else [])]
 
@@ -142,7 +143,7 @@ def _method(options: argparse.Namespace) -> tuple[Any, Any]:
         for name in ("pitch_mm", "radius_mm"):
             if getattr(options, name) is not None:
                 raise InputError(
-                    "is for a board of circles: give --from-circles too",
+                    "this option applies only to a board of circles: add --from-circles",
                     field=f"--{name.replace('_', '-')}",
                 )
         return BoardFinder(_board(options)), calibrate_camera
@@ -150,7 +151,7 @@ def _method(options: argparse.Namespace) -> tuple[Any, Any]:
         value = getattr(options, name)
         if value is None or not 0.01 <= value <= 1000:
             raise InputError(
-                f"{value} is not from 0.01 to 1000; measure it on the board",
+                f"{value} is outside 0.01 to 1000; measure it on the board",
                 field=f"--{name.replace('_', '-')}",
             )
     return CircleFinder(
@@ -167,7 +168,9 @@ def _board(options: argparse.Namespace):
         columns = rows = 0
     if columns < 3 or rows < 3:
         raise InputError(
-            f"{options.board!r} is not like 9x7, with 3 or more squares each way", field="--board"
+            f"{options.board!r} is not a size such as 9x7, with at least 3 squares in each "
+            "direction",
+            field="--board",
         )
     if not 0.1 <= options.square_mm <= 1000:
         raise InputError(f"{options.square_mm:g} is outside 0.1 to 1000", field="--square-mm")
@@ -183,11 +186,11 @@ def _print_board(options: argparse.Namespace, board) -> int:
 
     check_folder(options.print_to, "--print")
     if not cv2.imwrite(str(options.print_to), board.draw()):
-        raise InputError("cannot be written", source=options.print_to, field="--print")
+        raise InputError("the image cannot be written", source=options.print_to, field="--print")
     width, height = (1e3 * board.square * (n + 1) for n in (board.columns, board.rows))
     text = (
         f"board of {options.board} squares; print it {width:g} x {height:g} mm large (margin "
-        "included), check a square"
+        "included) and measure a square"
     )
     if options.json:
         print_json({"file": options.print_to, "width_mm": width, "height_mm": height})
@@ -203,20 +206,20 @@ def _recorded(source: Path, finder) -> tuple[list, tuple[int, int]]:
     for frame in read_frames(source):
         gray = frame.grey()
         if gray is None:
-            raise InputError("cannot be read as an image", source=source / frame.name)
+            raise InputError("the file cannot be read as an image", source=source / frame.name)
         sizes.add((gray.shape[1], gray.shape[0]))
         if len(sizes) > 1:
-            raise InputError(f"pictures of different sizes: {sorted(sizes)}", source=source)
+            raise InputError(f"the images have different sizes: {sorted(sizes)}", source=source)
         view = finder.find(frame.name, gray)
         blind += view is None
         if view is not None:
             views.append(view)
     if blind:
-        say(f"the board was not found in {blind} of {blind + len(views)} pictures")
+        say(f"the board was not found in {blind} of {blind + len(views)} images")
     if not views:
         raise InputError(
-            "the board is in none of the pictures: are --board and --dictionary those of the "
-            "print, or is it one of circles (--from-circles)?",
+            "the board was found in none of the images: check that --board and --dictionary "
+            "match the print; for a board of circles add --from-circles",
             source=source,
         )
     return views, sizes.pop()
@@ -232,14 +235,14 @@ def _live(options: argparse.Namespace, finder) -> tuple[list, tuple[int, int]]:
         live_camera(rig_file, options.finger) as camera,
     ):
         say(
-            f"{camera.name}: hold the board into the view, still for a moment; then elsewhere, "
-            "tilted. Ctrl-C gives up."
+            f"{camera.name}: hold the board still in the view for a moment; repeat at other "
+            "positions and tilts. Ctrl-C aborts."
         )
         views = collect_views(camera_images(camera, options.seconds), finder, options.views, say)
     if not views:
         raise InputError(
-            f"the board was never seen resting within {options.seconds:g} s: are --board and "
-            "--dictionary those of the print, and is it sharp?",
+            f"no resting board was found within {options.seconds:g} s: check that --board and "
+            "--dictionary match the print, and that the image is sharp",
             field="--rig",
         )
     return views, (camera.config.width, camera.config.height)

@@ -17,16 +17,17 @@ from mjtactile.commands.output import stdout_to_stderr
 from mjtactile.report.frame_source import read_frames, to_image
 from mjtactile.types import Image
 
-HELP = "the force felt, and the paper's constant c, against weights or a load cell"
+HELP = "estimated force, and the paper's constant c, against weights or a load cell"
 DESCRIPTION = """\
-Load the membrane with known forces along its normal and compare: the scale of the force that the
-inverse finite elements feel, which should be 1 (a membrane that is not as the sensor file says
-shows here), and the paper's constant c (dF = c dA, membrane area against force). Calibrate camera
-and valve first: the scale is that of a sensor with its own lens and zero.
+Load the membrane with known forces along its normal and compare them with the estimates. This
+gives the scale of the force from the inverse finite elements, which should be 1 (otherwise the
+membrane differs from the sensor file), and the paper's constant c (dF = c dA, membrane area
+against force). Calibrate camera and valve first: the scale refers to a sensor with its own lens
+and pressure zero.
 
-Live (--rig): the sensors take their own references; then with --load-cell the jaws squeeze a load
-cell that you put between them and you type in what it shows, else it asks for each weight that you
-put on a membrane that looks up. Recorded: SOURCE is a CSV file that names images and loads."""
+Live (--rig): the sensors take their own references. With --load-cell the jaws then squeeze a
+load cell that you put between them, and you enter its readings. Otherwise you put known weights
+on a membrane that faces up. Recorded: SOURCE is a CSV file of images and loads."""
 EPILOG = """\
 examples:
   mjtactile calibrate force --rig my_gripper.toml --load-cell           both fingers at once
@@ -38,49 +39,53 @@ examples:
   mjtactile calibrate force loadcell.csv --recording runs/press --rig my_gripper.toml --finger left
 
 SOURCE columns: `image` (a file, or a folder of images of the same load, relative to the CSV
-file) and one of force_N or mass_g (weights on a membrane that looks up):
+file) and one of force_N or mass_g (weights on a membrane that faces up):
   image,mass_g
   w000/,0
   w020/,20
-With --recording DIR (a folder of `mjtactile record` or `grasp`, which has the references in
-it) the columns are time_s (of the recording's clock, plus --delay-s) and force_N, as a load
-cell logs them; they are interpolated at each image. Writes the part `force` of each
-finger's calibration file: scale (load = scale * felt + offset) with scale_sd, offset_N
-(what held the load cell, or its zero: it is not applied), residual_N,
-area_constant_N_per_m2 with area_residual_N, and the table of loads.
-With an emulated rig the jaws squeeze its object (--object), and the emulated world is the
-load cell. Refused (exit code 1): fewer than 4 loads, a largest load below 0.2 N, scale off
+With --recording DIR (a folder of `mjtactile record` or `grasp`, which contains the references)
+the columns are time_s (of the recording's clock, plus --delay-s) and force_N, as logged by a
+load cell; they are interpolated at each image. Writes the part `force` of each finger's
+calibration file: scale (load = scale * estimate + offset) with scale_sd, offset_N (from the
+support or the zero of the load cell; not applied), residual_N, area_constant_N_per_m2 with
+area_residual_N, and the table of loads.
+With an emulated rig the jaws squeeze its object (--object), and the emulated world provides
+the load cell. Refused (exit code 1): fewer than 4 loads, a largest load below 0.2 N, scale off
 by 25 %, loads 10 % off a line, an area that does not grow.
 """
 
 ARGUMENTS = (
     arg.positional(
-        "source", "SOURCE.csv", "images and loads, or times and loads", nargs="?", type=Path
+        "source",
+        "SOURCE.csv",
+        "CSV file of images and loads, or of times and loads",
+        nargs="?",
+        type=Path,
     ),
     *output_options.arguments("its sensors are loaded"),
     arg.option("--flat", "SOURCE", "images of the flat membrane, valve open", type=Path),
-    arg.option("--rest", "SOURCE", "images of the inflated membrane, nothing touching", type=Path),
+    arg.option("--rest", "SOURCE", "images of the inflated membrane without contact", type=Path),
     arg.option(
         "--pressure-kPa",
         "P",
-        "gauge pressure in the rest images, as its sensor says",
+        "gauge pressure in the rest images, from the pressure sensor",
         dest="pressure",
         type=float,
     ),
-    arg.option("--recording", "DIR", "the images are those of this recording", type=Path),
-    arg.option("--delay-s", "S", "to add to the load cell's times", 0.0, dest="delay", type=float),
-    arg.flag("--load-cell", "live: squeeze a load cell between the jaws"),
+    arg.option("--recording", "DIR", "use the images of this recording", type=Path),
     arg.option(
-        "--force-N", "F", "live: largest force to squeeze it with", 1.5, dest="force", type=float
+        "--delay-s", "S", "delay to add to the load cell's times", 0.0, dest="delay", type=float
     ),
+    arg.flag("--load-cell", "live: squeeze a load cell between the jaws"),
+    arg.option("--force-N", "F", "live: maximum squeezing force", 1.5, dest="force", type=float),
     arg.option(
         "--weights-g",
         "A,B,…",
-        "live: masses to put on, one after the other",
+        "live: masses to apply one after the other",
         "0,20,50,100",
         dest="weights",
     ),
-    arg.option("--object", "NAME|FILE.xml", "emulated rig: what is squeezed", "egg"),
+    arg.option("--object", "NAME|FILE.xml", "emulated rig: object to squeeze", "egg"),
 )
 
 
@@ -93,7 +98,10 @@ def run(options: argparse.Namespace) -> int:
     from mjtactile.calibrate.result_io import stamp, stamp_of
 
     if options.source is None and options.rig is None:
-        raise InputError("give a CSV file (SOURCE), or --rig to load its sensors", field="SOURCE")
+        raise InputError(
+            "no loads are given: name a CSV file (SOURCE), or add --rig to load its sensors",
+            field="SOURCE",
+        )
     targets = output_options.find_targets(options)
     with stdout_to_stderr():
         if options.source is None:
@@ -143,8 +151,8 @@ def _lines(fit: Any) -> list[str]:
         constant = f"{1e-3 * fit.area.constant:.1f} mN/mm2 (rms {fit.area.residual:.3f} N)"
     return [
         f"  {len(fit.true)} loads up to {max(fit.true):.2f} N: load = {fit.scale:.3f} (sd "
-        f"{fit.scale_sd:.3f}) x felt {fit.offset:+.3f} N, {fit.rms:.3f} N (rms) left",
-        f"  the paper's c: {constant}",
+        f"{fit.scale_sd:.3f}) x estimate {fit.offset:+.3f} N, residual {fit.rms:.3f} N (rms)",
+        f"  constant c of the paper: {constant}",
     ]
 
 
@@ -180,8 +188,8 @@ def _references(
     state = chain.recall()
     if state.reference is None:
         raise InputError(
-            "needs references: --flat and --rest, or --recording, or a rest state of "
-            "`calibrate frame` in this file",
+            "references are missing: add --flat and --rest, or --recording, or run "
+            "`calibrate frame` with rest images for this file",
             source=goal.path,
             field="frame.rest",
         )
@@ -231,7 +239,7 @@ def _recording(
     finger = FINGERS.index(goal.finger)
     if len(recording.references) != 2 or finger >= recording.width:
         raise InputError(
-            f"has no references of a {goal.finger} sensor",
+            f"the recording has no references of a {goal.finger} sensor",
             source=options.recording,
             field="--recording",
         )
@@ -259,7 +267,7 @@ def _recording(
         times.min() <= row[finger] <= times.max() for row in recording.columns["image_time"]
     ):
         raise InputError(
-            "its times do not meet the recording's: --delay-s?",
+            "the times do not overlap the recording: check --delay-s",
             source=options.source,
             field="time_s",
         )
@@ -287,7 +295,7 @@ def _live(
         most = rig_file.gripper.force_max
         if not 0.2 <= options.force <= most:
             raise InputError(
-                f"{options.force:g} N is outside 0.2 to {most:g} N, the rig file's force_max_N",
+                f"{options.force:g} N is outside 0.2 to {most:g} N (force_max_N of the rig file)",
                 field="--force-N",
             )
         rig = stack.enter_context(live_fingers(rig_file, design))
@@ -336,8 +344,8 @@ def _squeezed(rig: Any, most: float, cell: Callable[[str], float | None], manual
     if manually:
         with keepalive(rig.gripper):
             confirm(
-                "now put the load cell between the jaws, its button to a finger's middle; they "
-                "will close on it"
+                "now put the load cell between the jaws, its button at the center of a "
+                "finger; the jaws will close on it"
             )
     yield from dropped_images(rig, [most * part for part in (0.2, 0.4, 0.6, 0.8, 1.0)], cell, say)
 
@@ -347,5 +355,5 @@ def _weighed(rig: Any, masses: Sequence[float], fingers: str) -> Loads:
     from mjtactile.runtime.references import settled_images
 
     for mass in masses:
-        confirm(f"put {mass:g} g on the middle of the {fingers} membrane")
+        confirm(f"put {mass:g} g on the center of the {fingers} membrane")
         yield f"{mass:g} g", 1e-3 * GRAVITY * mass, settled_images(rig.fingers, rig.clock)

@@ -17,10 +17,10 @@ from mjtactile.types import Image
 
 HELP = "camera pose and marker radii from the flat membrane"
 DESCRIPTION = """\
-From images with the valve open and nothing touching (the membrane is flat), find the
-camera's pose against the frame and each marker's true radius. With images of the inflated
-membrane too, the rest state that forces are measured against. Refuses what does not agree
-with the sensor file."""
+Estimate the pose of the camera relative to the frame and the true radius of each marker, from
+images with the valve open and no contact (the membrane is flat). With images of the inflated
+membrane, also measure the rest state, the reference for forces. A result that contradicts the
+sensor file is refused."""
 EPILOG = """\
 examples:
   mjtactile calibrate frame --rig my_gripper.toml
@@ -29,14 +29,14 @@ examples:
       left
   mjtactile calibrate frame flat/ --sensor my_sensor.toml --out left.json
 
-For `mjtactile reconstruct --calibration`, which sees single pictures: `grasp`, `probe` and
-`record` measure the same anew when they begin. Writes the part `frame` of each finger's
+For `mjtactile reconstruct --calibration`, which uses single images. `grasp`, `probe` and
+`record` repeat this measurement at their start. Writes the part `frame` of each finger's
 calibration file. JSON (of several fingers: {"fingers": {FINGER: …}}): {"sensor", "images",
-"residual_px" (marker centres, rms), "scale_sd" (scatter of the radii over the images),
-"radius_mm": [lowest, highest], "offset_mm" and "tilt_deg" of the camera against the sensor
-file, "rest_stiffness_scale" (elastic forces of the sensor file times this balance the
+"residual_px" (marker centers, rms), "scale_sd" (scatter of the radii over the images),
+"radius_mm": [lowest, highest], "offset_mm" and "tilt_deg" of the camera relative to the sensor
+file, "rest_stiffness_scale" (factor by which the elastic forces of the sensor file balance the
 pressure; null without rest images), "verdict", "reasons", "date", "versions", "file"}.
-Refused (exit code 1): markers missing or of another size than the sensor file says, centres
+Refused (exit code 1): markers missing or of a different size than in the sensor file, centers
 off by more than 1 px.
 """
 
@@ -48,17 +48,17 @@ ARGUMENTS = (
         nargs="?",
         type=Path,
     ),
-    *output_options.arguments("pictures are taken with its valves and cameras"),
-    arg.option("--rest", "SOURCE", "images of the inflated membrane, nothing touching", type=Path),
+    *output_options.arguments("images are taken with its valves and cameras"),
+    arg.option("--rest", "SOURCE", "images of the inflated membrane without contact", type=Path),
     arg.option(
         "--pressure-kPa",
         "P",
-        "gauge pressure in the rest images, as its sensor says (default: the sensor's supply "
-        "pressure)",
+        "gauge pressure in the rest images, from the pressure sensor (default: the sensor's "
+        "supply pressure)",
         dest="pressure",
         type=float,
     ),
-    arg.choice("--valve", ["closed", "open"], "in use after the rest images", "closed"),
+    arg.choice("--valve", ["closed", "open"], "valve state after the rest images", "closed"),
 )
 
 
@@ -67,7 +67,9 @@ def run(options: argparse.Namespace) -> int:
     from mjtactile.calibrate.result_io import stamp
 
     if options.source is None and options.rig is None:
-        raise InputError("give images (FLAT), or --rig to take some", field="FLAT")
+        raise InputError(
+            "no images are given: name them (FLAT), or add --rig to take some", field="FLAT"
+        )
     targets = output_options.find_targets(options)
     with stdout_to_stderr():
         if options.source is None:
@@ -127,16 +129,14 @@ def _lines(report: dict[str, Any]) -> list[str]:
         offset = ", ".join(f"{v:+.3f}" for v in report["offset_mm"])
         low, high = report["radius_mm"]
         lines += [
-            f"  marker centres fit to {report['residual_px']:.3f} px (rms)",
-            f"  camera is off the sensor file by ({offset}) mm and {report['tilt_deg']:.3f} deg",
-            f"  marker radii {low:.4f} to {high:.4f} mm, each known to "
+            f"  marker center residual {report['residual_px']:.3f} px (rms)",
+            f"  camera offset from the sensor file ({offset}) mm and {report['tilt_deg']:.3f} deg",
+            f"  marker radii {low:.4f} to {high:.4f} mm, sd of each "
             f"{100 * report['scale_sd']:.2f} % from one image",
         ]
     if "fiducials" in report:
-        lines.append(f"  {report['fiducials']} fiducials seen, and where they are kept")
+        lines.append(f"  {report['fiducials']} fiducials seen; their positions are stored")
     if report.get("rest_stiffness_scale") is not None:
         stiffer = 100 * (report["rest_stiffness_scale"] - 1)
-        lines.append(
-            f"  at rest the membrane is {stiffer:+.1f} % stiffer than the sensor file says"
-        )
+        lines.append(f"  at rest the membrane is {stiffer:+.1f} % stiffer than in the sensor file")
     return lines

@@ -19,22 +19,21 @@ _OPENING_PARTS = (0.6, 0.9)  # of the gripper's range
 _FORCE_PARTS = (0.3, 0.5, 0.7, 0.85, 1.0)  # of the largest force
 HELP = "jaw zero, scale, backlash and current to force, against a caliper and a load cell"
 DESCRIPTION = """\
-Openings: the jaws go to several openings, each from both sides; you measure the gap between the
-sensors' frames with a caliper and type it in. That gives zero, scale and backlash.
-Forces: a load cell between the jaws (or `--skip-forces`); they squeeze it with rising current, you
-type in what it shows. That gives the torque per ampere, which data sheets give to 20 %.
-Live on a rig (--rig), or from readings that you have (--openings, --forces). On the emulated rig
-the emulated world is caliper and load cell, and the object in it is what gets squeezed."""
+Openings: the jaws move to several openings, each from both sides. You measure the gap between
+the sensors' frames with a caliper and enter it. This gives zero, scale and backlash.
+Forces: the jaws squeeze a load cell with increasing current, and you enter its reading (or
+`--skip-forces`). This gives the torque per ampere, which data sheets specify to 20 %.
+Live on a rig (--rig), or from existing readings (--openings, --forces). On the emulated rig the
+emulated world provides caliper and load cell, and the jaws squeeze the object in it."""
 EPILOG = """\
 examples:
   mjtactile calibrate gripper --rig my_gripper.toml --out gripper.json
   mjtactile calibrate gripper --rig my_gripper.toml --openings caliper.csv --forces loadcell.csv
   mjtactile calibrate gripper --rig emulated --skip-forces --out gripper.json
 
-With CSV files nothing moves and nothing is connected; --rig only says which servos there are:
-  --openings: reported_mm, direction (closing or opening: how it was reached), measured_mm;
-  at least two openings 5 mm
-              apart, each from both sides
+With CSV files nothing moves and nothing is connected; --rig only defines the servos:
+  --openings: reported_mm, direction (closing or opening: the last motion), measured_mm;
+              at least two openings 5 mm apart, each from both sides
   --forces:   reported_N (the effort that the servos report), measured_N; at least 4
 Writes the file that the rig file names ([gripper] calibration = "gripper.json"), which
 every run with this rig then uses, or --out: verdict, reasons, date, versions, opening
@@ -48,11 +47,11 @@ ARGUMENTS = (
     arg.option("--rig", "NAME|FILE.toml", "the gripper's rig file", required=True),
     arg.option("--openings", "FILE.csv", "caliper readings, instead of moving the jaws", type=Path),
     arg.option("--forces", "FILE.csv", "load cell readings, instead of squeezing", type=Path),
-    arg.flag("--skip-forces", "calibrate the opening alone"),
+    arg.flag("--skip-forces", "calibrate only the opening"),
     arg.option(
         "--opening-mm",
         ("LOW", "HIGH"),
-        "openings to move between; nothing may be there (default: 60 and 90 %% of the "
+        "openings to move between; the gap must be free (default: 60 and 90 %% of the "
         "gripper's range)",
         dest="range",
         nargs=2,
@@ -61,12 +60,15 @@ ARGUMENTS = (
     arg.option(
         "--force-N",
         "F",
-        "largest force to squeeze with (default: half of the rig file's force_max_N)",
+        "maximum squeezing force (default: half of the rig file's force_max_N)",
         dest="force",
         type=float,
     ),
-    arg.option("--object", "NAME|FILE.xml", "emulated rig: what is squeezed", "egg"),
-    arg.out("default: the one that the rig file's [gripper] names as its calibration", "FILE.json"),
+    arg.option("--object", "NAME|FILE.xml", "emulated rig: object to squeeze", "egg"),
+    arg.out(
+        "output file (default: the calibration file named in [gripper] of the rig file)",
+        "FILE.json",
+    ),
 )
 
 
@@ -79,8 +81,8 @@ def run(options: argparse.Namespace) -> int:
     out = options.out or rig_file.gripper.calibration
     if out is None:
         raise InputError(
-            'names no file for the result: write calibration = "gripper.json" into [gripper] '
-            "(of a copy, if the rig is a shipped one), or give --out",
+            'no output file is named: write calibration = "gripper.json" into [gripper] '
+            "(of a copy, for a shipped rig), or add --out",
             source=rig_file.path,
             field="gripper.calibration",
         )
@@ -133,7 +135,7 @@ def _live(options: argparse.Namespace) -> tuple[Any, Any]:
         gripper = stack.enter_context(live_gripper(rig_file))
         caliper, load_cell = _instruments(emulator)
         say(
-            "the jaws move now; keep fingers out, and nothing between them. Ctrl-C stops and "
+            "the jaws move now; keep fingers and objects out of the gap. Ctrl-C stops and "
             "switches the torque off."
         )
         openings = measure_openings(
@@ -156,7 +158,8 @@ def _range(options: argparse.Namespace, config: Any) -> tuple[float, float]:
         low, high = (1e-3 * value for value in options.range)
     if not least <= low < high - 5e-3 <= most:
         raise InputError(
-            f"{1e3 * low:g} to {1e3 * high:g} mm must be 5 mm apart and within the gripper's range",
+            f"the openings {1e3 * low:g} and {1e3 * high:g} mm must be 5 mm apart and within "
+            "the gripper's range",
             field="--opening-mm",
         )
     return low, high
@@ -168,7 +171,7 @@ def _force_max(options: argparse.Namespace, config: Any) -> float:
     most = 0.5 * config.force_max if options.force is None else options.force
     if not 0 < most <= config.force_max:
         raise InputError(
-            f"{most:g} N is outside 0 to {config.force_max:g} N, the rig file's force_max_N",
+            f"{most:g} N is outside 0 to {config.force_max:g} N (force_max_N of the rig file)",
             field="--force-N",
         )
     return most
@@ -186,16 +189,17 @@ def _lines(opening: Any, force: Any, servos: list[dict[str, Any]], refused: bool
     lines = []
     if opening is not None:
         lines.append(
-            f"opening: off by {1e3 * opening.offset:+.3f} mm at zero, scale {opening.scale:.4f}, "
-            f"backlash {1e3 * opening.backlash:.3f} mm; {1e3 * opening.rms:.3f} mm (rms) left"
+            f"opening: offset {1e3 * opening.offset:+.3f} mm at zero, scale "
+            f"{opening.scale:.4f}, backlash {1e3 * opening.backlash:.3f} mm; residual "
+            f"{1e3 * opening.rms:.3f} mm (rms)"
         )
     if force is not None:
         lines.append(
-            f"force: {force.factor:.3f} times what the currents say (sd {force.factor_sd:.3f}), "
-            f"{force.offset:+.3f} N; {force.rms:.3f} N (rms) left"
+            f"force: {force.factor:.3f} times the value from the currents (sd "
+            f"{force.factor_sd:.3f}), {force.offset:+.3f} N; residual {force.rms:.3f} N (rms)"
         )
     if not refused:
-        lines.append("in place of what the rig file says:")
+        lines.append("replaces these values of the rig file:")
         for servo in servos:
             lines.append("  [[gripper.servo]]")
             lines += [f"  {key} = {value}" for key, value in servo.items()]

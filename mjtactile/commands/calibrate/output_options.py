@@ -18,17 +18,12 @@ def arguments(live: str, *, finger: str | None = None) -> tuple[arg.Argument, ..
     """Return the options that specify the calibrated finger. `live` describes the use of a rig
     without a SOURCE."""
     return (
-        arg.option("--rig", "NAME|FILE.toml", f"whose finger it is; without SOURCE, {live}"),
+        arg.option("--rig", "NAME|FILE.toml", f"rig of the finger; without SOURCE, {live}"),
         arg.choice(
-            "--finger",
-            FINGERS,
-            f"which finger of the rig (default: {finger or 'all of them'})",
-            finger,
+            "--finger", FINGERS, f"finger of the rig (default: {finger or 'all of them'})", finger
         ),
-        arg.sensor("the sensor, where the rig file does not say it"),
-        arg.out(
-            "calibration file to write into (default: the one that the rig file names)", "FILE.json"
-        ),
+        arg.sensor("sensor, if the rig file names none"),
+        arg.out("calibration file to update (default: the one named in the rig file)", "FILE.json"),
     )
 
 
@@ -36,7 +31,7 @@ def find_targets(options: argparse.Namespace) -> list[OutputFile]:
     """The files that the options name, each read once to see that it fits. Raises InputError."""
     targets = _find_targets(options.rig, options.finger, options.sensor, options.out)
     if options.source is not None and len(targets) > 1:
-        raise InputError("what was recorded is of one finger: which?", field="--finger")
+        raise InputError("a recorded SOURCE belongs to one finger: name it", field="--finger")
     for goal in targets:
         check_folder(goal.path)
         goal.load()

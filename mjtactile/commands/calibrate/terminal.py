@@ -62,7 +62,7 @@ def _line(prompt: str) -> str:
     line = sys.stdin.readline()
     if not line:
         raise InputError(
-            "nobody answers on the terminal; give the readings in a CSV file instead (see --help)"
+            "the terminal input ended; give the readings in a CSV file instead (see --help)"
         )
     return line
 
@@ -89,5 +89,5 @@ def check_folder(path: Path, field: str = "--out") -> Path:
     """Refuse an output file whose folder is not there, before any work is done. Raises
     InputError."""
     if not path.parent.is_dir():
-        raise InputError("no such folder", source=path.parent, field=field)
+        raise InputError("the folder does not exist", source=path.parent, field=field)
     return path

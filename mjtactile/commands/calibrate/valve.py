@@ -12,11 +12,11 @@ from mjtactile.commands.calibrate import output_options
 from mjtactile.commands.calibrate.terminal import finish_all, say
 from mjtactile.commands.output import stdout_to_stderr
 
-HELP = "pressure step: sensor zero, rise time, pressure reached, leak"
+HELP = "pressure step: sensor zero, rise time, final pressure, leak"
 DESCRIPTION = """\
-Vent, open at a pressure, seal, vent again, with nothing touching the membrane, and judge what the
-pressure sensor says: its zero and noise, rise time, the pressure reached, the leak of the sealed
-chamber. Live on each valve of a rig (--rig), or from a recording (SOURCE)."""
+Vent, open at a pressure, seal and vent again without contact on the membrane, and evaluate the
+pressure sensor: zero and noise, rise time, final pressure, leak of the sealed chamber. Live on
+each valve of a rig (--rig), or from a recording (SOURCE)."""
 EPILOG = """\
 examples:
   mjtactile calibrate valve --rig my_gripper.toml --pressure-kPa 1.0
@@ -24,20 +24,22 @@ examples:
   mjtactile calibrate valve step.csv --pressure-kPa 1.0 --rig my_gripper.toml --finger left
 
 SOURCE is a CSV file with the columns time_s, pressure_kPa (gauge) and state: vent, open,
-closed, in this order, and perhaps vent again; at least 5 rows each, every 10 to 50 ms,
+closed, in this order, optionally vent again; at least 5 rows each, every 10 to 50 ms,
 sealed for 2 s or (better) 30 s:
   time_s,pressure_kPa,state
   0.00,0.003,vent
   1.00,0.411,open
-Writes the part `valve` of each finger's calibration file: offset_Pa, which is taken off the
-pressures that the force rests on, and noise_sd_Pa, step_Pa, rise_time_s (10 to 90 %),
+Writes the part `valve` of each finger's calibration file: offset_Pa, which is subtracted from
+the pressures used for the force, and noise_sd_Pa, step_Pa, rise_time_s (10 to 90 %),
 time_constant_s, leak_Pa_per_s with leak_sd_Pa_per_s, fall_time_s. Refused (exit code 1):
-zero off by 5 % of the step, noise 5 %, pressure reached off by 10 %, rise above 1 s, leak
-above 10 % a minute.
+zero off by 5 % of the step, noise 5 %, final pressure off by 10 %, rise above 1 s, leak
+above 10 % per minute.
 """
 
 ARGUMENTS = (
-    arg.positional("source", "SOURCE.csv", "a recorded step", nargs="?", type=Path),
+    arg.positional(
+        "source", "SOURCE.csv", "CSV file of a recorded pressure step", nargs="?", type=Path
+    ),
     *output_options.arguments("its valves are stepped"),
     arg.option(
         "--pressure-kPa",
@@ -46,7 +48,7 @@ ARGUMENTS = (
         dest="pressure",
         type=float,
     ),
-    arg.option("--seal", "S", "time to watch the sealed chamber (default: 10 s)", 10.0, type=float),
+    arg.option("--seal", "S", "duration of the sealed stage (default: 10 s)", 10.0, type=float),
 )
 
 
@@ -56,7 +58,8 @@ def run(options: argparse.Namespace) -> int:
 
     if options.source is None and options.rig is None:
         raise InputError(
-            "give a recording (SOURCE.csv), or --rig to step its valves", field="SOURCE"
+            "no recording is given: name it (SOURCE.csv), or add --rig to step its valves",
+            field="SOURCE",
         )
     if options.pressure is not None and not options.pressure > 0 or not options.seal >= 2:
         raise InputError(
@@ -113,6 +116,6 @@ def _live(options: argparse.Namespace, targets: list[output_options.OutputFile])
 def _line(fit: Any) -> str:
     return (
         f"  zero {fit.offset:+.0f} Pa (noise {fit.noise_sd:.0f}), {fit.step:.0f} of "
-        f"{fit.asked:.0f} Pa in {fit.rise_time:.3f} s (10 to 90 %), sealed it loses "
+        f"{fit.asked:.0f} Pa in {fit.rise_time:.3f} s (10 to 90 %), sealed leak "
         f"{fit.leak:+.2f} Pa/s (sd {fit.leak_sd:.2f})"
     )

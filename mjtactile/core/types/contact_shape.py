@@ -109,7 +109,7 @@ class ContactShape:
     def __post_init__(self) -> None:
         if self.kind not in (*SHAPES, "unknown"):
             raise InputError(
-                f"{self.kind!r} is not a shape",
+                f"{self.kind!r} is not a contact shape",
                 source="ContactShape",
                 field="kind",
                 choices=(*SHAPES, "unknown"),

@@ -80,13 +80,13 @@ class Command:
                 f"{self.phase!r} is not a phase", source="Command", field="phase", choices=PHASES
             )
         if not isinstance(self.reason, str):
-            raise InputError(f"{self.reason!r} is no text", source="Command", field="reason")
+            raise InputError(f"{self.reason!r} is not text", source="Command", field="reason")
         if self.gauge_pressure is not None:
             pressures = tuple(_finite(one, "gauge_pressure") for one in self.gauge_pressure)
             object.__setattr__(self, "gauge_pressure", pressures)
         if len(self.memory) > MEMORY_MAX:
             raise InputError(
-                f"has {len(self.memory)} entries, and {MEMORY_MAX} at most",
+                f"has {len(self.memory)} entries; at most {MEMORY_MAX} are allowed",
                 source="Command",
                 field="memory",
             )

@@ -121,11 +121,11 @@ class OpenCvCamera:
         now = self._clock()
         if now - image.time > _STALE_PERIODS * self._period + self.config.delay:
             raise DeviceError(
-                f"{self.name} is stale: its last picture is {1e3 * (now - image.time):.0f} ms old"
+                f"{self.name} is stale: its last image is {1e3 * (now - image.time):.0f} ms old"
             )
         if now - fresh > _STALE_PERIODS * self._period + self.config.delay:
             raise DeviceError(
-                f"{self.name} is frozen: the same picture for {1e3 * (now - fresh):.0f} ms"
+                f"{self.name} is frozen: the same image for {1e3 * (now - fresh):.0f} ms"
             )
         return image
 
@@ -176,7 +176,7 @@ class OpenCvCamera:
             )
         if not Path(config.source).exists():
             raise DeviceError(
-                f"{self.name} is not there; `mjtactile doctor` lists the cameras that are"
+                f"{self.name} is not connected; `mjtactile doctor` lists the connected cameras"
             )
         return cv2.VideoCapture(config.source, cv2.CAP_V4L2)
 
@@ -214,8 +214,8 @@ class OpenCvCamera:
             else:
                 shown = (f"{value:g}", f"{found:g}")
             raise DeviceError(
-                f"{self.name}: {what} was set to {shown[0]} but is {shown[1]}; `mjtactile doctor` "
-                "lists what it can do"
+                f"{self.name}: {what} was set to {shown[0]} but is {shown[1]}; `mjtactile "
+                "doctor` shows how to list the supported values"
             )
 
     # -- the reader
@@ -241,7 +241,7 @@ class OpenCvCamera:
             if failures >= 3:
                 reason = self._no_image_reason()
                 if good and self._is_raw:
-                    reason = 'it sends no JPEG; leave fourcc = "MJPG" out of the rig file'
+                    reason = 'it sends no JPEG; remove fourcc = "MJPG" from the rig file'
                 self._fail(reason)
                 return
 
@@ -250,8 +250,8 @@ class OpenCvCamera:
         gray = cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY) if pixels.ndim == 3 else pixels
         if gray.shape != (self.config.height, self.config.width):
             self._fail(
-                f"it sends {gray.shape[1]} x {gray.shape[0]} pixels, the rig file says "
-                f"{self.config.width} x {self.config.height}"
+                f"it sends {gray.shape[1]} x {gray.shape[0]} pixels, but the rig file "
+                f"specifies {self.config.width} x {self.config.height}"
             )
             return
         flip = _FLIPS.get(self.config.flipped)
@@ -302,9 +302,9 @@ class OpenCvCamera:
         since = f" for {1e3 * silent:.0f} ms" if math.isfinite(silent) else ""
         busy = ""
         if load > processors:
-            wanted = f"{load:.0f} programs want this computer's {processors} processors"
+            wanted = f"{load:.0f} programs compete for this computer's {processors} processors"
             busy = f" Or are they late? {wanted}"
-        return f"it has sent no pictures{since}: was it unplugged?{busy}"
+        return f"it has sent no images{since}: was it unplugged?{busy}"
 
     def _fail(self, reason: str) -> None:
         with self._condition:
@@ -319,7 +319,7 @@ class OpenCvCamera:
             )
             if self._newest is not None and self._error is None:
                 return
-            reason = self._error or f"no picture within {_FIRST_IMAGE_TIME:g} s"
+            reason = self._error or f"no image within {_FIRST_IMAGE_TIME:g} s"
         self.close()
         raise DeviceError(f"{self.name}: {reason}")
 

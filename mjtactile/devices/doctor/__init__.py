@@ -22,7 +22,7 @@ from mjtactile.rig.sensors import calibration_findings, finger_design
 
 # times the data sheet's torque per ampere; gears' friction takes up to 20 % of it
 _TORQUE_OFF_MAX = 1.5
-_MAY_FALL = "what is held in the air falls when the host is lost: servos that brake, or a cup"
+_MAY_FALL = "a held object falls when the host is lost: use servos that brake, or a cup below"
 
 
 def _check_empty_view(what: str, design: SensorDesign, image: Image) -> Iterable[Finding]:
@@ -54,7 +54,7 @@ def examine(
             Finding(
                 "ok",
                 rig_file.name,
-                "is emulated: nothing to be plugged in",
+                "is emulated: no device needs to be connected",
                 "`mjtactile emulate --out FILE.toml` starts it; then "
                 "`mjtactile doctor --rig FILE.toml`",
             ),
@@ -83,9 +83,9 @@ def _check_torques(rig_file: RigFile) -> Iterator[Finding]:
                 "bad",
                 f"servo {servo.id}",
                 f"torque_Nm_per_A = {servo.torque_per_A:g}, but the data sheet of the "
-                f"{servo.model} says {model.torque_per_A:g}: forces are {ratio:.2g} times what "
-                "they should be",
-                "leave the line out, or measure it: mjtactile calibrate gripper",
+                f"{servo.model} has {model.torque_per_A:g}: forces are {ratio:.2g} times "
+                "their correct value",
+                "remove the line, or measure it: mjtactile calibrate gripper",
             )
 
 
@@ -100,12 +100,14 @@ def _check_host_loss(rig_file: RigFile) -> Iterator[Finding]:
         chambers = f"chambers stay sealed for {rig_file.hold:g} s, then vent slowly"
     text = f'on_host_loss = "{rig_file.on_host_loss}": {chambers}'
     if rig_file.emulator is not None and rig_file.emulator.watchdog == "limp":
-        yield Finding("warn", what, f"{text}; the servos go limp and hold nothing", _MAY_FALL)
+        yield Finding(
+            "warn", what, f"{text}; the servos switch their torque off and hold nothing", _MAY_FALL
+        )
     elif rig_file.lift.kind == "servo":
         remedy = "a lift that must not fall needs a brake or a counterweight"
-        yield Finding("ok", what, f"{text}; jaws and lift stay as each servo does, below", remedy)
+        yield Finding("ok", what, f"{text}; for jaws and lift see each servo below", remedy)
     else:
-        yield Finding("ok", what, f"{text}; jaws stay as each servo does, below")
+        yield Finding("ok", what, f"{text}; for the jaws see each servo below")
 
 
 def _has_bad(findings: list[Finding]) -> bool:
@@ -148,8 +150,8 @@ def _check_valves(rig_file: RigFile) -> Iterator[Finding]:
             "bad",
             "valve board",
             str(error),
-            "port and baud in the rig file; is firmware/valve on the board? "
-            "another program on the port?",
+            "check port and baud in the rig file, that firmware/valve is on the board, and "
+            "that no other program uses the port",
         )
         return
     try:

@@ -57,22 +57,23 @@ def _rate_finding(what: str, camera: OpenCvCamera, ages: list[float]) -> Finding
         return Finding(
             "bad",
             what,
-            f"{counters.pictures} pictures in {_CAMERA_TIME:g} s",
-            "another cable or USB port",
+            f"{counters.pictures} images in {_CAMERA_TIME:g} s",
+            "use another cable or USB port",
         )
     rate = 1 / statistics.mean(counters.intervals)
     jitter = statistics.pstdev(counters.intervals)
     text = (
-        f"{rate:.1f} pictures a second, jitter {1e3 * jitter:.1f} ms, age "
-        f"{1e3 * statistics.median(ages):.1f} ms, "
-        f"{counters.dropped} lost, {counters.duplicates} twice"
+        f"{rate:.1f} images per second, jitter {1e3 * jitter:.1f} ms, age "
+        f"{1e3 * statistics.median(ages):.1f} ms, {counters.dropped} lost, "
+        f"{counters.duplicates} duplicated"
     )
     if rate < 0.9 * config.rate:
         return Finding(
             "bad",
             what,
-            f"{text}: the rig file says {config.rate:g}",
-            "a shorter exposure (it must fit into the period), MJPG, or its own USB controller",
+            f"{text}: the rig file specifies {config.rate:g}",
+            "use a shorter exposure (it must fit into the period), MJPG, or a separate USB "
+            "controller",
         )
     return Finding("warn" if counters.duplicates else "ok", what, text)
 
@@ -83,27 +84,24 @@ def _light_finding(what: str, camera: OpenCvCamera) -> Finding:
     white = float((pixels >= 254).mean())
     if mean < 20:
         return Finding(
-            "bad",
-            what,
-            f"dark: mean grey level {mean:.0f}",
-            "are the LEDs on? raise exposure_100us",
+            "bad", what, f"dark: mean gray level {mean:.0f}", "check the LEDs; raise exposure_100us"
         )
     if white > 0.05:
         return Finding(
             "bad",
             what,
-            f"{100 * white:.0f} % of the picture is saturated",
+            f"{100 * white:.0f} % of the image is saturated",
             "lower exposure_100us or gain",
         )
-    return Finding("ok", what, f"mean grey level {mean:.0f}, {100 * white:.1f} % saturated")
+    return Finding("ok", what, f"mean gray level {mean:.0f}, {100 * white:.1f} % saturated")
 
 
 def _camera_remedy(config: CameraConfig) -> str:
     if config.source.startswith("/dev") and not Path(config.source).exists():
         return (
-            "`ls -l /dev/v4l/by-id` shows the names that stay the same; write one of them into "
-            "the rig file"
+            "`ls -l /dev/v4l/by-id` lists the names that stay the same; write one of them "
+            "into the rig file"
         )
     if config.source.startswith("/dev") and not os.access(config.source, os.R_OK | os.W_OK):
         return f"sudo usermod -aG {group_of(config.source)} $USER, then log in again"
-    return "`v4l2-ctl -d DEVICE --list-formats-ext --list-ctrls` shows what it can do"
+    return "`v4l2-ctl -d DEVICE --list-formats-ext --list-ctrls` lists the supported values"

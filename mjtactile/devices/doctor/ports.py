@@ -19,9 +19,9 @@ def check_port(what: str, path: str, *, fix: bool) -> Iterator[Finding]:
         yield Finding(
             "bad",
             what,
-            f"{path} is not there",
-            "is it plugged in? `ls -l /dev/serial/by-id` shows the names that stay the same; write "
-            "one of them into the rig file",
+            f"{path} does not exist",
+            "check the connection; `ls -l /dev/serial/by-id` lists the names that stay the "
+            "same; write one of them into the rig file",
         )
         return
     if not os.access(path, os.R_OK | os.W_OK):
@@ -29,7 +29,7 @@ def check_port(what: str, path: str, *, fix: bool) -> Iterator[Finding]:
         yield Finding(
             "bad",
             what,
-            f"{path} may not be used by this user",
+            f"{path} is not accessible to this user",
             f"sudo usermod -aG {group} $USER, then log in again",
         )
         return
@@ -47,16 +47,16 @@ def _check_latency(what: str, timer: Path, *, fix: bool) -> Iterator[Finding]:
         with contextlib.suppress(OSError):
             timer.write_text("1")
             yield Finding(
-                "ok", what, f"latency timer was {value} ms, is 1 ms until it is unplugged"
+                "ok", what, f"latency timer was {value} ms, now 1 ms until the adapter is unplugged"
             )
             return
     yield Finding(
         "warn",
         what,
         f"latency timer is {value} ms: each reading takes that long",
-        'for good: a udev rule ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", '
-        'ATTR{latency_timer}="1" in /etc/udev/rules.d/99-latency.rules; for '
-        "now: --fix as root",
+        'permanently: a udev rule ACTION=="add", SUBSYSTEM=="usb-serial", '
+        'DRIVER=="ftdi_sio", ATTR{latency_timer}="1" in '
+        "/etc/udev/rules.d/99-latency.rules; for now: --fix as root",
     )
 
 

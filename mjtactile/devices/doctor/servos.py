@@ -64,7 +64,7 @@ def check_servo(bus: DynamixelBus, servo: int, model: str) -> Iterator[Finding]:
             "bad",
             what,
             f"does not answer ({error.reason})",
-            "power, cable, id and baud rate: see the search below",
+            "check power, cable, id and baud rate; see the search below",
         )
         return
     yield _identity(what, number, report, model)
@@ -80,16 +80,17 @@ def check_servo(bus: DynamixelBus, servo: int, model: str) -> Iterator[Finding]:
         yield Finding(
             "warn",
             what,
-            f"firmware {report.firmware}: its bus watchdog notes a dead host, and stops nothing",
-            "update the firmware with Dynamixel Wizard; until then a dead host "
-            "leaves it at its last goal and force",
+            f"firmware {report.firmware}: its bus watchdog detects a lost host, but does not "
+            "stop the servo",
+            "update the firmware with Dynamixel Wizard; until then the servo keeps its last "
+            "goal and force when the host is lost",
         )
     if report.hardware_error:
         yield Finding(
             "bad",
             what,
             f"has latched {report.hardware_error}",
-            "find the cause, take its power off and on",
+            "find the cause, then switch its power off and on",
         )
     if report.temperature >= _HOT:
         yield Finding(
@@ -115,8 +116,8 @@ def _identity(what: str, number: int, report: ServoReport, model: str) -> Findin
         return Finding(
             "bad",
             what,
-            f"{text}: the rig file says {model}",
-            "write the right model into the rig file, or mend the ids",
+            f"{text}: the rig file specifies {model}",
+            "correct the model in the rig file, or the ids",
         )
     return Finding("ok", what, text)
 
@@ -140,11 +141,11 @@ def _round_trip(bus: DynamixelBus, servos: list[int], config: BusConfig) -> Find
             "warn",
             "servo bus",
             text,
-            "shorter cable, termination, a good ground; or a longer reply_timeout_ms",
+            "use a shorter cable, termination and a good ground, or a longer reply_timeout_ms",
         )
     if median > _ROUND_TRIP_GOOD:
         return Finding(
-            "warn", "servo bus", text, "baud 1000000 and latency timer 1 ms make it 1 to 3 ms"
+            "warn", "servo bus", text, "baud 1000000 and latency timer 1 ms reduce it to 1 to 3 ms"
         )
     return Finding("ok", "servo bus", text)
 
@@ -167,5 +168,5 @@ def _search_servos(config: BusConfig) -> Iterator[Finding]:
         "bad",
         "servo bus",
         "no servo answers at any baud rate (ids 0 to 20)",
-        "is their power on? USB powers none",
+        "check their power supply; USB does not power servos",
     )

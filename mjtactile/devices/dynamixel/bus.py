@@ -41,12 +41,12 @@ _LOST = (serial.SerialException, OSError, termios.error, TypeError)
 """Exceptions of pyserial for a lost port: termios.error is not an OSError, and a closed port raises
 TypeError."""
 _STATUS_ERRORS = {
-    1: "could not carry it out",
-    2: "does not know the instruction",
+    1: "could not execute the instruction",
+    2: "does not support the instruction",
     3: "received a wrong CRC",
-    4: "says the value is out of range",
-    5: "says the length is wrong",
-    6: "says the value is beyond its limit",
+    4: "reports a value out of range",
+    5: "reports a wrong length",
+    6: "reports a value beyond its limit",
     7: "denies access to that register",
 }
 
@@ -90,7 +90,7 @@ class DynamixelBus:
         self._quiet = reply_timeout  # wait for a late reply, s: equal to the reply timeout
         try:
             if not self._port.setBaudRate(baud):
-                raise DeviceError(f"{port}: the SDK knows no baud rate {baud}")
+                raise DeviceError(f"{port}: the SDK does not support the baud rate {baud}")
         except (serial.SerialException, OSError, ValueError) as error:
             raise DeviceError(f"servo port {port} cannot be opened: {_one_line(error)}") from error
 
@@ -312,7 +312,7 @@ class DynamixelBus:
             ]
             if found != servo:
                 failures[servo] = BusError(
-                    f"servo {found} answered in the place of servo {servo}",
+                    f"servo {found} answered instead of servo {servo}",
                     servo=servo,
                     reason="corrupt",
                 )

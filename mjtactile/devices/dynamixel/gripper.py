@@ -220,7 +220,8 @@ class DynamixelGripper:
         except ValueError as error:
             raise DeviceError(
                 f"{servo.where} stands at {ticks} ticks: {error} turn puts its jaw within "
-                f"{low * 1e3:g} to {high * 1e3:g} mm; is its horn mounted as the rig file says?"
+                f"{low * 1e3:g} to {high * 1e3:g} mm; is its horn mounted as the rig file "
+                "specifies?"
             ) from error
 
     def _p_gain(self, servo: Servo) -> int | None:

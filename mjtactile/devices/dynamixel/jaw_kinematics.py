@@ -131,7 +131,7 @@ def find_model(name: str, source: str, field: str) -> ServoModel:
     """The model of that name. Raises InputError with the choices."""
     if name not in MODELS:
         raise InputError(
-            f"{name!r} cannot limit its force or is not known",
+            f"{name!r} is unknown or cannot limit its force",
             source=source,
             field=field,
             choices=MODELS,

@@ -37,7 +37,7 @@ STATE_SIZE = 21
 WATCHDOG_IDLE = 2.0
 _OFF_ATTEMPTS = _READ_ATTEMPTS = 3
 REQUIRED = (  # register, required value, and effect of any other value
-    ("Drive Mode", 0, "reversed, time-based, or switching its torque on by itself"),
+    ("Drive Mode", 0, "reversed, time-based, or automatic torque"),
     ("Status Return Level", 2, "silent"),
     (
         "Homing Offset",
@@ -45,7 +45,7 @@ REQUIRED = (  # register, required value, and effect of any other value
         "with one, a tripped watchdog makes the motor turn (DynamixelSDK issue 584); zero_ticks in "
         "the rig file does the same",
     ),
-    ("Startup Configuration", 0, "torque, or old settings, as soon as it has power"),
+    ("Startup Configuration", 0, "torque, or old settings, at power-on"),
 )
 _log = logging.getLogger(__name__)
 _Answer = TypeVar("_Answer")
@@ -130,19 +130,19 @@ class Servo:
             number, firmware = self._ask(lambda: self.bus.ping(self.id))
         except BusError as error:
             raise DeviceError(
-                f"{self.where} does not answer ({error}): is it powered, and are id and baud rate "
-                f"({baud}) right? `mjtactile doctor` looks for servos"
+                f"{self.where} does not answer ({error}): is it powered, and are id and baud "
+                f"rate ({baud}) right? `mjtactile doctor` searches for servos"
             ) from error
         model = require_model(number, self.where)
         if model.name != self.model.name:
             raise DeviceError(
-                f"{self.where} is a {model.name}, but the rig file says {self.model.name}"
+                f"{self.where} is a {model.name}, but the rig file specifies {self.model.name}"
             )
         bits = self.get("Hardware Error Status")
         if bits:
             raise ServoFault(
-                f"{self.where} has latched {describe_hardware_error(bits)}: find the cause, then "
-                "take its power off and on (it is never rebooted from here)",
+                f"{self.where} has latched {describe_hardware_error(bits)}: find the cause, "
+                "then switch its power off and on (mjtactile never reboots it)",
                 self.id,
             )
         for name, wanted, meaning in REQUIRED:
@@ -154,8 +154,8 @@ class Servo:
                 )
         if not self.model.watchdog_stops(firmware):
             _log.warning(
-                "%s has firmware %d, whose bus watchdog stops nothing: a dead host leaves it at "
-                "its last goal and force; update it with Dynamixel Wizard",
+                "%s has firmware %d, whose bus watchdog does not stop it: when the host is "
+                "lost, it keeps its last goal and force; update it with Dynamixel Wizard",
                 self.where,
                 firmware,
             )

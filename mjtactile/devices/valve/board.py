@@ -170,7 +170,7 @@ class ValveBoard:
         if failed:
             text = (
                 f"valve board {self.name}: channel {', '.join(map(str, failed))} could not be "
-                "vented; the board vents by itself when it hears nothing"
+                "vented; the board vents by itself when the host is silent"
             )
             _log.error(text)
             if not quiet:
@@ -192,7 +192,7 @@ class ValveBoard:
                 self.has_sensors = match[3] == "1"
                 return
             scaled_clock.sleep(0.02)
-        what = f"it said {heard!r}" if heard else "it said nothing that could be read"
+        what = f"it said {heard!r}" if heard else "its answer was not readable"
         raise DeviceError(
             f"valve board {self.name} does not answer as {protocol.NAME} within "
             f"{_HANDSHAKE_TIME:g} s: {what}; are port and baud rate right, is firmware/valve on it?"
@@ -203,18 +203,19 @@ class ValveBoard:
         needed = protocol.HOLD_VERSION if self._hold else protocol.VERSION_MIN
         if self._version < needed:
             oldest = ".".join(map(str, needed))
-            what = " to hold what is there when the host is lost" if self._hold else ""
+            what = " to keep the chambers sealed when the host is lost" if self._hold else ""
             raise DeviceError(
                 f"valve board {self.name} has firmware {version}, needs {oldest} or newer{what}"
             )
         for channel, config in self._configs.items():
             if channel > channels:
                 raise InputError(
-                    f"{channel}: the board has {channels} channels", field="valve.channel"
+                    f"{channel} does not exist: the board has {channels} channels",
+                    field="valve.channel",
                 )
             if config.pressure_max > most:
                 raise InputError(
-                    f"{config.pressure_max / 1e3:g}: the board goes up to {most / 1e3:g}",
+                    f"{config.pressure_max / 1e3:g} exceeds the board's maximum of {most / 1e3:g}",
                     field="valve.pressure_max_kPa",
                 )
 
@@ -224,8 +225,7 @@ class ValveBoard:
         for channel, config in self._configs.items():
             if not self.has_sensors and config.supply_gauge is None:
                 raise InputError(
-                    "missing: this board has no sensors, so the file must say what its supply "
-                    "gives",
+                    "missing: this board has no sensors, so the file must give its supply pressure",
                     field="valve.supply_kPa",
                 )
             self._command_echoed(f"vent {channel}")  # also acknowledges an earlier fault

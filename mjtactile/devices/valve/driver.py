@@ -90,8 +90,8 @@ class BoardValve:
         fixed = self.config.supply_gauge or 0.0
         if abs(fixed - supply_gauge) > 0.05 * fixed:
             raise DeviceError(
-                f"valve {self.config.finger}: {supply_gauge:g} Pa was asked for, but its supply "
-                f"gives {fixed:g} Pa and a board without a sensor cannot change that"
+                f"valve {self.config.finger}: {supply_gauge:g} Pa was requested, but its "
+                f"supply has {fixed:g} Pa and a board without a sensor cannot change that"
             )
 
     def _has_moved(self, reading: ValveReading) -> bool:

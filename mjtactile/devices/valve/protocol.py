@@ -22,8 +22,8 @@ STATES = {"vent": True, "set": True, "sealed": False}
 FAULTS = {
     "ok": "",
     "start": "the board has restarted",
-    "silent": "the board heard nothing for its heartbeat's time",
-    "sensor": "its pressure sensor fails",
+    "silent": "the host was silent for longer than the heartbeat time",
+    "sensor": "its pressure sensor failed",
     "pressure": "its pressure was too high",
 }
 """Why a channel vented by itself."""

@@ -83,7 +83,7 @@ def _check(
     folder = episode.recording.folder
     if round(episode.rate) != fps:
         raise InputError(
-            f"has {episode.rate:.3g} cycles a second, {first.recording.folder} has "
+            f"has {episode.rate:.3g} cycles per second, but {first.recording.folder} has "
             f"{first.rate:.3g}",
             source=folder,
         )
@@ -93,7 +93,8 @@ def _check(
             k for k in mine if mine[k].info() != features[k].info()
         ]
         raise InputError(
-            f"has other columns than {first.recording.folder}: {', '.join(odd[:5])}", source=folder
+            f"has different columns than {first.recording.folder}: {', '.join(odd[:5])}",
+            source=folder,
         )
     if images != "none":
         have = sum(len(names) > 0 for names in episode.recording.columns["images"])

@@ -33,18 +33,18 @@ _FACTS: tuple[tuple[str, str, str], ...] = (
     ("status", "status", ""),
     ("hold_force_N", "holding, felt", "N"),
     ("hold_force_true_N", "holding, true", "N"),
-    ("peak_force_N", "at most, felt", "N"),
-    ("peak_force_true_N", "at most, true", "N"),
+    ("peak_force_N", "maximum, estimated", "N"),
+    ("peak_force_true_N", "maximum, ground truth", "N"),
     ("slip_mm_true", "slipped, true", "mm"),
-    ("force_error_estimate_N", "error of the simulated force, estimated", "N"),
-    ("peak_stress_kPa_true", "stress at most, true", "kPa"),
+    ("force_error_estimate_N", "simulation error of the force, estimated", "N"),
+    ("peak_stress_kPa_true", "maximum stress, ground truth", "kPa"),
     ("stiffness_N_m", "stiffness", "N/m"),
-    ("modulus_kPa", "modulus, as between flat faces", "kPa"),
+    ("modulus_kPa", "modulus, for flat faces", "kPa"),
     ("relaxation_time_s", "relaxation", "s"),
     ("deformation_mm", "gave way", "mm"),
-    ("permanent_set_mm", "of which stayed", "mm"),
+    ("permanent_set_mm", "permanent deformation", "mm"),
     ("real_time_factor", "speed", "x real time"),
-    ("perception_ms_median", "perception, median", "ms a cycle"),
+    ("perception_ms_median", "perception, median", "ms per cycle"),
     ("recording_problem", "recording", ""),
 )
 """Key of a summary, label, unit."""
@@ -122,8 +122,8 @@ def _doubts(recording: Recording) -> str:
         return ""
     rows = [[escape(kind), escape(reason)] for kind, reason in recording.flags.items()]
     return (
-        "<h2>Doubts</h2><p>What makes the simulation's forces worse than usual, as it was said "
-        f"first.</p>{table(['kind', 'reason'], rows, text=True)}"
+        "<h2>Flags</h2><p>Causes of reduced accuracy of the simulated forces, as first "
+        f"reported.</p>{table(['kind', 'reason'], rows, text=True)}"
     )
 
 
@@ -165,21 +165,20 @@ def _curves(data: Mapping[str, Any]) -> str:
         for k, plot in enumerate(data["plots"])
     )
     return (
-        f'<h2>Over time</h2><p><select id="plot">{options}</select> <span class="hint">wheel: '
-        "closer; drag: earlier, later; "
-        "double click: all; click: the moment below. Bands are two standard "
-        "deviations, dashed is the truth that only a "
-        'simulation knows.</span></p><canvas id="chart"></canvas><p id="readout"></p>'
+        f'<h2>Over time</h2><p><select id="plot">{options}</select> <span '
+        'class="hint">wheel: zoom; drag: move in time; double click: show all; click: '
+        "select the moment below. Bands are two standard deviations, dashed lines are the "
+        'ground truth of a simulation.</span></p><canvas id="chart"></canvas><p '
+        'id="readout"></p>'
     )
 
 
 def _moment(data: Mapping[str, Any], *, scene: bool) -> str:
     last = len(data["shots"]) - 1
     parts = [
-        '<h2>At <span id="moment">-</span></h2><p><input id="slider" type="range" min="0" '
-        f'max="{max(last, 0)}" value="0"> '
-        '<button id="play">play</button> <span class="hint">drag a membrane to turn '
-        "it, wheel: closer</span></p>"
+        '<h2>At <span id="moment">-</span></h2><p><input id="slider" type="range" '
+        f'min="0" max="{max(last, 0)}" value="0"> <button id="play">play</button> '
+        '<span class="hint">drag a membrane to rotate it, wheel: zoom</span></p>'
     ]
     if scene:
         panels = [
@@ -228,23 +227,23 @@ def _simulated(recording: Recording) -> str:
             if (row["on"] and row["built"]) == on
         ]
 
-    head = ["effect", "costs, ms a simulated s", "without it, mN", "um", "why"]
+    head = ["effect", "cost, ms per simulated s", "error without it, mN", "um", "why"]
     varied = ", ".join(
         f"{name} {value}" for name, value in recording.notes.get("randomized", {}).items()
     )
     drawn = ""
     if varied:
         drawn = (
-            "<details><summary>what was drawn for this "
+            "<details><summary>randomized values of this "
             f"world</summary><p>{escape(varied)}</p></details>"
         )
     return (
-        "<h2>What was simulated, and why</h2>"
-        f"<p>Membranes of {escape(' x '.join(map(str, how['mesh'])))} "
-        f"vertices, steps of {how['timestep_ms']:.3g} ms. Costs and errors are those measured on "
-        "the shipped sensors (<code>mjtactile "
-        f"effects</code>).</p>{table(head, rows(True), text=True)}<details><summary>what was left "
-        f"out</summary>{table(head, rows(False), text=True)}</details>{drawn}"
+        "<h2>Simulated effects</h2><p>Membranes of "
+        f"{escape(' x '.join(map(str, how['mesh'])))} vertices, steps of "
+        f"{how['timestep_ms']:.3g} ms. Costs and errors were measured on the shipped sensors "
+        "(<code>mjtactile "
+        f"effects</code>).</p>{table(head, rows(True), text=True)}<details><summary>disabled "
+        f"effects</summary>{table(head, rows(False), text=True)}</details>{drawn}"
     )
 
 
@@ -273,4 +272,4 @@ def _provenance(recording: Recording) -> str:
         for key, file in header.get("files", {}).items()
     )
     command = f"<p><code>{escape(header['command'])}</code></p>" if header.get("command") else ""
-    return f"<h2>How it was made</h2>{command}<p>{escape(said)}<br>{escape(versions)}{files}</p>"
+    return f"<h2>Origin of the data</h2>{command}<p>{escape(said)}<br>{escape(versions)}{files}</p>"

@@ -48,24 +48,24 @@ class Plot:
 
 PLOTS = (
     Plot(
-        "normal force on a finger, N",
+        "normal force per finger, N",
         "force_normal",
         sd="force_normal_sd",
         true=lambda r: r.column("force_normal_true"),
     ),
     Plot(
-        "shear force on a finger, N",
+        "shear force per finger, N",
         "force_shear",
         true=lambda r: np.linalg.norm(_wrench_true(r)[..., :2], axis=-1),
     ),
     Plot("contact area, mm\u00b2", "contact_area", 1e6),
-    Plot("depth of the deepest indentation, mm", "contact_depth", 1e3),
-    Plot("slipped since the touch began, mm", "slip_distance", 1e3),
-    Plot("chamber's gauge pressure, kPa", "gauge_pressure", 1e-3),
+    Plot("maximum indentation depth, mm", "contact_depth", 1e3),
+    Plot("slip since the start of the contact, mm", "slip_distance", 1e3),
+    Plot("gauge pressure of the chamber, kPa", "gauge_pressure", 1e-3),
     Plot("markers found", "marker_count"),
     Plot("opening of the jaws, mm", "opening", 1e3),
-    Plot("height of the hand, mm", "lift_height", 1e3),
-    Plot("perception, ms a cycle", "perception_ms"),
+    Plot("height of the gripper, mm", "lift_height", 1e3),
+    Plot("perception, ms per cycle", "perception_ms"),
 )
 
 

@@ -113,7 +113,7 @@ class ContactShapeEstimator:
         track = () if press is None else press.track
         press = follow(films, press, self._hint(touch), data, s)
         if press is None:
-            text = "no body of any family fits"
+            text = "no shape model fits"
             return Found(_unknown(Status(StatusCode.FIT_FAILED, text)), None, None)
         scale = max(s.noise_min, press.now.misfit)
         track = tracked(track, press.now, touch.time, rubber, scale, s)
@@ -128,7 +128,10 @@ class ContactShapeEstimator:
         probabilities = press.kinds((*SHAPES,))
         misfit = press.now.misfit
         if misfit > s.misfit_max:
-            text = f"no body explains the markers: misfit {misfit:.1f}, at most {s.misfit_max:g}"
+            text = (
+                f"no shape model explains the markers: misfit {misfit:.1f}, maximum "
+                f"{s.misfit_max:g}"
+            )
             return _unknown(Status(StatusCode.FIT_FAILED, text), probabilities, misfit)
         kind = max(probabilities, key=lambda name: probabilities[name])
         weighed = []
@@ -199,7 +202,7 @@ def uninformative_status(touch: Touch, s: ContactShapeSettings) -> ContactShape 
     if touch.status != OK or touch.contact is None or touch.markers is None:
         return _unknown(Status(StatusCode.INCOMPLETE_DATA, f"no touch: {touch.status}"))
     if not touch.touching or touch.force_normal < s.force_min:
-        return _unknown(Status(StatusCode.FORCE_TOO_LOW, f"less than {s.force_min:g} N"))
+        return _unknown(Status(StatusCode.FORCE_TOO_LOW, f"normal force below {s.force_min:g} N"))
     return None
 
 

@@ -130,7 +130,7 @@ def _tension_of_rest(grid: _Grid, bent: Array, seen: NDArray[np.bool_], pressure
     smooth = columns @ found
     middle = float(np.median(smooth[seen]))
     if middle <= 0:
-        raise InputError("bulges inward at rest: z must be outward", field="membrane")
+        raise InputError("bulges inward at rest: z must point outward", field="membrane")
     return pressure / np.clip(smooth, 0.3 * middle, 3.0 * middle)
 
 
@@ -204,7 +204,8 @@ class _Grid:
         given = given[np.isfinite(given).all(axis=1) & on.all(axis=1)]
         if len(given) < _FEWEST:
             raise InputError(
-                f"has {len(given)} points over the outline, at least {_FEWEST}", field=field
+                f"has {len(given)} points over the outline; at least {_FEWEST} are needed",
+                field=field,
             )
         looks = self._interpolation(given[:, :2])
         each = np.asarray(looks.sum(axis=0)).ravel()

@@ -17,6 +17,8 @@ only. The arithmetic is in mjtactile/kernels/inverse.c.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,13 +72,13 @@ class InverseMembrane(LoadedMembrane):
         super().__init__(design, settings)
         self._known = fiducials
         self.prior = LoadPrior(self.x[1:-1], self.y[1:-1], prior)
-        # nodes in each direction, generalised forces (kx, jx), (ky, jy) of one pascal at each, and
-        # the prior's roots
-        self._nodes = (
+        # nodes in each direction, generalised forces (kx, jx), (ky, jy) of one pascal at each
+        self._grid = (
             len(self.x) - 2,
             len(self.y) - 2,
-            *map(np.ascontiguousarray, (*self.node_loads(), *self.prior.root)),
+            *map(np.ascontiguousarray, self.node_loads()),
         )
+        self._roots: dict[float, tuple[Array, ...]] = {}
         self._doubt = ModelErrorVariance(design, self.nodes, doubt)
         self._posterior_fraction = np.array(settings.posterior_fraction)[AXES]
         self._slopes: MarkerSlopes | None = None
@@ -94,14 +96,17 @@ class InverseMembrane(LoadedMembrane):
         *,
         camera: CameraDriftFilter | CameraDriftEstimate | None = None,
         lost: bool = False,
+        correlation: float | None = None,
     ) -> Shape:
         """Estimate tractions and deformation from the markers, starting from the last frame if
         given.
 
         `camera` is the prior of the camera drift (None: not knocked since `rest`). With fiducials,
         the markers are already corrected for it. `lost`: True if some gas without a pressure sensor
-        may have been lost.
+        may have been lost. `correlation` is the correlation length of the tractions, m (None: as in
+        the settings).
         """
+        correlation = correlation or self.prior.settings.correlation
         camera = camera or CameraDriftFilter.unseen(self.settings)
         c, before = (rest.c, None) if start is None else (start.c, start)
         gain = None if start is None else start.gain
@@ -109,9 +114,9 @@ class InverseMembrane(LoadedMembrane):
             if (
                 gain is None
                 or gain.reweighted < REWEIGHTED
-                or not gain.serves(c, markers, rest, camera, lost)
+                or not gain.serves(c, markers, rest, camera, lost, correlation)
             ):
-                gain = self._gain(c, markers, rest, before, camera, lost)
+                gain = self._gain(c, markers, rest, before, camera, lost, correlation)
             seen = markers.p_SM - rest.offset[markers.ids]
             if isinstance(camera, CameraDriftFilter):
                 seen -= gain.modes @ camera.mean
@@ -154,7 +159,7 @@ class InverseMembrane(LoadedMembrane):
         drift = np.empty(unknowns)
         kernel("inverse_step")(
             *self._sight(gain.stiffness, ids, gain.weights, gain.tilts),
-            *self._nodes,
+            *self._nodes(gain.correlation),
             gain.prior,
             gain.innovation,
             unknowns,
@@ -191,6 +196,17 @@ class InverseMembrane(LoadedMembrane):
             camera=drift[1:],
         )
 
+    def _nodes(self, correlation: float) -> tuple[Any, ...]:
+        """Return the kernel arguments for the nodes, with the roots of a prior with this
+        correlation length, m."""
+        if correlation not in self._roots:
+            prior = self.prior
+            if correlation != prior.settings.correlation:
+                settings = replace(prior.settings, correlation=correlation)
+                prior = LoadPrior(self.x[1:-1], self.y[1:-1], settings)
+            self._roots[correlation] = tuple(map(np.ascontiguousarray, prior.root))
+        return (*self._grid, *self._roots[correlation])
+
     def _sight(
         self, stiffness: Stiffness, ids: NDArray[np.int64], weights: Array, tilts: Array | None
     ) -> tuple[object, ...]:
@@ -216,6 +232,7 @@ class InverseMembrane(LoadedMembrane):
         before: Shape | None,
         camera: CameraDriftFilter | CameraDriftEstimate,
         lost: bool,
+        correlation: float,
     ) -> Linearization:
         """Linearize at `c` for these markers; `before` is the last estimate."""
         state = self._state(c, rest)
@@ -233,7 +250,7 @@ class InverseMembrane(LoadedMembrane):
         gas_observed = np.empty(rows)
         kernel("inverse_gain")(
             *self._sight(stiffness, ids, weights, tilts),
-            *self._nodes,
+            *self._nodes(correlation),
             prior,
             stiffness.solve(load),
             half,
@@ -265,6 +282,7 @@ class InverseMembrane(LoadedMembrane):
             lost=lost,
             modes=modes,
             left=np.eye(len(known) - 1) - known[1:, 1:],
+            correlation=correlation,
         )
 
     def _weights(
@@ -370,7 +388,7 @@ class InverseMembrane(LoadedMembrane):
         """
         gain = shape.gain
         cov = np.empty((6, 6))
-        jx, jy, _, _, *roots = self._nodes
+        jx, jy, _, _, *roots = self._nodes(gain.correlation)
         kernel("wrench_posterior")(
             len(gain.half),
             jx,

@@ -42,6 +42,7 @@ class Linearization:
     - `camera`: prior of the camera drift; `lost`: True if gas may have been lost.
     - `modes` (m, 3, modes): marker motion per camera mode, m.
     - `left` (modes, modes): fraction of the camera covariance that is left.
+    - `correlation`: correlation length of the prior of the tractions, m.
     """
 
     c: Array
@@ -64,6 +65,7 @@ class Linearization:
     lost: bool
     modes: Array
     left: Array
+    correlation: float
 
     def serves(
         self,
@@ -72,9 +74,12 @@ class Linearization:
         rest: InverseRest,
         camera: CameraDriftFilter | CameraDriftEstimate,
         lost: bool,
+        correlation: float,
     ) -> bool:
-        """Return True if it is valid near `c`, for these markers and this knowledge of gas and
-        camera."""
+        """Return True if it is valid near `c`, for these markers, this knowledge of gas and camera,
+        and this correlation length, m, of the prior."""
+        if correlation != self.correlation:
+            return False
         if lost != self.lost or not _equally_certain(camera, self.camera):
             return False
         if not np.array_equal(self.ids, markers.ids) or np.abs(c - self.c).max() >= NEAR:
@@ -108,6 +113,20 @@ class Shape:
     excess: Array
     drift: float
     camera: Array
+
+    @property
+    def log_evidence(self) -> float:
+        """Logarithm of the markers' probability density under the priors that it was made with.
+
+        Hypotheses about load and camera that explain the same markers are compared by it. The
+        discounted markers count with their larger standard deviations.
+        """
+        gain = self.gain
+        log_sd = 3 * np.log(gain.distrust[0]).sum()
+        if gain.tilts is not None:
+            log_sd += 2 * np.log(gain.distrust[1]).sum()
+        chi2 = len(gain.half) * self.misfit
+        return float(-0.5 * chi2 - np.log(np.diagonal(gain.innovation)).sum() - log_sd)
 
 
 def _equally_certain(

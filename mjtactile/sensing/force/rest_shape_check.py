@@ -71,10 +71,10 @@ def require_bulge(
     if not 1 / most < rest.stiffness_scale < most:
         height = 1e3 * float(np.abs(markers.p_SM[:, 2]).max())
         raise DeviceError(
-            f"sensor {design.name}: at {gauge_pressure:.0f} Pa the markers stand "
-            f"{height:.2f} mm high at most, as if the membrane were "
-            f"{rest.stiffness_scale:.1f} times as stiff as in the sensor file: does the valve "
-            "move, and are the membrane's young_MPa and thickness_mm right?"
+            f"sensor {design.name}: at {gauge_pressure:.0f} Pa the markers are at most "
+            f"{height:.2f} mm high, as if the membrane were {rest.stiffness_scale:.1f} times "
+            "as stiff as in the sensor file; check that the valve moves, and young_MPa and "
+            "thickness_mm of the membrane"
         )
     # hardly a bulge, and no stiffness was fitted to it
     if gauge_pressure <= settings.inverse.informative_pressure:
@@ -83,8 +83,8 @@ def require_bulge(
     if squares > settings.reference.bulge_misfit_max:
         off = 1e3 * float(np.abs(markers.p_SM[:, 2] - z).max())
         raise DeviceError(
-            f"sensor {design.name}: at rest the membrane is not the bulge that "
-            f"{gauge_pressure:.0f} Pa make: markers are up to {off:.2f} mm off "
-            f"({np.sqrt(squares):.1f} standard deviations, rms); does something touch it? Else "
-            "the lens is not as in the sensor file: `mjtactile calibrate camera`"
+            f"sensor {design.name}: at rest the membrane does not have the bulge expected at "
+            f"{gauge_pressure:.0f} Pa: markers deviate by up to {off:.2f} mm "
+            f"({np.sqrt(squares):.1f} standard deviations, rms); remove any contact, else "
+            "measure the lens: `mjtactile calibrate camera`"
         )

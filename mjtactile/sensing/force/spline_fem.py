@@ -48,7 +48,7 @@ class Gas:
     def __post_init__(self) -> None:
         if not isinstance(self.gauge, int | float | np.number) or not np.isfinite(self.gauge):
             raise InputError(
-                f"{self.gauge!r} is not a pressure, Pa", source="chamber", field="gauge_pressure"
+                f"{self.gauge!r} is not a pressure in Pa", source="chamber", field="gauge_pressure"
             )
 
     def gauge_pressure(self, volume: float, ambient: float, gamma: float) -> float:
@@ -111,7 +111,7 @@ class Sheet:
     def __init__(self, design: SensorDesign, spans: tuple[int, int]):
         if min(spans) < FEWEST_SPANS:
             raise InputError(
-                f"{spans}: at least {FEWEST_SPANS} intervals along each side",
+                f"{spans}: at least {FEWEST_SPANS} intervals are needed along each side",
                 source="settings",
                 field="inverse.spans",
             )
@@ -308,8 +308,8 @@ class Sheet:
             kernel("factor_definite")(len(band), self.width, band)
         except np.linalg.LinAlgError:
             raise MjtactileError(
-                f"sensor {self.design.name}: the membrane's stiffness is not finite: its sensor "
-                "file, the pressure or the markers are not"
+                f"sensor {self.design.name}: the membrane's stiffness is not finite; check "
+                "the sensor file, the pressure and the markers"
             ) from None
         share = kernel("soften")(*self.shape, band, state.gradient, gas_stiffness, softened)
         return self.residual(state, pressure), Stiffness(self, band, softened, share)
@@ -340,7 +340,8 @@ class Sheet:
             if largest < _CONVERGED:
                 return c
         raise MjtactileError(
-            f"sensor {self.design.name}: the membrane finds no equilibrium at {gas.gauge:g} Pa"
+            f"sensor {self.design.name}: no equilibrium of the membrane was found at "
+            f"{gas.gauge:g} Pa"
         )
 
 

@@ -83,7 +83,9 @@ def track_circles(
             given.
     """
     if (camera is None) != (radius is None):
-        raise InputError("camera and radius go together", source="track_circles", field="radius")
+        raise InputError(
+            "camera and radius must be given together", source="track_circles", field="radius"
+        )
     skin: _Skin | None = None
     for image in images:
         poses = None

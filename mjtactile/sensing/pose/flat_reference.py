@@ -83,16 +83,16 @@ def measure_flat(
     ids = np.flatnonzero(times >= max(len(seen) / 2, 1))
     if len(ids) < _FEWEST_MARKERS:
         raise DeviceError(
-            f"sensor {design.name}: flat reference: {len(seen)} images, which together show "
+            f"sensor {design.name}: flat reference: {len(seen)} images together show only "
             f"{len(ids)} of {count} markers"
         )
     uv = total[ids] / times[ids][:, None]
     R_SC, p_SC, residual = fit_camera_pose(design, camera, design.markers.p_SM[ids], uv)
     if residual > s.residual_max:
         raise DeviceError(
-            f"sensor {design.name}: flat reference: marker centres are {residual:.1f} px (rms) off "
-            "the layout; check the lens, [markers] layout and radius_mm in the sensor file, and "
-            "that the membrane is flat"
+            f"sensor {design.name}: flat reference: marker centers deviate by {residual:.1f} "
+            "px (rms) from the layout; check the lens, [markers] layout and radius_mm in the "
+            "sensor file, and that the membrane is flat"
         )
     wanted = _apparent_depth(camera, (design.markers.p_SM - p_SC) @ R_SC)
     ratios = np.full((len(seen), count), np.nan)
@@ -148,7 +148,7 @@ def _check_scale(design: SensorDesign, scale: Array, most: float) -> None:
     worst = int(np.argmax(np.abs(scale - 1)))
     if abs(scale[worst] - 1) > most:
         raise DeviceError(
-            f"sensor {design.name}: flat reference: marker {worst} looks "
-            f"{100 * (scale[worst] - 1):+.0f} % off in "
-            "size; check [markers] radius_mm, and that the valve is open"
+            f"sensor {design.name}: flat reference: the size of marker {worst} deviates by "
+            f"{100 * (scale[worst] - 1):+.0f} %; check [markers] radius_mm, and that the "
+            "valve is open"
         )

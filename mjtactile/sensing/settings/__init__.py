@@ -89,7 +89,7 @@ class Settings:
     """All stages' numbers."""
 
     min_detected: float = number(
-        0.4, "share of the markers below which the shape is a guess", TRIED, high=1.0
+        0.4, "fraction of detected markers below which the shape is unreliable", TRIED, high=1.0
     )
     markers: MarkerSettings = field(default_factory=MarkerSettings)
     candidates: CandidateSettings = field(default_factory=CandidateSettings)

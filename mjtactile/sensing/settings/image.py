@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from mjtactile.sensing.settings.tunable_parameter import SEEN, TRIED, number
 
-_MONTE_CARLO = "Monte Carlo: the covariance against the scatter of fits to simulated noise"
+_MONTE_CARLO = "Monte Carlo: covariance compared with the scatter of fits to simulated noise"
 
 
 @dataclass(frozen=True)
@@ -15,28 +15,27 @@ class CandidateSettings:
 
     cells: int = number(
         60,
-        "cells of the threshold's grid along the image's shorter side, about",
+        "approximate number of cells of the threshold grid along the shorter image side",
         TRIED,
         low=4,
         high=400,
     )
     half_from: float = number(
         4.0,
-        "px; where nothing smaller counts, half the resolution is looked at",
+        "minimum radius, px, from which half the resolution is searched",
         "half resolution shows enough there, in less than half the time",
     )
     margins: tuple[float, float] = number(
         (3.0, 24.0),
-        "grey levels of 256 darker than its neighbourhood: the least, and the most that noise can "
-        "ask for",
-        "at first 4, whatever the noise; " + SEEN,
+        "minimum and maximum of the threshold below the neighborhood, in grey levels of 256",
+        "initially 4, independent of the noise; " + SEEN,
     )
     noise: float = number(
-        4.0, "times the median difference of neighbours: the margin that noise asks for", TRIED
+        4.0, "threshold due to noise, in median differences of neighboring pixels", TRIED
     )
     smallest: float = number(
         0.7,
-        "of the smallest radius asked for: what a border may look like before it is fitted",
+        "minimum radius of a border before the fit, relative to the requested minimum radius",
         TRIED,
     )
 
@@ -48,34 +47,39 @@ class EdgeSettings:
 
     small_radius: float = number(
         7.0,
-        "px, times a blur of more than 1 px; below this mean radius the edge's curvature is felt "
-        "beyond the first order",
+        "mean radius, px, times a blur of more than 1 px, below which the edge curvature "
+        "matters beyond the first order",
         TRIED,
     )
     sharpest: float = number(
         0.55,
-        "px; a blur fitted below it was taken for size",
-        "softening and the pixel's own square make 0.69 of no blur at all",
+        "minimum fitted blur, px; less blur was confused with size",
+        "smoothing and the pixel area give 0.69 without any blur",
     )
     outlier_residuals: float = number(
-        4.0, "times the marker's rms residual: where a pixel's weight falls off", TRIED
+        4.0,
+        "residual at which the weight of a pixel decreases, in rms residuals of the marker",
+        TRIED,
     )
     outlier_fraction: float = number(
         0.1,
-        "of the contrast: no pixel nearer than that is an outlier",
-        "a lens or a camera's sharpening that the model does not know; " + SEEN,
+        "minimum residual of an outlier pixel, relative to the contrast",
+        "effects of lens or camera sharpening that the model does not contain; " + SEEN,
     )
     covariance_factor: float = number(
-        4.3, "factor on the covariance: softened noise is not white", _MONTE_CARLO
+        4.3, "factor on the covariance: smoothed noise is not white", _MONTE_CARLO
     )
     neighbour_margin: float = number(
-        1.5, "px around another marker that are left out: most of its blurred rim", TRIED
+        1.5, "excluded margin around another marker, px: most of its blurred edge", TRIED
     )
-    max_size_ratio: float = number(
-        4.0, "times a marker's size: what is larger is no marker that stands beside it", TRIED
-    )
+    max_size_ratio: float = number(4.0, "maximum size ratio of a neighboring marker", TRIED)
     min_distance_fraction: float = number(
-        0.7, "of the other's radius; what is nearer is the marker itself, or what it lies on", TRIED
+        0.7,
+        (
+            "minimum distance of another marker, relative to its radius; less is the marker "
+            "itself or its background"
+        ),
+        TRIED,
     )
 
 
@@ -85,35 +89,36 @@ class ProfileSettings:
 
     step: float = number(
         0.75,
-        "px between samples along a profile, for blur up to `start_blur`; more blur stretches it",
+        "spacing of samples along a profile, px, for blur up to `start_blur`; more blur "
+        "increases it",
         TRIED,
         low=0.1,
         high=10.0,
     )
-    start_blur: float = number(1.1, "px, see `step`; the blur to start from", TRIED)
-    spacing: float = number(2.0, "px of arc between profiles", "at first 1; " + SEEN)
+    start_blur: float = number(1.1, "initial blur, px; see `step`", TRIED)
+    spacing: float = number(2.0, "arc length between profiles, px", "at first 1; " + SEEN)
     level_outlier: float = number(
-        2.5, "times the spread of a marker's levels, at which a profile's level is bounded", TRIED
+        2.5, "bound on the level of a profile, in spreads of the marker's levels", TRIED
     )
     outlier_offsets: float = number(
-        6.0, "times the mean offset: where a profile's weight falls off", TRIED
+        6.0, "offset at which the weight of a profile decreases, in mean offsets", TRIED
     )
-    outlier_min: float = number(0.08, "px; no profile nearer than that is an outlier", TRIED)
+    outlier_min: float = number(0.08, "minimum offset of an outlier profile, px", TRIED)
     max_blur_variance: float = number(
-        3.0, "times the image's middle blur variance, at which a profile's is bounded", TRIED
+        3.0, "bound on the blur variance of a profile, relative to the median of the image", TRIED
     )
     covariance_factor: float = number(
         1.08,
-        "factor on the covariance: rounding, interpolation and the blur's own noise",
+        "factor on the covariance: rounding, interpolation and noise of the blur",
         _MONTE_CARLO,
     )
     motion_sd_fraction: float = number(
-        0.5, "share of the correction for motion that is in doubt: motion is no Gaussian", TRIED
+        0.5, "relative uncertainty of the motion correction: motion blur is not Gaussian", TRIED
     )
     sharpest: float = number(
         0.3,
-        "px; blur as low as that is the pixel's own square at most",
-        "the square's sd is 0.29 px",
+        "minimum blur, px; less is at most the pixel area",
+        "the standard deviation of a pixel's area is 0.29 px",
     )
 
 
@@ -122,73 +127,87 @@ class MarkerSettings:
     """Settings of the acceptance of ellipses (sensing/image/fit_validation.py,
     sensing/image/ellipse_fit.py)."""
 
-    profile_min_radius: float = number(
-        6.0, "px, semi-minor axis from which on profiles have room", TRIED
-    )
-    profile_min_blurs: float = number(
-        7.5, "times the blur, below which profiles have no room either", TRIED
-    )
+    profile_min_radius: float = number(6.0, "minimum semi-minor axis for profiles, px", TRIED)
+    profile_min_blurs: float = number(7.5, "minimum semi-minor axis for profiles, in blurs", TRIED)
     min_blurs: float = number(
-        2.8, "times the blur, below which radius, blur and level cannot be told apart", TRIED
-    )
-    start_blur_fraction: float = number(
-        0.3, "of a marker's size: the blur to start from where it was taken for size", TRIED
-    )
-    sure_blurs: float = number(5.0, "times the blur; a larger marker knows its own", TRIED)
-    blur_spread: float = number(1.15, "factor of one marker's blur over the image's", TRIED)
-    min_motion: float = number(0.06, "px of motion that are no noise", TRIED)
-    covered_fraction: float = number(
-        0.08,
-        "of the contrast: what a fit leaves over where part of the edge is not the marker's",
+        2.8,
+        ("minimum semi-minor axis, in blurs; below it, radius, blur and level cannot be separated"),
         TRIED,
     )
-    min_peers: int = number(5, "markers that say how large markers are", TRIED)
+    start_blur_fraction: float = number(
+        0.3, "initial blur where blur was confused with size, relative to the marker size", TRIED
+    )
+    sure_blurs: float = number(
+        5.0, "semi-minor axis above which a marker determines its own blur, in blurs", TRIED
+    )
+    blur_spread: float = number(
+        1.15, "maximum ratio of a marker's blur to that of the image", TRIED
+    )
+    min_motion: float = number(0.06, "minimum motion blur that is not noise, px", TRIED)
+    covered_fraction: float = number(
+        0.08, "residual, relative to the contrast, above which part of the edge is covered", TRIED
+    )
+    min_peers: int = number(5, "minimum number of markers for their typical size", TRIED)
     size_log_tolerance: float = number(
-        0.5, "log of size by which one may differ from their median", TRIED
+        0.5, "maximum deviation of the log of a marker's size from the median", TRIED
     )
     min_edge_distance: float = number(
-        3.0, "px between two edges, or an edge and the image's border, that disturb a fit", TRIED
+        3.0,
+        "minimum distance between two edges, or between an edge and the image border, px",
+        TRIED,
     )
-    min_border_axes: float = number(0.15, "least ratio of a border's axes", TRIED)
-    min_flawed_axes: float = number(0.4, "the same of one with glare or dirt on it", TRIED)
+    min_border_axes: float = number(0.15, "minimum axis ratio of a border", TRIED)
+    min_flawed_axes: float = number(0.4, "minimum axis ratio of a border with glare or dirt", TRIED)
     max_flawed_misfit: float = number(
-        0.6, "of its size: how far such a border may be from its own ellipse", TRIED
+        0.6, "maximum distance of such a border from its own ellipse, relative to its size", TRIED
     )
     max_border_misfit: float = number(
-        1.2, "px that a border may be from its own ellipse, and ...", TRIED
+        1.2, "maximum distance of a border from its own ellipse, px, plus ...", TRIED
     )
-    border_misfit_fraction: float = number(0.2, "... of its semi-minor axis beside that", TRIED)
+    border_misfit_fraction: float = number(0.2, "... this fraction of its semi-minor axis", TRIED)
     border_misfit_fraction_cut: float = number(
-        0.4, "the same where the image's border cuts it", TRIED
+        0.4, "the same for a border that the image border cuts", TRIED
     )
-    min_contrast: float = number(5.0, "times the residual: the least contrast", TRIED)
-    min_contrast_any: float = number(2.0, "times it, below which there is no marker at all", TRIED)
+    min_contrast: float = number(5.0, "minimum contrast of a trusted marker, in residuals", TRIED)
+    min_contrast_any: float = number(2.0, "minimum contrast of any marker, in residuals", TRIED)
     max_shape_sd: float = number(
-        0.1, "of the semi-minor axis: the largest sd of a trusted shape", TRIED
+        0.1, "maximum standard deviation of a trusted shape, relative to the semi-minor axis", TRIED
     )
-    max_shape_sd_any: float = number(0.5, "of it, above which there is no marker at all", TRIED)
-    max_residual: float = number(0.15, "of the contrast: a larger residual is no ellipse's", TRIED)
+    max_shape_sd_any: float = number(
+        0.5,
+        "maximum standard deviation of any marker's shape, relative to the semi-minor axis",
+        TRIED,
+    )
+    max_residual: float = number(
+        0.15, "maximum residual of an ellipse, relative to the contrast", TRIED
+    )
     covered_residuals: float = number(
         5.0,
-        "times the image's middle residual, which `covered_fraction` must exceed, too",
-        "compressed photographs leave more of every marker",
+        "minimum residual for `covered_fraction`, in median residuals of the image",
+        "compressed photographs increase the residual of every marker",
     )
-    max_lost_weight: float = number(0.25, "share of the robust weight lost to glare or dirt", TRIED)
+    max_lost_weight: float = number(
+        0.25, "maximum fraction of the robust weight lost to glare or dirt", TRIED
+    )
     sharper_ratio: float = number(
-        0.7, "of the image's blur: a fit that found less may have taken the blur for size", TRIED
+        0.7,
+        "ratio to the blur of the image, below which a fit may have confused blur with size",
+        TRIED,
     )
     max_shape_change: float = number(
         0.25,
-        "of the semi-minor axis (beside `max_border_misfit`): how far the fit may move from its "
-        "candidate's shape",
+        "maximum change from the candidate's shape, relative to the semi-minor axis (plus "
+        "`max_border_misfit`)",
         TRIED,
     )
     max_move: float = number(
-        0.3, "of the semi-minor axis (beside 1 px): how far it may move from its place", TRIED
+        0.3,
+        ("maximum displacement from the candidate, relative to the semi-minor axis (plus 1 px)"),
+        TRIED,
     )
-    min_fit_axes: float = number(0.1, "least ratio of a fit's axes", TRIED)
+    min_fit_axes: float = number(0.1, "minimum axis ratio of a fit", TRIED)
     shrunk_fraction: float = number(
-        0.5, "of the smallest radius asked for, below which there is no marker at all", TRIED
+        0.5, "minimum radius of any marker, relative to the requested minimum radius", TRIED
     )
 
 
@@ -201,22 +220,27 @@ class TrackingSettings:
     (sensing/image/tracking.py)."""
 
     images_between_searches: int = number(
-        15, "images in a row without a search", "half a second at 30 Hz"
+        15, "number of consecutive images without a search", "half a second at 30 Hz"
     )
     max_gap: float = number(
-        0.15, "s between two images; after a longer one nothing is expected", "two images of 15 Hz"
+        0.15,
+        "maximum time between two images, s; positions are not predicted over a longer time",
+        "two images at 15 Hz",
     )
     position_tolerance: float = number(
         1.2,
-        "px that a marker may be from where it was going; a fit finds its edge from two away",
+        "maximum deviation of a marker from its predicted position, px; a fit finds an edge "
+        "up to two away",
         _FOLLOWED,
     )
-    shape_tolerance: float = number(0.7, "px that its shape may have changed by", _FOLLOWED)
+    shape_tolerance: float = number(0.7, "maximum change of its shape, px", _FOLLOWED)
     contrast_tolerance: float = number(
-        0.15, "of the least contrast: how far a contrast may have changed", _FOLLOWED
+        0.15, "maximum change of a contrast, relative to the minimum contrast", _FOLLOWED
     )
-    max_residual: float = number(1.7, "times the image's middle residual", _FOLLOWED)
-    max_lost_weight: float = number(0.02, "share of the robust weight that is lost", _FOLLOWED)
+    max_residual: float = number(
+        1.7, "maximum ratio to the median residual of the image", _FOLLOWED
+    )
+    max_lost_weight: float = number(0.02, "maximum lost fraction of the robust weight", _FOLLOWED)
 
 
 @dataclass(frozen=True)
@@ -226,42 +250,40 @@ class ExhaustiveDetectionSettings:
 
     closing_size: int = number(
         17,
-        "px of the closing: blobs up to a radius of 8 px stand out, on the image and on "
-        "smaller ones",
+        "size of the closing, px: it reveals blobs with a radius up to 8 px, on the image "
+        "and on smaller ones",
         TRIED,
     )
-    scale_step: int = number(3, "from one image to the next smaller", TRIED, low=2)
-    min_side: int = number(60, "px of the smallest one's shorter side", TRIED)
+    scale_step: int = number(3, "scale factor from one image to the next smaller one", TRIED, low=2)
+    min_side: int = number(60, "minimum shorter side of the smallest image, px", TRIED)
     dark_fraction: float = number(
         0.5,
-        "of how dark the darkest place nearby is: what belongs to the blob",
-        "the middle of a blurred edge",
+        "minimum darkness of a blob's pixels, relative to the maximum nearby",
+        "the center of a blurred edge",
     )
     same_size_ratio: float = number(
-        1.5, "ratio of sizes up to which two outlines may be the same circle's", TRIED
+        1.5, "maximum size ratio of two outlines of the same circle", TRIED
     )
     inside_ratio: float = number(
         1.3,
-        "of its ellipse: how far out a part of a circle may lie, where the kernel's corner did "
-        "not fit",
+        "maximum distance of a part of a circle, in radii of its ellipse, where the kernel's "
+        "corner did not fit",
         TRIED,
     )
-    retry_blur: float = number(
-        0.7, "px: a fit that failed is tried again with at least that much blur", TRIED
+    retry_blur: float = number(0.7, "minimum blur for repeating a failed fit, px", TRIED)
+    blur_sd_fraction: float = number(0.1, "relative variation of the blur over a photograph", TRIED)
+    grey_levels: tuple[float, float] = number(
+        (0.1, 0.9), "relative levels of an edge that count as grey", TRIED
     )
-    blur_sd_fraction: float = number(
-        0.1, "of the blur: by how much it differs from place to place in a photograph", TRIED
-    )
-    grey_levels: tuple[float, float] = number((0.1, 0.9), "levels of an edge that are grey", TRIED)
     grey_fraction: float = number(
         0.05,
-        "of an edge's pixels; with fewer grey ones it is black and white only",
-        "what pixels' areas alone make of a sharp edge is 0.3",
+        "minimum fraction of grey edge pixels; with fewer, the image is only black and white",
+        "pixel areas alone give 0.3 for a sharp edge",
     )
     sampled_blur: float = number(
         0.5,
-        "px of blur for such a picture",
-        "0.5 to 1 leave the same error; the least has the best error bars",
+        "blur that such an image receives, px",
+        "0.5 to 1 give the same error; the minimum has the best uncertainties",
     )
 
 
@@ -269,31 +291,40 @@ class ExhaustiveDetectionSettings:
 class GammaSettings:
     """Settings of the camera gamma estimate (sensing/image/gamma.py)."""
 
-    min_circles: int = number(6, "circles that must agree", TRIED)
+    min_circles: int = number(6, "minimum number of consistent circles", TRIED)
     max_circles: int = number(
         24,
-        "circles that are looked at",
-        "more cost time and tell no more than what is not modelled hides",
+        "maximum number of evaluated circles",
+        "more circles cost time and add less information than model errors hide",
     )
     min_radius: float = number(
-        4.0, "px of the semi-minor axis; below, blur and level are not told apart", TRIED
+        4.0, "minimum semi-minor axis, px; below it, blur and level cannot be separated", TRIED
     )
-    profile_half_width: float = number(5.0, "px to both sides of an edge that are looked at", TRIED)
-    start_gamma: float = number(1.5, "to start from", "between 1 and 2.2")
-    start_blur: float = number(0.8, "px to start from", TRIED)
+    profile_half_width: float = number(5.0, "evaluated width on both sides of an edge, px", TRIED)
+    start_gamma: float = number(1.5, "initial value of gamma", "between 1 and 2.2")
+    start_blur: float = number(0.8, "initial value of the blur, px", TRIED)
     min_blur: float = number(
         0.6,
-        "px, the pixel's own square included; below, its corners are lopsided enough",
-        "simulated circles: right from 0.65 on, 3.3 for a true 2.2 at 0.42",
+        "minimum blur including the pixel area, px; below it, pixel corners are asymmetric "
+        "enough to matter",
+        "simulated circles: correct from 0.65 on, 3.3 for a true 2.2 at 0.42",
     )
     model_sd_fraction: float = number(
-        0.08, "of it: sd of what is not modelled", "simulated circles of 5 to 20 px"
+        0.08,
+        "standard deviation due to model errors, relative to gamma",
+        "simulated circles of 5 to 20 px",
     )
     range: tuple[float, float] = number(
-        (0.3, 4.0), "beyond it, it is no gamma but sharpening or clipping", "cameras have 1 to 2.6"
+        (0.3, 4.0),
+        "valid range; outside it, the cause is sharpening or clipping",
+        "cameras have 1 to 2.6",
     )
-    min_sds: float = number(3.0, "sd by which it must differ from what was assumed, and ...", TRIED)
-    min_log_change: float = number(0.25, "... its logarithm, to be said", "0.05 px of size")
+    min_sds: float = number(
+        3.0,
+        ("minimum reported deviation from the assumed gamma, in standard deviations, and ..."),
+        TRIED,
+    )
+    min_log_change: float = number(0.25, "... in its logarithm", "0.05 px of size")
     size_per_log: float = number(
-        0.6, "px of size for a unit of log gamma that is wrong", "simulated circles: 0.4 to 0.6"
+        0.6, "size error for a unit error of log gamma, px", "simulated circles: 0.4 to 0.6"
     )

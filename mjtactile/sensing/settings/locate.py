@@ -16,23 +16,27 @@ class LocateSettings:
 
     min_shared_radius: float = number(
         6.0,
-        "px, median semi-minor axis below which circles share depth",
-        "a camera's processing of edges outweighs its noise there; " + _PHOTOGRAPHS,
+        "median semi-minor axis below which circles share depth, px",
+        "edge processing in a camera exceeds its noise there; " + _PHOTOGRAPHS,
     )
     ground_distance: float = number(
-        3.0, "px from a dark circle's edge, where the ground is looked at", TRIED
+        3.0, "distance from a dark circle's edge at which the background is sampled, px", TRIED
     )
-    inside_fraction: float = number(0.4, "of a bright circle's size, where it is looked at", TRIED)
+    inside_fraction: float = number(
+        0.4, "radius at which a bright circle is sampled, relative to its size", TRIED
+    )
     clipped_level: float = number(
         0.98,
-        "of the camera's range, above which a pixel is clipped",
-        "one of three averaged channels may not be",
+        "minimum level of a clipped pixel, relative to the camera's range",
+        "one of three averaged channels may not be clipped",
     )
     clipped_fraction: float = number(
-        0.5, "of the pixels looked at, above which the picture is overexposed", "most"
+        0.5, "fraction of clipped pixels above which the image is overexposed", "most"
     )
     size_sd: float = number(
-        0.3, "px by which a clipped edge may be off", "photographs of known boards show 0.1 to 0.45"
+        0.3,
+        "standard deviation of the position of a clipped edge, px",
+        "photographs of known boards show 0.1 to 0.45",
     )
 
 
@@ -40,14 +44,14 @@ class LocateSettings:
 class NeighborSmoothingSettings:
     """Settings of the shared elongation of circles (sensing/pose/neighbor_smoothing.py)."""
 
-    min_circles: int = number(40, "circles", "a second-order field asks for many")
+    min_circles: int = number(40, "circles", "a second-order field needs many")
     max_scatter: float = number(
         4.0,
-        "scatter over predicted sd, above which they do not agree",
-        "what a real camera (sharpening, demosaicing, compression) may explain; " + _PHOTOGRAPHS,
+        "maximum scatter of consistent circles over the predicted standard deviation",
+        "maximum effect of a real camera (sharpening, demosaicing, compression); " + _PHOTOGRAPHS,
     )
-    min_median_weight: float = number(0.5, "median weight below which they do not agree", TRIED)
-    outlier_scatters: float = number(4.0, "times the scatter: where weights fall off", TRIED)
+    min_median_weight: float = number(0.5, "minimum median weight of consistent circles", TRIED)
+    outlier_scatters: float = number(4.0, "deviation at which weights decrease, in scatters", TRIED)
     min_weight: float = number(0.1, "weight below which a circle keeps its own elongation", TRIED)
 
 
@@ -58,22 +62,24 @@ class SmoothnessSettings:
 
     circle_range: tuple[int, int] = number(
         (40, 500),
-        "least and most of them",
-        "few say nothing about smoothness; the cost grows with the cube",
+        "minimum and maximum number of circles",
+        "few do not determine the smoothness; the cost grows with the cube",
     )
     common_fraction: float = number(
         0.33,
-        "part of a depth's own sd that all share, so that it stays",
-        "a camera's processing, an error of blur; " + SEEN,
+        "part of a depth's standard deviation that is common to all and therefore remains",
+        "camera processing, blur errors; " + SEEN,
     )
     gross_scatters: float = number(
-        5.0, "times the scatter about a second-order surface: where first weights fall off", TRIED
+        5.0,
+        "deviation from a second-order surface at which initial weights decrease, in scatters",
+        TRIED,
     )
     outlier_scatters: float = number(
-        4.0, "times the scatter about the spline: where weights fall off", TRIED
+        4.0, "deviation from the spline at which weights decrease, in scatters", TRIED
     )
     min_weight: float = number(0.1, "weight below which a circle keeps its own depth", TRIED)
-    min_agreeing_fraction: float = number(0.8, "of the circles that must agree", TRIED)
+    min_agreeing_fraction: float = number(0.8, "minimum fraction of consistent circles", TRIED)
 
 
 @dataclass(frozen=True)
@@ -81,22 +87,28 @@ class PoseDisambiguationSettings:
     """Settings of the choice between a circle's two poses (sensing/pose/pose_disambiguation.py)."""
 
     plane_circles: int = number(
-        9, "circles that a plane is laid through, the circle itself among them", TRIED
+        9, "number of circles for a plane fit, including the circle itself", TRIED
     )
     min_circles: int = number(
-        6, "circles in the picture, for planes at all", "three are a plane's own degrees of freedom"
+        6,
+        "minimum number of circles in the image for plane fits",
+        "a plane has three degrees of freedom",
     )
     max_normal_sd: float = number(
-        0.5, "rad, what a normal's linearised sd may be", "face-on it is infinite"
+        0.5,
+        "maximum linearized standard deviation of a normal, rad",
+        "it is infinite for a frontal circle",
     )
     max_surface_sd: float = number(
         0.15,
-        "rad, sd of a surface's normal from which on it says nothing",
-        "circles each at its own depth, simulated: at 0.5 they made 0.75 right that were 0.85",
+        "maximum standard deviation of an informative surface normal, rad",
+        "simulated circles at independent depths: with 0.5, 0.75 instead of 0.85 were right",
     )
     free_circles_prior: float = number(
-        4.0, "circles thought beforehand to hang each as it likes, against one on a surface", TRIED
+        4.0, "prior number of independent circles per circle on a surface", TRIED
     )
     min_surface_sd: float = number(
-        0.035, "rad, sd of a plane through neighbours for a bent sheet", "2 degrees; " + SEEN
+        0.035,
+        "minimum standard deviation of a plane through neighbors on a bent surface, rad",
+        "2 degrees; " + SEEN,
     )

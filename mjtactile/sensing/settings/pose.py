@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from mjtactile.sensing.settings.tunable_parameter import TRIED, number
 
 _BULGE = (
-    "100 simulated sensors, each with its own stiffness (30 %), pre-stretch (0.02), lens (3 %, 6 "
-    "px, k1 0.04), camera and pressure (tests/physics/test_rest_shape.py)"
+    "100 simulated sensors with individual stiffness (30 %), pre-stretch (0.02), lens (3 %, "
+    "6 px, k1 0.04), camera and pressure (tests/physics/test_rest_shape.py)"
 )
 
 
@@ -18,21 +18,26 @@ class IdentitySettings:
 
     gate: float = number(
         0.6,
-        "of the pitch: a circle farther from where a marker is expected is not that marker",
+        "maximum distance of a circle from the expected marker position, relative to the pitch",
         TRIED,
     )
     displacement_tolerance: float = number(
-        0.45, "of the pitch: a displacement farther off the neighbours' is a wrong match", TRIED
+        0.45,
+        (
+            "maximum deviation of a displacement from the neighbors', relative to the pitch; "
+            "more is a wrong match"
+        ),
+        TRIED,
     )
-    neighbours: int = number(8, "nearest markers that a marker is compared with", TRIED, high=64)
+    neighbours: int = number(8, "number of nearest markers for comparison", TRIED, high=64)
     height_weight: float = number(
         1e10,
-        "1/m^2, one over the variance of heights that a circle's two normals are judged by",
-        "heights known to 10 um",
+        "inverse variance of heights for the choice between a circle's two normals, 1/m^2",
+        "heights accurate to 10 um",
     )
     shift_resolution: float = number(
         5.0,
-        "parts of a pitch: circles whose offsets are nearer than one agree on a common one",
+        "parts of a pitch: circles agree on a common offset if theirs differ by less than one part",
         TRIED,
     )
 
@@ -43,32 +48,44 @@ class ReferenceSettings:
     sensing/force/rest_shape_check.py)."""
 
     radius_range: float = number(
-        0.1, "share by which a marker's size may be off the sensor file's", TRIED
+        0.1, "maximum relative deviation of a marker's size from the sensor file", TRIED
     )
     residual_max: float = number(
-        2.0, "px rms; beyond it, lens, layout or identity is wrong, not the pose", TRIED
+        2.0,
+        "maximum rms residual, px; beyond it, lens, layout or identity is wrong, not the pose",
+        TRIED,
     )
     stiffness_off_max: float = number(
         3.0,
-        "factor on the sensor file's stiffness",
+        "maximum factor on the sensor file's stiffness",
         "cast rubber varies by a factor of 1.5 from batch to batch",
     )
     bulge_misfit_max: float = number(
         5.0,
-        "mean square misfit of the bulge's shape over its variance",
-        _BULGE + ": the worst that nothing touched had 3.7, and 1.0 where the lens was measured; "
-        "what presses with 0.06 N gives 9 and more where the lens is right",
+        "maximum mean squared misfit of the bulge's shape over its variance",
+        _BULGE
+        + (
+            ": at most 3.7 without contact, and 1.0 with a measured lens; a load of 0.06 N gives "
+            "9 and more with the right lens"
+        ),
     )
     bulge_floor: float = number(
-        15e-6, "m, of heights: the splines against the finer mesh of a real membrane", _BULGE
+        15e-6,
+        (
+            "standard deviation of heights, m: splines compared with the finer mesh of a real "
+            "membrane"
+        ),
+        _BULGE,
     )
     lens_fraction: float = number(
-        0.03, "sd of each smooth mode of wrong heights, as a share of them", _BULGE
+        0.03, "relative standard deviation of each smooth mode of height errors", _BULGE
     )
-    lens_fraction_measured: float = number(0.003, "the same where the lens was measured", _BULGE)
-    lens_rest: float = number(0.003, "sd of what is not smooth, a share too ...", _BULGE)
+    lens_fraction_measured: float = number(0.003, "the same with a measured lens", _BULGE)
+    lens_rest: float = number(
+        0.003, "relative standard deviation of other height errors ...", _BULGE
+    )
     lens_rest_per_px: float = number(
-        0.3, "... and how it grows with the residual of the flat membrane, 1/px", _BULGE
+        0.3, "... and its increase with the residual of the flat membrane, 1/px", _BULGE
     )
 
 
@@ -76,21 +93,28 @@ class ReferenceSettings:
 class SurfaceSettings:
     """The smoothing spline through the markers (sensing/surface/surface.py)."""
 
-    roughness: float = number(3e3, "1/m^2, rms gradient of the Laplacian to expect", TRIED)
-    laplacian: float = number(300.0, "1/m, rms Laplacian to expect", TRIED)
-    markers_min: int = number(4, "fewer markers give a surface whose status is not ok", TRIED)
+    roughness: float = number(3e3, "expected rms gradient of the Laplacian, 1/m^2", TRIED)
+    laplacian: float = number(300.0, "expected rms Laplacian, 1/m", TRIED)
+    markers_min: int = number(4, "minimum number of markers for a surface with status ok", TRIED)
     slope_model_sd: float = number(
         4e-3,
-        "sd of a slope's misfit next to the edge of a contact, where a cubic spline cannot follow",
+        "standard deviation of a slope's misfit next to a contact edge, which a cubic spline "
+        "cannot follow",
         TRIED,
     )
     slope_sd_max: float = number(
-        0.02, "a slope known worse says less than the heights do, and is left out", TRIED
+        0.02,
+        (
+            "maximum standard deviation of a slope that is used; heights are more informative "
+            "than worse slopes"
+        ),
+        TRIED,
     )
     outlier_sd: float = number(
         6.0,
-        "sd by which a marker off what the others predict is left out, if it is also ...",
+        "deviation of an outlier marker from the prediction of the others, in standard "
+        "deviations, if it is also ...",
         TRIED,
     )
-    outlier_min: float = number(1.2e-3, "... that far off, m", TRIED)
-    outliers_leave: float = number(0.8, "share of the markers that is always kept", TRIED)
+    outlier_min: float = number(1.2e-3, "... at least this distance, m", TRIED)
+    outliers_leave: float = number(0.8, "minimum fraction of the markers that is kept", TRIED)

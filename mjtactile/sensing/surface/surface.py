@@ -317,7 +317,9 @@ def enough(markers: int, least: int) -> Status:
     """Return the status OK if there are at least `least` markers, else TOO_FEW_MARKERS."""
     if markers >= least:
         return OK
-    return Status(StatusCode.TOO_FEW_MARKERS, f"too few markers: {markers} of at least {least}")
+    return Status(
+        StatusCode.TOO_FEW_MARKERS, f"too few markers: {markers}; at least {least} are needed"
+    )
 
 
 def _products(down: Array, across: Array) -> Array:

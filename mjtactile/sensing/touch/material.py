@@ -77,14 +77,15 @@ def judge(squeeze: Squeeze, s: MaterialSettings = DEFAULTS.material) -> Material
     if most < s.force_min and shrunk < s.shrunk_enough:
         return _unknown(
             StatusCode.INCOMPLETE_DATA,
-            f"not enough contact yet: felt {most:.2f} N, needs {s.force_min:g} N",
+            f"not enough contact yet: the maximum force is {most:.2f} N; at least "
+            f"{s.force_min:g} N are needed",
         )
     phases = _phases(squeeze, np.flatnonzero(seen), s)
     if len(phases.load) < s.samples_min or len(phases.hold) < s.samples_min:
         return _unknown(
             StatusCode.INCOMPLETE_DATA,
-            f"not enough contact yet: {len(phases.load)} images of the press and "
-            f"{len(phases.hold)} of the hold, needs {s.samples_min} of each",
+            f"not enough contact yet: {len(phases.load)} images of the load and "
+            f"{len(phases.hold)} of the hold; at least {s.samples_min} of each are needed",
         )
     return _verdict(squeeze, phases, _fit_press(squeeze, phases.load, s), s)
 
@@ -188,7 +189,8 @@ def _verdict(squeeze: Squeeze, phases: _Phases, curve: _Curve, s: MaterialSettin
         status = Status(StatusCode.AMBIGUOUS, f"undecided between {first} and {other}")
     elif not len(phases.second):
         status = Status(
-            StatusCode.INCOMPLETE_DATA, "no second touch: what stayed is judged from the release"
+            StatusCode.INCOMPLETE_DATA,
+            "no second touch: the permanent deformation is estimated from the release",
         )
     return Material(
         kind,

@@ -96,7 +96,10 @@ def judge(
         return Slip("none", np.zeros(2), 0.0, 1.0), None
     normal, shear = split(patches[0].force, mean_normal(estimator, shape))
     if normal < s.min_force:
-        return unknown(StatusCode.FORCE_TOO_LOW, f"a force of {normal:.3f} N is too small"), before
+        return unknown(
+            StatusCode.FORCE_TOO_LOW,
+            f"the force of {normal:.3f} N is too small for a slip estimate",
+        ), before
     around, used_around = turning(estimator, shape)
     around = around if used_around > s.min_load else np.inf
     uneven, is_finite_value = shear_nonuniformity(estimator, shape, shear)

@@ -76,7 +76,7 @@ def large_deflection(s: Scene) -> tuple[bool, str]:
     )
     tension = max(sheet.pretension, 1e-9)
     share = c2 / c1 * sheet.young * sheet.thickness / tension * (s.bulge / s.half_width) ** 2
-    return _over(share, 0.01, "cubic share of the stiffness")
+    return _over(share, 0.01, "cubic fraction of the stiffness")
 
 
 def bending(s: Scene) -> tuple[bool, str]:
@@ -87,9 +87,9 @@ def bending(s: Scene) -> tuple[bool, str]:
             f"({1e3 * limit:.2g} mm)"
         )
     if s.sharp and s.force_error < 0.005:
-        return True, "the object has sharp edges, and less than 5 mN is asked for"
+        return True, "the object has sharp edges, and the requested force error is below 5 mN"
     return False, "no feature below five thicknesses" + (
-        "; edges count below 5 mN" if s.sharp else ""
+        "; edges matter for a force error below 5 mN" if s.sharp else ""
     )
 
 
@@ -106,7 +106,7 @@ def gravity(s: Scene) -> tuple[bool, str]:
     return _over(
         weight / s.force_error,
         0.1,
-        f"the sheet's weight of {1e3 * weight:.1f} mN over the force error asked for",
+        f"the membrane's weight of {1e3 * weight:.1f} mN over the requested force error",
     )
 
 
@@ -119,9 +119,10 @@ def follower(s: Scene) -> tuple[bool, str]:
 
 def hyperelastic(s: Scene) -> tuple[bool, str]:
     lower = analytical_solutions.stvk_height_error(s.design, s.design.chamber.supply_gauge)
-    share = f"by {lower:.0%}" if math.isfinite(lower) else "by an unknown share"
+    share = f"by {lower:.0%}" if math.isfinite(lower) else "by an unknown fraction"
     return True, (
-        f"rubber softens as it stretches: without, it bulges less {share} at the supply's pressure"
+        "rubber softens as it stretches: without this effect, the bulge at the supply "
+        f"pressure is lower {share}"
     )
 
 
@@ -129,8 +130,11 @@ def heat(s: Scene) -> tuple[bool, str]:
     chamber = s.design.chamber
     on = math.isfinite(chamber.heat_exchange) and chamber.polytropic_exponent > 1
     if on:
-        return True, f"{chamber.heat_exchange:g} s is within a grasp's time"
-    return False, "the sensor's gas keeps one exponent"
+        return True, (
+            f"the heat exchange time of {chamber.heat_exchange:g} s is within the duration of a "
+            "grasp"
+        )
+    return False, "the sensor's gas has a constant exponent"
 
 
 def valve(s: Scene) -> tuple[bool, str]:
@@ -144,17 +148,23 @@ def valve(s: Scene) -> tuple[bool, str]:
 def relaxation(s: Scene) -> tuple[bool, str]:
     relaxation = s.design.relaxation
     if relaxation is None:
-        return False, "the sensor's file has no rubber that relaxes"
+        return False, "the sensor file specifies no relaxation"
     if not relaxation.terms:
-        return True, f"the first cycles take {relaxation.softening:.0%} of the stress"
+        return True, f"the first load cycles reduce the stress by {relaxation.softening:.0%}"
     slowest = float(relaxation.times.max())
     faded = relaxation.quick - 1
-    return True, f"{faded:.0%} more than the lasting stress at first, faded after {slowest:g} s"
+    return (
+        True,
+        f"the initial stress is {faded:.0%} above the lasting stress, and decays in {slowest:g} s",
+    )
 
 
 def servo(s: Scene) -> tuple[bool, str]:
     period = 1 / s.design.camera.rate
-    return period < 0.02, f"the controller acts every {1e3 * period:.0f} ms, a servo's lag is 20 ms"
+    return (
+        period < 0.02,
+        f"the controller acts every {1e3 * period:.0f} ms, the lag of a servo is 20 ms",
+    )
 
 
 def motion_blur(s: Scene) -> tuple[bool, str]:
@@ -164,7 +174,7 @@ def motion_blur(s: Scene) -> tuple[bool, str]:
 
 
 def latency(s: Scene) -> tuple[bool, str]:
-    return False, "the control loop acts one image late already"
+    return False, "the control loop already acts one image late"
 
 
 def has(value: float, what: str) -> tuple[bool, str]:
@@ -185,7 +195,7 @@ def refraction(s: Scene) -> tuple[bool, str]:
 
 def led_shading(s: Scene) -> tuple[bool, str]:
     leds = s.design.leds
-    return has(leds.count * leds.vignetting, "LEDs that fall off")
+    return has(leds.count * leds.vignetting, "LED vignetting")
 
 
 def shadows(s: Scene) -> tuple[bool, str]:
@@ -196,7 +206,7 @@ def shadows(s: Scene) -> tuple[bool, str]:
     leds = s.design.leds
     frame = s.design.frame
     if not leds.count * leds.vignetting:
-        return False, "no LEDs that fall off: light from everywhere"
+        return False, "no LED vignetting: the illumination is uniform"
     if leds.ring_radius > s.half_width:
         return True, "the frame's wall stands between the LEDs and the membrane"
     lowest = math.atan2(
@@ -205,18 +215,24 @@ def shadows(s: Scene) -> tuple[bool, str]:
     slope = membrane_slope.deepest(s.design, s.half_extents, _HELD)
     shaded = _SHADED * _HELD * math.tan(min(slope, lowest)) ** 2
     angles = (
-        f"slopes of {math.degrees(slope):.0f} deg at {_HELD:g} N, LEDs from "
+        f"slopes of {math.degrees(slope):.0f} deg at {_HELD:g} N, LED rays from "
         f"{math.degrees(lowest):.0f} deg up"
     )
     if slope > lowest:
-        return True, f"{angles}: dents are in their own light"
-    return shaded > s.force_error, f"{angles}: no shadow; shading moves {1e3 * shaded:.1f} mN"
+        return True, f"{angles}: indentations cast shadows"
+    return (
+        shaded > s.force_error,
+        f"{angles}: no shadow; shading changes the force by {1e3 * shaded:.1f} mN",
+    )
 
 
 def material(name: str) -> Gate:
     def gate(s: Scene) -> tuple[bool, str]:
         found = s.grasped is not None and s.grasped.material == name
-        return found, f"the object is {name}: in its own file" if found else f"no {name} object"
+        return (
+            found,
+            f"the object is {name}: modelled in its own file" if found else f"no {name} object",
+        )
 
     return gate
 

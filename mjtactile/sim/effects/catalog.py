@@ -140,7 +140,7 @@ def parse(text: str) -> dict[Effect, bool]:
             )
         if sign == "-" and effect.fixed:
             raise InputError(
-                f"{effect.name!r} cannot be taken out: it is part of {effect.kind}",
+                f"{effect.name!r} cannot be left out: it is part of {effect.kind}",
                 field="--effects",
             )
         forced[effect.name] = sign == "+"
@@ -170,7 +170,10 @@ EFFECTS: tuple[EffectEntry, ...] = (
     EffectEntry(
         Effect.SHEET,
         "physics",
-        lambda s: (True, "without, a film lies on what touches, beside MuJoCo's model"),
+        lambda s: (
+            True,
+            "without it, a quasi-static membrane rests on the objects, outside MuJoCo's model",
+        ),
     ),
     EffectEntry(Effect.GAS, "physics", activation_rules.gas),
     EffectEntry(
@@ -205,12 +208,18 @@ EFFECTS: tuple[EffectEntry, ...] = (
     EffectEntry(
         Effect.IMAGES,
         "camera",
-        lambda s: (True, "without, the markers' ellipses are drawn from their error's bound"),
+        lambda s: (
+            True,
+            "without it, the marker ellipses are sampled from the bound on their error",
+        ),
     ),
     EffectEntry(
         Effect.CHAIN,
         "camera",
-        lambda s: (True, "without, touch is drawn: a film's own, with the errors of the chain"),
+        lambda s: (
+            True,
+            "without it, touch is that of a quasi-static membrane with sampled pipeline errors",
+        ),
     ),
     EffectEntry(
         Effect.PLASTICITY,

@@ -88,7 +88,7 @@ class Fidelity:
         else:
             best = min(rows, key=lambda row: row.force_error)
         if good:
-            reason = f"cheapest with at most {force_error:g} N"
+            reason = f"cheapest setting with at most {force_error:g} N of force error"
         else:
             reason = (
                 f"no setting reaches {force_error:g} N; the closest has {best.force_error:.3g} N"
@@ -104,11 +104,14 @@ class Fidelity:
         if good:
             best = min(good, key=lambda row: row.force_error)
             return _with_basis(
-                best, True, f"most accurate at {REAL_TIME_MARGIN:g} x real time or faster", stamp
+                best,
+                True,
+                f"most accurate setting at {REAL_TIME_MARGIN:g} x real time or faster",
+                stamp,
             )
         fastest = min(rows, key=lambda row: row.cost)
         reason = (
-            "nothing is fast enough on that machine; the fastest runs at "
+            "no setting is fast enough on that machine; the fastest runs at "
             f"{fastest.real_time_factor:.2f} x real time"
         )
         return _with_basis(fastest, False, reason, stamp)

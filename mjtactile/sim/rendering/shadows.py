@@ -177,7 +177,7 @@ class SmoothMembrane:
         """
         if p_SM.shape != self._flat.shape or not np.isfinite(p_SM).all():
             raise InputError(
-                f"shadows need the places of all {len(self._flat)} markers of the design",
+                f"shadows need the positions of all {len(self._flat)} markers of the design",
                 field="shadows",
             )
         moved = (self._operator @ (p_SM - self._flat)).reshape(*self.xy.shape[:2], 3)

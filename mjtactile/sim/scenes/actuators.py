@@ -39,7 +39,7 @@ class PositionActuator:
         )
         if not affine or gain[0] == 0 or bias[1] >= 0:
             raise InputError(
-                "is not a position actuator: its force does not depend on where it is",
+                "is not a position actuator: its force does not depend on its position",
                 source=source,
                 field=f"actuator {name!r}",
                 choices=["<position>", '<general biastype="affine" …>'],

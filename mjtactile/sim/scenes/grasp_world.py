@@ -102,8 +102,11 @@ class GraspWorld(GripperWorld):
         if compression <= _STRAINED:
             return {}
         return {
-            "strain": f"{self.object.name!r} is compressed by {compression:.0%} at its worst: its "
-            f"elements are linear, and rubber is stiffer by a quarter from {_STRAINED:.0%} on"
+            "strain": (
+                f"{self.object.name!r} is compressed by up to {compression:.0%}: its elements are "
+                f"linear, while rubber is stiffer by a quarter from {_STRAINED:.0%} on; use less "
+                "force"
+            )
         }
 
     def _check_clearance(self, tip_height: float, half: float) -> None:

@@ -98,7 +98,7 @@ class Indenter:
         model = read_mjcf(Path(str(self.path)), field="--indenter")
         if model.joints or not model.geoms:
             raise InputError(
-                "an indenter is geoms, at least one, and no joints",
+                "an indenter consists of at least one geom, and has no joints",
                 source=self.path,
                 field="--indenter",
             )
@@ -215,8 +215,8 @@ class PressWorld(World):
                 return True
         self.flags.setdefault(
             "unsettled",
-            f"did not come to rest in {time_limit:g} s: forces are those of a moving membrane; "
-            "use a smaller timestep",
+            f"the membrane did not come to rest in {time_limit:g} s: forces are those of a "
+            "moving membrane; use a smaller timestep",
         )
         return False
 
@@ -251,7 +251,7 @@ class PressWorld(World):
         sensor = self.sensors[0]
         if sensor.contact == "vertices" and np.isfinite(sensor.missed[0]):
             raise InputError(
-                "slips between the membrane's vertices; contact 'elements' feels it",
+                "slips between the membrane's vertices; use contact 'elements'",
                 source="press",
                 field="indenter",
             )

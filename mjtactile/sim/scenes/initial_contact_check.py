@@ -38,8 +38,8 @@ def require_clear(world: World, grasped: ObjectModel, opening: float) -> None:
     """
     if any(not body or body.startswith(PREFIX) for _, body, _ in touched_by_sensors(world)):
         raise InputError(
-            "stands in the way of a sensor before the jaws close: they open to "
-            f"{1e3 * opening:.0f} mm, and it is wider there, or not in the middle",
+            f"touches a sensor before the jaws close: they open to {1e3 * opening:.0f} mm, "
+            "and the object is wider there or not centered",
             source=grasped.path,
             field="object",
         )

@@ -98,7 +98,7 @@ def missing_names(spec: mujoco.MjSpec, rig: SimRigFile) -> Iterator[InputError]:
     sites = [finger.site for finger in rig.fingers]
     if len(set(sites)) != len(sites):
         yield InputError(
-            f"two fingers are at one site: {sites}", source=rig.path, field="finger.site"
+            f"two fingers have the same site: {sites}", source=rig.path, field="finger.site"
         )
 
 
@@ -180,7 +180,7 @@ def plan_start(
             jaws,
             rig,
             "lift.body",
-            "the hand does not follow the mocap body to the height of the grasp",
+            "the gripper does not follow the mocap body to the grasp height",
         )
     elif rig.lift.kind == "arm":
         path = _plan_path(model, data, rig, hand, centre, raised, jaws)
@@ -237,7 +237,7 @@ def _settle(
     rest = solve(model, data, conditions)
     if rest > _GOOD:
         raise InputError(
-            f"{what}: {1e3 * rest:.2g} mm or mrad are missing", source=rig.path, field=field
+            f"{what}: {1e3 * rest:.2g} mm or mrad remain", source=rig.path, field=field
         )
 
 
@@ -252,7 +252,7 @@ def _gripper_body(model: mujoco.MjModel, bodies: Sequence[int], rig: SimRigFile)
     hand = next(body for body in chains[0] if all(body in chain for chain in chains))
     if hand == 0:
         raise InputError(
-            "no body carries all fingers: there is no hand to lift",
+            "no body carries all fingers: there is no gripper to lift",
             source=rig.path,
             field="finger.site",
         )
@@ -292,8 +292,8 @@ def _plan_path(
             where = "the table" if height == 0 else f"{1e3 * height:.0f} mm above its start"
             field = "lift.kind" if height == 0 else "lift.travel_mm"
             raise InputError(
-                f"the arm does not reach {where}: the fingertips would be at {_mm(target)} mm, and "
-                f"{1e3 * rest:.1f} mm or mrad are missing",
+                f"the arm does not reach {where}: the fingertips would be at {_mm(target)} "
+                f"mm, and {1e3 * rest:.1f} mm or mrad remain",
                 source=rig.path,
                 field=field,
             )
@@ -323,7 +323,7 @@ def arm_actuators(model: mujoco.MjModel, hand: int, rig: SimRigFile) -> tuple[st
     found = [name for name in found if name and name not in jaws]
     if not found:
         raise InputError(
-            "no position actuator moves a joint between the world and the hand",
+            "no position actuator moves a joint between the world and the gripper",
             source=rig.path,
             field="lift.actuators",
         )

@@ -24,7 +24,9 @@ def read_mjcf(path: Path, text: str = "", field: str | None = None) -> mujoco.Mj
     try:
         if not text and path.stat().st_size > LARGEST:
             raise InputError(
-                f"larger than {LARGEST >> 20} MiB: not such a file", source=path, field=field
+                f"is larger than {LARGEST >> 20} MiB, the limit for an MJCF file",
+                source=path,
+                field=field,
             )
         _check_copies(path, text or path.read_text(encoding="utf-8-sig", errors="replace"), field)
         if text:
@@ -47,7 +49,7 @@ def _check_copies(path: Path, text: str, field: str | None) -> None:
                 copies *= _count(element.get("count", "1"))
                 if copies > MOST:
                     raise InputError(
-                        f"makes {copies} copies, of {MOST} at most",
+                        f"makes {copies} copies; at most {MOST} are allowed",
                         source=path,
                         field=field or element.tag,
                     )

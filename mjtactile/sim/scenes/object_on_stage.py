@@ -19,7 +19,7 @@ class ObjectOnStage:
     def __init__(self, model: ObjectModel, p_HO: Array, R_HO: Array):
         if model.flesh is not None:
             raise InputError(
-                f"{model.name!r} is one soft body of finite elements, which no holder holds",
+                f"{model.name!r} is a soft body of finite elements, which a holder cannot hold",
                 source="explore",
                 field="object",
             )

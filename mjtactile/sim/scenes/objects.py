@@ -190,7 +190,7 @@ def _flesh(spec: mujoco.MjSpec, path: Path) -> Flesh | None:
         return None
     if len(solids) > 1:
         raise InputError(
-            "more than one volumetric flex: an object is one body",
+            "has more than one volumetric flex; an object is one body",
             source=path,
             field="flexcomp",
             choices=[flex.name for flex in solids],

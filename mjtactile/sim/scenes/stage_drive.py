@@ -30,7 +30,8 @@ class StageDrive:
     def __init__(self, world: PressWorld, moves: Sequence[Move], offset: float = 0.0):
         if any(move.is_weight for move in moves):
             raise InputError(
-                "the simulated stage goes to depths; weights are for a real one", field="depth_mm"
+                "the simulated stage moves to depths; weights are for a real stage",
+                field="depth_mm",
             )
         self._world = world
         self._moves = moves

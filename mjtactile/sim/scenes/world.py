@@ -76,7 +76,7 @@ class World:
         for zero)."""
         if not np.isfinite(value):
             raise InputError(
-                f"{value!r} is not a finite control",
+                f"{value!r} is not a finite control value",
                 source="World",
                 field=self.model.actuator(actuator).name,
             )

@@ -165,8 +165,8 @@ def require(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:
     found = mujoco.mj_name2id(model, kind, name)
     if found < 0:
         raise InputError(
-            f"the model has no {kind.name.removeprefix('mjOBJ_').lower()} {name!r}; was it "
-            "compiled from the spec that the sensor was attached to?",
+            f"the model has no {kind.name.removeprefix('mjOBJ_').lower()} {name!r}; compile "
+            "it from the spec to which the sensor was attached",
             source="bind",
             field="model",
         )

@@ -129,9 +129,9 @@ def hull_flag(model: mujoco.MjModel, geom: int) -> str | None:
     if share >= CONVEX:
         return None
     return (
-        f"mesh {mesh.name!r} fills {share:.0%} of its convex hull, and the hull is what "
-        "touches: give its convex parts as "
-        "geoms, or press the file where pip install 'mjtactile[meshes]' cuts it"
+        f"mesh {mesh.name!r} fills {share:.0%} of its convex hull, and MuJoCo uses the hull "
+        "for contact: split it into convex geoms, or use `press`, which splits it after pip "
+        "install 'mjtactile[meshes]'"
     )
 
 
@@ -148,9 +148,9 @@ def resolution_flag(
     name = name_of(model, geom)
     factor = RESOLVED * mesh.spacing / radius
     finer = tuple(int(np.ceil((n - 1) * factor)) + 1 for n in (mesh.nx, mesh.ny))
-    remedy = f"mesh {finer} resolves it"
+    remedy = f"use mesh {finer}, which resolves it"
     if max(finer) > 61:
-        remedy = "no affordable mesh does; trust place and time, not force"
+        remedy = "no affordable mesh resolves it; use position and time, not force"
     return (
         f"{name!r} (radius {radius * 1e3:.2g} mm) is finer than the mesh "
         f"({mesh.spacing * 1e3:.2g} mm between vertices): "
@@ -187,9 +187,10 @@ def edge_flag(half_width: float, mesh: MembraneMesh) -> str | None:
     # membrane.
     share = min(1.4 * mesh.spacing / half_width, 0.7)
     return (
-        f"an edge presses, {half_width * 1e3:.2g} mm from the middle of its face, and the mesh has "
-        f"{mesh.spacing * 1e3:.2g} mm between vertices: the force may be off by {share:.0%}, less "
-        f"or more ({1 - share:.1f} to {1 + min(share, 0.4):.1f} times); a finer mesh divides that"
+        f"a sharp edge is in contact, {half_width * 1e3:.2g} mm from the center of its face, "
+        f"and the mesh has {mesh.spacing * 1e3:.2g} mm between vertices: the force may be off "
+        f"by {share:.0%} ({1 - share:.1f} to {1 + min(share, 0.4):.1f} times); a finer mesh "
+        "reduces this in proportion"
     )
 
 

@@ -106,7 +106,7 @@ def make_mesh(
     for name, count in (("nx", nx), ("ny", ny)):
         if not 5 <= count <= 101:
             raise InputError(
-                f"{count} vertices along a side, need 5 to 101", source="mesh", field=name
+                f"{count} vertices along a side; 5 to 101 are needed", source="mesh", field=name
             )
     u, v = (_graded(count, grading) for count in (nx, ny))
     plane = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)

@@ -328,7 +328,8 @@ def _relaxing(design: SensorDesign, mesh: MembraneMesh) -> RelaxingMesh | None:
         return None
     if design.membrane.law is not Law.NEO_HOOKEAN:
         raise InputError(
-            "rubber that relaxes is neo-Hookean: leave out relaxation as well as hyperelasticity",
+            "relaxation requires neo-Hookean rubber: leave out relaxation as well as "
+            "hyperelasticity",
             source=design.name,
             field="effects",
         )

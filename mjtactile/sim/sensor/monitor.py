@@ -101,7 +101,7 @@ class SceneMonitor:
             if np.isfinite(radius):
                 flags["small_feature"] = (
                     f"{name!r} (radius {radius * 1e3:.2g} mm) can slip between the membrane's "
-                    "vertices, which alone touch; contact 'auto' or 'elements' feels it"
+                    "vertices, its only contact points; use contact 'auto' or 'elements'"
                 )
         return flags
 
@@ -131,8 +131,8 @@ class SceneMonitor:
             lasting = self._penetration(number, rows)
             if lasting > PENETRATION:
                 flags["penetration"] = (
-                    f"objects sink into the membrane by {lasting:.0%} of what they push in, more "
-                    f"than {PENETRATION:.0%}; a smaller timestep makes contact stiffer"
+                    f"objects penetrate the membrane by {lasting:.0%} of the indentation, "
+                    f"more than {PENETRATION:.0%}; a smaller timestep makes contact stiffer"
                 )
             if lasting > _SUNK:
                 stop = f"sensor {sensor.prefix!r}: {flags['penetration']}"
@@ -211,8 +211,10 @@ class SceneMonitor:
             return {}
         self._max_frame_area = lasting
         return {
-            "frame_contact": f"the frame of sensor {self._sensors[number].prefix!r} carries "
-            f"{lasting:.1f} N, which the camera cannot measure: it sees only the membrane"
+            "frame_contact": (
+                f"the frame of sensor {self._sensors[number].prefix!r} carries {lasting:.1f} N, "
+                "which the camera cannot measure; move the contact onto the membrane"
+            )
         }
 
     def _geoms_in(self, sensors: tuple[AnySensor, ...]) -> list[Array]:
@@ -306,7 +308,7 @@ class SceneMonitor:
             if share[k] > _FAST:
                 best = _FAST / 2 * self._sizes[k] / speed[k] * 1e3
                 flags["speed"] = (
-                    f"an object approaches at {speed[k]:.2g} m/s, more than half its size in a "
+                    f"an object approaches at {speed[k]:.2g} m/s, more than half its size per "
                     f"step; use a timestep of at most {best:.2g} ms"
                 )
         return flags

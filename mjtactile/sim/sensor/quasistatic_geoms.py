@@ -68,7 +68,7 @@ def _body_of(model: mujoco.MjModel, geom: int) -> Obstacle:
     name = model.geom(geom).name or f"geom {geom}"
     what = _G(kind).name.removeprefix("mjGEOM_").lower()
     raise InputError(
-        f"{name!r} is a {what}, which a film cannot rest on: leave the sheet on",
+        f"{name!r} is a {what}, which a quasi-static membrane does not support: switch 'mesh' on",
         field="--effects -mesh",
     )
 
@@ -78,7 +78,7 @@ def _refuse_soft(model: mujoco.MjModel) -> None:
     for flex in range(model.nflex):
         if model.flex_dim[flex] == 3:
             raise InputError(
-                f"{model.flex(flex).name!r} is soft, and a film rests on rigid bodies: leave the "
-                "sheet on",
+                f"{model.flex(flex).name!r} is soft, and a quasi-static membrane supports "
+                "only rigid bodies: switch 'mesh' on",
                 field="--effects -mesh",
             )

@@ -366,14 +366,16 @@ class QuasistaticSensor(BaseSensor):
         flags: validity_checks.Flags = {}
         lost = self._memory.lost
         if lost > _LATE:
-            flags["quasistatic"] = f"the film found no rest for {lost} steps: {self._reason()}"
+            flags["quasistatic"] = (
+                f"the quasi-static membrane found no equilibrium for {lost} steps: {self._reason()}"
+            )
         if self._memory.near:
             narrow = self._live.doubt() if self.is_touched else 0.0
             flags |= validity_checks.quasistatic_flags(self._live.below_rim(), narrow)
         if self._memory.near > 1:
             flags["bodies"] = (
-                "several bodies are near one film, which takes all that touches it for one of "
-                "them; leave the sheet on"
+                "several objects are near one quasi-static membrane, which treats them as "
+                "one; switch 'mesh' on"
             )
         return flags | validity_checks.membrane_flags(
             self.design, self.gauge_pressure, *self.stretches()
@@ -386,11 +388,11 @@ class QuasistaticSensor(BaseSensor):
         if lost:
             pushed = self._memory.status == MembraneStatus.GLASS_CONTACT
             if pushed or lost >= _PATIENCE:
-                return f"sensor {self.prefix!r}: {self._reason()}; leave the sheet on"
+                return f"sensor {self.prefix!r}: {self._reason()}; switch 'mesh' on"
         return self._empty()
 
     def _reason(self) -> str:
-        return _REASONS.get(self._memory.status, "its pressure jumps")
+        return _REASONS.get(self._memory.status, "the gas pressure jumps")
 
 
 _REASONS = {

@@ -104,8 +104,8 @@ def refuse_thin(model: mujoco.MjModel, carrier: int, mesh: MembraneMesh) -> None
             continue
         if feature_size.feature_radius(model, int(geom)) < feature_size.SLIPS * mesh.spacing:
             raise InputError(
-                f"triangles would miss {feature_size.name_of(model, int(geom))!r}, a thin box or "
-                "capsule: contact 'auto' feels it, or give it as a mesh or cylinder",
+                f"triangles would miss {feature_size.name_of(model, int(geom))!r}, a thin box "
+                "or capsule: use contact 'auto', or model it as a mesh or cylinder",
                 source="attach",
                 field="contact",
             )

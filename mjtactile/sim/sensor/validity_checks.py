@@ -42,20 +42,21 @@ def check_design(design: SensorDesign, mesh: tuple[int, int]) -> None:
     short = min(design.frame.length, design.frame.width)
     if sheet.thickness > _THICKEST * short:
         raise InputError(
-            f"{sheet.thickness * 1e3:g} is a plate, not a membrane, in a frame of {short * 1e3:g} "
-            f"mm: bending is left out; at most {_THICKEST * short * 1e3:g}",
+            f"{sheet.thickness * 1e3:g} is a plate, not a membrane, in a frame of "
+            f"{short * 1e3:g} mm: the model omits bending; at most {_THICKEST * short * 1e3:g}",
             source=design.name,
             field="membrane.thickness_mm",
         )
     if sheet.pre_stretch < SLACKEST:
         raise InputError(
-            f"{sheet.pre_stretch:g} leaves the sheet so slack that it folds; at least {SLACKEST:g}",
+            f"{sheet.pre_stretch:g} leaves the membrane so slack that it folds; at least "
+            f"{SLACKEST:g}",
             source=design.name,
             field="membrane.pre_stretch",
         )
     if mesh[0] * mesh[1] < 30:
         raise InputError(
-            f"{mesh} vertices make heights wrong by more than 10 %; at least (7, 5)",
+            f"{mesh} vertices make heights wrong by more than 10 %; use at least (7, 5)",
             source="attach",
             field="mesh",
         )
@@ -79,8 +80,8 @@ def design_flags(design: SensorDesign, nx: int, ny: int) -> Flags:
     if rigidity * wave > _BENDING * tension:
         share = rigidity * wave / tension
         flags["bending"] = (
-            f"bending, which is left out, would add {share:.0%} to the stiffness of this "
-            f"{sheet.thickness * 1e3:g} mm sheet; a thinner or more stretched sheet is a membrane"
+            f"bending, which the model omits, would add {share:.0%} to the stiffness of this "
+            f"{sheet.thickness * 1e3:g} mm membrane; use a thinner or more stretched membrane"
         )
     return flags
 
@@ -108,21 +109,22 @@ def membrane_flags(
     )
     if error > STVK_ERROR:
         flags["stretch"] = (
-            f"the sheet is St. Venant-Kirchhoff's: rubber bulges higher by {error:.0%} at "
-            f"{1e-3 * gauge_pressure:.2g} kPa; switch 'hyperelasticity' on"
+            "the membrane has the St. Venant-Kirchhoff law: rubber bulges higher by "
+            f"{error:.0%} at {1e-3 * gauge_pressure:.2g} kPa; switch 'hyperelasticity' on"
         )
     elif largest > STRETCHED:
         flags["stretch"] = (
-            f"stretch {largest:.2f} is beyond {STRETCHED:g}, up to which rubber is neo-Hookean "
-            "within 10 %; use less pressure or a thicker sheet"
+            f"stretch {largest:.2f} exceeds {STRETCHED:g}, up to which rubber is neo-Hookean "
+            "within 10 %; use less pressure or a thicker membrane"
         )
     # over a modulus
     stresses = principal_stresses(np.maximum(stretches, 0.1), 1.0, sheet.poisson, sheet.law)
     share = float(areas[stresses.min(axis=1) < -1e-3].sum() / areas.sum())
     if share > WRINKLED:
         flags["wrinkles"] = (
-            f"{share:.0%} of the sheet is under compression, where a real one wrinkles: shape "
-            "and force are those of a sheet that cannot; use pre_stretch above 1 or more pressure"
+            f"{share:.0%} of the membrane is under compression, where a real one wrinkles: "
+            "shape and force are those of a membrane without wrinkles; use pre_stretch above "
+            "1 or more pressure"
         )
     return flags
 
@@ -136,12 +138,14 @@ def quasistatic_flags(below_rim: float, doubt: float) -> Flags:
     flags: Flags = {}
     if below_rim > 0:
         flags["rim_contact"] = (
-            f"what touches lies on the frame's rim ({1e3 * below_rim:.2f} mm below the sheet's "
-            "middle there): what the sheet bears on it is the frame's, not the film's"
+            f"an object lies on the frame's rim ({1e3 * below_rim:.2f} mm below the "
+            "membrane's mid-surface there), which carries load that the model omits; switch "
+            "'mesh' on"
         )
     if doubt > _NARROW:
         flags["small_feature"] = (
-            "what is near is narrow for the film's grid: 9 of 10 forces are within "
-            f"{100 * doubt:.0f} %; mjtactile.Film on a finer grid says more"
+            "a near object is narrow for the grid of the quasi-static membrane: 9 of 10 "
+            f"forces are within {100 * doubt:.0f} %; mjtactile.QuasistaticMembrane on a finer "
+            "grid is more accurate"
         )
     return flags

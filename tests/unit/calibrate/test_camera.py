@@ -154,7 +154,7 @@ def test_a_picture_of_a_bent_board_is_left_out(photos):
     [
         ([], ("SOURCE", "--rig")),
         (["nowhere", "--out", "left.json"], ("nowhere",)),
-        (["x"], ("whose", "--rig", "--out")),
+        (["x"], ("needs a target", "--rig", "--out")),
         (["--print", "no/board.png"], ("--print", "no")),
         (["x", "--board", "9"], ("--board", "9x7")),
         (["x", "--dictionary", "Q"], ("--dictionary", "4X4_50")),

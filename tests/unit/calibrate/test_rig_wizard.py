@@ -55,8 +55,8 @@ def test_a_new_rig_from_nothing_but_ports_and_streams(tmp_path, emulator, monkey
         if "which one" in question:
             return "2" if "jaw 1" in question else "1"
         return {
-            "largest force": "4",
-            "largest opening": "-5" if "largest opening" not in " ".join(asked[:-1]) else "",
+            "maximum force": "4",
+            "maximum opening": "-5" if "maximum opening" not in " ".join(asked[:-1]) else "",
         }.get(question.split(" on ")[0].split(",")[0], "")
 
     streams = [ends["cameras"]["right"], ends["cameras"]["left"]]
@@ -118,7 +118,7 @@ def test_a_servo_of_another_model_brings_its_own_torque_and_gain(tmp_path, monke
     first, second = load_rig_file(path).gripper.servos
     assert (first.model, first.torque_per_A, first.position_p_gain) == ("XL330-M288", None, None)
     assert (second.model, second.torque_per_A, second.position_p_gain) == ("XM430-W350", 1.78, 800)
-    assert any("XL330-M288: torque per ampere by its data sheet" in line for line in said)
+    assert any("XL330-M288: using the torque per ampere of its data sheet" in line for line in said)
 
 
 @pytest.mark.parametrize(

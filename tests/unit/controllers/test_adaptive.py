@@ -170,4 +170,4 @@ def test_what_is_not_known_stops_it():
     blind = replace(finger(0.2), force_normal=math.nan, traction=None, status="too dark")
     assert run(command, lambda k, c: (blind, finger(0.2)), 6, goal).phase == "hold"
     over = run(command, lambda k, c: (blind, finger(0.2)), 20, goal)
-    assert over.phase == "abort" and over.reason == "no force is known: too dark"
+    assert over.phase == "abort" and over.reason == "the contact force is unknown: too dark"

@@ -100,7 +100,7 @@ def test_jaws_at_their_own_stop_have_closed_on_nothing(controller, least):
         command = limits.apply(wanted, command, PERIOD)
         if command.phase == "abort":
             break
-    assert command.phase == "abort" and command.reason == "closed on nothing"
+    assert command.phase == "abort" and command.reason == "the jaws closed without contact"
     # 30 mm at 10 to 25 mm/s, and 0.3 s at the stop
     assert command.opening == least and i * PERIOD < (0.03 - least) / 0.01 + 1.0
 

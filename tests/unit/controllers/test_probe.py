@@ -25,7 +25,7 @@ def opened(felt, seconds=20.0):
 def test_a_finger_that_never_lets_go_ends_it_with_the_reason():
     """An uncalibrated sensor five times as firm as its file feels 0.1 N of nothing."""
     command, after = opened(0.1)
-    assert command.phase == "abort" and "0.10 N are felt with the jaws open" in command.reason
+    assert command.phase == "abort" and "a finger measures 0.10 N with open jaws" in command.reason
     opening = (0.04 + 0.003 - 0.038) / 0.015  # s
     assert opening < after == pytest.approx(4.0, abs=2 * PERIOD)
 

@@ -85,7 +85,7 @@ def test_a_file_is_beside_the_one_that_names_it():
         ({"kind": "free"}, "ratio: unknown field"),
         ({"ratio": None}, "ratio: missing field"),
         ({"first": {"teeth": 2}}, "first.teeth: 2 is outside 3 to 1000"),
-        ({"other": [{"teeth": 3}] * 3}, "other: 3 of them, expected 0 to 2"),
+        ({"other": [{"teeth": 3}] * 3}, "other: has 3 sections, expected 0 to 2"),
         ({"other": [{"teeth": 3, "size": 1}]}, r"other\[0\].size: unknown field"),
         ({"reach_max_mm": 1.0}, "reach_max_mm: 1 is not above reach_min_mm = 1"),
         ({"rotation_deg": [91, 0]}, r"rotation_deg\[0\]: 91 is outside -90 to 90"),

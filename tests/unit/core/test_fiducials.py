@@ -85,7 +85,11 @@ def test_a_sensor_without_them_has_the_fingerprint_that_it_had():
         ({"surface": "wall"}, "fiducials.surface", "rim, pane"),
         ({"radius_mm": -1}, "fiducials.radius_mm", "-1"),
         ({"positions_mm": [[1, 2, 3]]}, "fiducials.positions_mm", "pairs"),
-        ({"positions_mm": [[21.5, 0.0]]}, "fiducials.positions_mm", "1 circles; from 4 to 64"),
+        (
+            {"positions_mm": [[21.5, 0.0]]},
+            "fiducials.positions_mm",
+            "has 1 circles; 4 to 64 are allowed",
+        ),
         (
             {"positions_mm": [[21.5, 0], [21.5, 2], [21.5, 6], [-21.5, 0]]},
             "fiducials.positions_mm",
@@ -104,10 +108,10 @@ def test_a_sensor_without_them_has_the_fingerprint_that_it_had():
         (
             {"positions_mm": [[0, 16.5], [21.5, 6], [21.5, -6], [-21.5, 0]]},
             "fiducials.positions_mm",
-            "[0, 16.5] is out of the picture",
+            "[0, 16.5] is outside the image",
         ),
-        ({"wall_setback_mm": 4.0}, "fiducials.wall_setback_mm", "no wall of frame.wall_mm 4.4"),
-        ({"lip_mm": 20.0}, "fiducials.lip_mm", "fills the chamber"),
+        ({"wall_setback_mm": 4.0}, "fiducials.wall_setback_mm", "no wall at frame.wall_mm = 4.4"),
+        ({"lip_mm": 20.0}, "fiducials.lip_mm", "20 is not less than the chamber depth"),
         ({"blur_px": 2.0}, "fiducials.blur_px", "blur_px"),
     ],
 )
@@ -122,5 +126,5 @@ def test_what_cannot_be_seen_is_refused_in_a_line(changes, field, words):
 
 
 def test_on_the_pane_they_may_not_hide_the_membrane():
-    with pytest.raises(InputError, match="hides a part of the membrane"):
+    with pytest.raises(InputError, match="hides part of the membrane"):
         read({**PANE, "positions_mm": [[-10.0, 0.0], *PANE["positions_mm"]]})

@@ -82,5 +82,5 @@ def test_only_the_emulated_rig_is_slow(arguments):
 def test_real_servos_have_a_clock_of_their_own(five):
     rig_file = load_rig_file("emulated")
     real = replace(rig_file, bus=replace(rig_file.bus, port="/dev/ttyACM0"), cameras=(), valves=())
-    with pytest.raises(InputError, match="ttyACM0: only emulated devices can be slow"):
+    with pytest.raises(InputError, match="ttyACM0: only emulated devices can run slower"):
         build_device_rig(real, load_sensor("dense"))

@@ -101,7 +101,7 @@ def test_when_somebody_pulls_with_three_tenths_of_a_newton():
         ("[tell]", ["tell: unknown section", "goal"]),
         ("[goal]\nhold_time_s = 0", ["goal.hold_time_s", "0 is outside 0.1"]),
         ("[object]\nmass_g = 5", ["object.mass_g"]),
-        ("[object]\nbreak_force_factor = [2, 3]", ["break_force_factor", "rests on friction"]),
+        ("[object]\nbreak_force_factor = [2, 3]", ["break_force_factor", "requires friction"]),
         (
             '[[disturbance]]\nkind = "rain"\nstart_s = [0, 1]\nduration_s = [1, 1]',
             ["disturbance[0].kind", "fill"],
@@ -115,7 +115,7 @@ def test_when_somebody_pulls_with_three_tenths_of_a_newton():
             "rate_Hz = [1, 2]",
             ["disturbance[0].rate_Hz"],
         ),
-        ("[object]\nmass_g = [50, 20]", ["object.mass_g", "low above its high"]),
+        ("[object]\nmass_g = [50, 20]", ["object.mass_g", "lower limit above its upper limit"]),
     ],
 )
 def test_what_is_wrong_is_one_line_with_file_field_value_and_choices(tmp_path, text, parts):

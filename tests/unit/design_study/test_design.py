@@ -124,7 +124,7 @@ def test_what_is_missed():
 
 
 def test_markers_out_of_the_picture_are_refused():
-    with pytest.raises(InputError, match=r"circles lie whole in the picture"):
+    with pytest.raises(InputError, match=r"circles lie completely in the image"):
         VirtualBench(sensor_file_edit.scaled_lens(load_sensor("dense"), 1.9))
 
 
@@ -183,4 +183,4 @@ def test_a_round_sensor_reaches_as_much_where_it_is_turned(capsys):
     outside = reacher.at(np.array([12e-3, 12e-3]), 0.5)  # within the rectangle about it
     assert np.isnan([outside.felt, outside.force_sd, outside.edge_sd]).all()
     assert main(["design", "--sensor", "round30", "--detect-force-mN", "20"]) != 0
-    assert "handles rectangles only" in capsys.readouterr().err
+    assert "supports rectangles only" in capsys.readouterr().err

@@ -38,7 +38,10 @@ def test_settings_and_firmware_that_make_a_dead_host_dangerous():
         if finding.level == "bad"
     )
     old = findings(firmware=51)[0]
-    assert [finding.level for finding in old] == ["ok", "warn"] and "stops nothing" in old[1].text
+    assert [finding.level for finding in old] == [
+        "ok",
+        "warn",
+    ] and "does not stop the servo" in old[1].text
     assert "without a host it holds its place" in sound[0].text
     assert "without a host it goes on to its last goal" in old[0].text
 
@@ -52,7 +55,7 @@ def test_what_a_lost_host_leaves_is_said_with_the_servos_that_hold_nothing():
     assert 'on_host_loss = "hold": chambers stay sealed for 5 s' in found.text
     limp = replace(holds, emulator=replace(rig.emulator, watchdog="limp"))
     [found] = _check_host_loss(limp)
-    assert found.level == "warn" and "go limp" in found.text
+    assert found.level == "warn" and "switch their torque off" in found.text
 
 
 def test_a_torque_constant_of_another_model_is_bad():
@@ -74,5 +77,5 @@ def test_devices_and_doctor_list_the_same_ports(monkeypatch):
     asked = []
     listed = serial_ports(say=asked.append)
     assert [port.path for port in listed] == seen == ["/dev/ttyS0", "/dev/ttyU0"]
-    assert listed[0].problem == "built in: not asked without --port /dev/ttyS0"
+    assert listed[0].problem == "built in: queried only with --port /dev/ttyS0"
     assert [text.split(":")[0] for text in asked] == ["/dev/ttyU0"]

@@ -110,7 +110,7 @@ def test_the_board_vents_by_itself_when_the_host_is_gone_and_again_when_it_is_go
 @pytest.mark.clock
 @pytest.mark.parametrize(
     ("fault", "why"),
-    [("valve_sensor", "its pressure sensor fails"), ("valve_restart", "has restarted")],
+    [("valve_sensor", "its pressure sensor failed"), ("valve_restart", "has restarted")],
 )
 def test_a_board_with_a_fault_of_its_own_vents_and_says_why(fault, why):
     with valve_bench() as (port, firmware, faults, _):
@@ -219,7 +219,7 @@ def test_without_a_sensor_the_supply_is_what_the_file_says():
         ("id mjvalve 1.0 0 1 6000", InputError, "the board has 0 channels"),
         ("id mjvalve 1.0 2 1 2000", InputError, r"pressure_max_kPa: 3: the board goes up to 2"),
         ("id regulator 3.1", DeviceError, "does not answer as mjvalve"),
-        ("error unknown", DeviceError, "it said nothing"),
+        ("error unknown", DeviceError, "its answer was not readable"),
     ],
 )
 def test_another_board_is_refused(monkeypatch, answer, error, message):

@@ -184,7 +184,7 @@ def test_a_host_that_is_late_finds_its_chamber_sealed_and_one_that_is_gone_leave
 @pytest.mark.parametrize(
     ("command", "fault", "why"),
     [
-        ("sensor 1 1", "sensor", "its pressure sensor fails"),
+        ("sensor 1 1", "sensor", "its pressure sensor failed"),
         ("push 1 4000", "pressure", "its pressure was too high"),
         ("reset", "start", "has restarted"),
     ],

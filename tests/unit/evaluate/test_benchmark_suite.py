@@ -90,14 +90,16 @@ def test_what_is_compared_met_the_same_episodes(new, tmp_path):
 def test_nothing_is_compared_with_other_files_or_another_judge(new, tmp_path, monkeypatch):
     path = tmp_path / "mine.json"
     replace(new, files={**new.files, "pour.toml": "0" * 64}).write(path)
-    with pytest.raises(InputError, match=r"other files than these: pour\.toml"):
+    with pytest.raises(InputError, match=r"other versions of these files: pour\.toml"):
         benchmark_suite.load_suite(path)
     new.write(path)
     monkeypatch.setattr(benchmark_suite, "VERSION", "99")
-    with pytest.raises(InputError, match=rf"was judged by version {VERSION}, this is 99"):
+    with pytest.raises(
+        InputError, match=rf"was scored by version {VERSION}, but this is version 99"
+    ):
         benchmark_suite.load_suite(path)
     path.write_text("{}")
-    with pytest.raises(InputError, match="no suite"):
+    with pytest.raises(InputError, match="is not a suite"):
         benchmark_suite.load_suite(path)
 
 
@@ -105,7 +107,7 @@ def test_results_of_another_scenario_are_refused(new, tmp_path):
     with pytest.raises(InputError, match="no results of mine"):
         benchmark_suite.compare(new, tmp_path)
     ran(new, tmp_path, "pour", {MINE: ["held"]}, seed=8)
-    with pytest.raises(InputError, match="is not of mine's pour"):
+    with pytest.raises(InputError, match="does not belong to task pour of suite mine"):
         benchmark_suite.compare(new, tmp_path)
 
 

@@ -38,7 +38,7 @@ def test_what_no_emulated_world_does_is_refused():
     assert emulated.check(Scenario(rig="emulated"))
     assert emulated.check(Scenario(rig="emulated", task="place"))
     assert not emulated.check(Scenario(rig="sim", task="pour", randomization="default"))
-    with pytest.raises(InputError, match="--task: what happens in 'pour'"):
+    with pytest.raises(InputError, match="--task: the disturbances of 'pour'"):
         emulated.check(Scenario(rig="emulated", task="pour"))
     with pytest.raises(InputError, match="--randomization: an emulated world"):
         emulated.check(Scenario(rig="emulated", randomization="default"))

@@ -60,8 +60,8 @@ def test_a_dask_cluster_writes_the_same_lines(tmp_path, quick):
     ("pool", "message"),
     [
         (Pool("ray"), "--backend: 'ray' is unknown"),
-        (Pool(scheduler="tcp://a:1"), "--scheduler: is for a cluster"),
-        (Pool("dask"), "--backend: where is the cluster"),
+        (Pool(scheduler="tcp://a:1"), "--scheduler: applies to a cluster"),
+        (Pool("dask"), "--backend: the address of the cluster is missing"),
         (Pool("dask", scheduler="tcp://127.0.0.1:9"), "--scheduler: no scheduler"),
     ],
 )
@@ -116,7 +116,7 @@ def test_what_cannot_be_built_or_breaks_inside_is_an_error_too(tmp_path, monkeyp
         )
     )
     assert not (tmp_path / "recordings" / "a").exists()  # it never began
-    assert wide["outcome"] == "error" and "stands in the way of a sensor" in wide["reason"]
+    assert wide["outcome"] == "error" and "touches a sensor before the jaws close" in wide["reason"]
     assert wide["object"] == "random" and wide["randomized"]["random.shape"] == "cylinder"
     monkeypatch.setattr("mjtactile.evaluate.episodes.run_grasp", lambda *_, **__: 1 / 0)
     broken = run_episode(episode(quick[0], "vial", 3))
@@ -128,7 +128,7 @@ def test_what_cannot_be_built_or_breaks_inside_is_an_error_too(tmp_path, monkeyp
 
 
 @pytest.mark.parametrize(
-    ("rate", "left"), [(1.0, "3600 an hour, 7 s"), (0.01, "36 an hour, 12 min")]
+    ("rate", "left"), [(1.0, "3600 per hour, 7 s"), (0.01, "36 per hour, 12 min")]
 )
 def test_progress_says_at_once_why_an_episode_was_an_error(rate, left):
     """Seven are left of ten, at `rate` in a second."""
@@ -149,7 +149,7 @@ def test_a_full_disk_loses_nothing_that_was_kept(tmp_path):
     resource.setrlimit(resource.RLIMIT_FSIZE, (size + 10, limits[1]))
     try:
         with pytest.raises(
-            DeviceError, match=r"episodes.jsonl: cannot be written: " r".*--resume goes on"
+            DeviceError, match=r"episodes.jsonl: cannot be written: " r".*--resume continues"
         ):
             kept.add({"episode": 1, "controller": "a" * 100})
     finally:
@@ -169,7 +169,7 @@ def test_an_episode_that_was_told_to_end_has_no_line(tmp_path, monkeypatch, quic
     monkeypatch.setattr(episodes, "run_grasp", told)
     with pytest.raises(Interrupted):
         run_episode(episode("gentle", "egg", 0))
-    with pytest.raises(DeviceError, match="a worker was told to end; --resume goes on"):
+    with pytest.raises(DeviceError, match="a worker was stopped; --resume continues"):
         evaluate(tmp_path / "out", controllers=quick, running=Running(workers=1), **COMMON)
     assert store.read_lines(tmp_path / "out") == []
 

@@ -99,7 +99,7 @@ def test_errors_count_apart():
     text = table(summary)
     assert "| a | all | 1 of 3 | 6.1-79.2 % | 1 | 1 | 0 | 1 | 1.15 (1.30) |  |  |" in text
     assert "b holds 50.0 points more than a in the same 2 episodes" in text
-    assert "1 ended alike): " in text
+    assert "1 with the same outcome): " in text
 
 
 def test_who_hangs_raises_or_is_stopped_has_failed():
@@ -121,7 +121,8 @@ def test_outcomes_are_counted_with_and_without_each_doubt():
     assert (edge["with"]["held"], edge["with"]["dropped"], edge["with"]["episodes"]) == (2, 1, 3)
     assert (edge["without"]["held"], edge["without"]["error"]) == (1, 1)
     assert edge["without"]["success"] == 0.5  # an error counts apart
-    assert "doubts its own numbers in 3 of 6 episodes (frame_contact 1, sharp_edge 3)" in table(
-        found
+    assert (
+        "3 of 6 episodes have flags of reduced simulation accuracy (frame_contact 1, sharp_edge 3)"
+        in table(found)
     )
     assert summarise(lines(["held"]))["controllers"]["a"]["flags"] == {}

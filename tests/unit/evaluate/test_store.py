@@ -44,7 +44,9 @@ def write_part(folder, part, parts, **changed):
 def test_results_of_nobody_knows_what_are_kept_and_named(tmp_path, resume, name):
     text = json.dumps(line(0, "gentle")) + "\n"
     (tmp_path / name).write_text(text * 6)
-    with pytest.raises(InputError, match=rf"--out: holds {name} and no manifest.json.* is kept"):
+    with pytest.raises(
+        InputError, match=rf"--out: holds {name} without the manifest.json.* is kept"
+    ):
         store.Store(tmp_path, {"options": {}}, resume=resume)
     assert (tmp_path / name).read_text() == text * 6 and len(list(tmp_path.iterdir())) == 1
 
@@ -60,7 +62,7 @@ def test_what_is_gone_on_with_may_become_more_and_not_less(tmp_path):
     more = what | {"options": what["options"] | {"count": 9}}
     assert len(store.Store(tmp_path / "a", more, resume=True).lines) == 8
     assert store.read_manifest(tmp_path / "a")["options"]["count"] == 9
-    with pytest.raises(InputError, match="was begun with another options: count"):
+    with pytest.raises(InputError, match="was started with different options: count"):
         store.Store(tmp_path / "a", what, resume=True)
 
 
@@ -70,7 +72,7 @@ def test_a_line_that_is_none_is_named_and_nothing_is_lost(tmp_path):
     text = path.read_text().replace('{"episode": 1', "{episode: 1", 1)
     path.write_text(text)
     what = store.read_manifest(tmp_path / "a")
-    with pytest.raises(InputError, match=r"episodes.jsonl: line 3: is no episode"):
+    with pytest.raises(InputError, match=r"episodes.jsonl: line 3: is not an episode"):
         store.Store(tmp_path / "a", what, resume=True)
     assert path.read_text() == text
 
@@ -102,6 +104,6 @@ def test_two_that_differ_in_an_episode_are_both_named(tmp_path):
     again = write_part(tmp_path / "again", 2, 2, own3="dropped")
     other = write_part(tmp_path / "other", 1, 2)
     with pytest.raises(
-        InputError, match=rf"{again}: --merge: episode 3 of own is not the one in {first}"
+        InputError, match=rf"{again}: --merge: episode 3 of own differs from the one in {first}"
     ):
         merge([other, first, again], tmp_path / "all")

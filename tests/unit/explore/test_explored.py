@@ -93,5 +93,5 @@ def test_a_line_that_was_cut_off_costs_that_touch_alone(tmp_path):
     assert again[1].points == pytest.approx(patch([1, 0, 0]).points)
     assert math.isnan(again[0].compliance)
     store.path.write_text("{}\n" + before)
-    with pytest.raises(InputError, match="line 1 is no patch"):
+    with pytest.raises(InputError, match="line 1 is not a patch"):
         store.read()

@@ -175,11 +175,11 @@ def test_markers_are_those_that_the_chain_sees(press, tmp_path):
 
 
 def test_episodes_that_do_not_fit_are_named(pair, press, tmp_path):
-    with pytest.raises(InputError, match="other columns"):
+    with pytest.raises(InputError, match="different columns"):
         lerobot.write(
             [RecordedEpisode(pair / "a"), RecordedEpisode(press)], tmp_path, images="none"
         )
-    with pytest.raises(InputError, match="no recording here or below"):
+    with pytest.raises(InputError, match="contains no recording"):
         find_episodes(tmp_path)
     shutil.copytree(pair / "a", tmp_path / "few")
     log = tmp_path / "few/recording/log.jsonl"

@@ -284,9 +284,9 @@ def test_what_the_optics_cannot_do_is_refused():
         camera_check.plan_camera(sharp, Hardware(), STATES, "mine.toml")
     with pytest.raises(InputError, match=r"^--speed-mm-s: 1000 needs .*at most 33"):
         camera_check.plan_camera(DENSE, Hardware(speed=1000.0), STATES, "mine.toml")
-    with pytest.raises(InputError, match=r"leds.count: 4 LEDs would have to give .* at least 6"):
+    with pytest.raises(InputError, match=r"leds.count: 4 LEDs would need .* at least 6"):
         camera_check.plan_camera(DENSE, Hardware(speed=300.0), STATES, "mine.toml")
-    with pytest.raises(InputError, match=r"^--f-number: 22 blurs by"):
+    with pytest.raises(InputError, match=r"^--f-number: 22 gives a blur of"):
         camera_check.plan_camera(DENSE, Hardware(f_number=22.0), STATES, "mine.toml")
 
 
@@ -332,7 +332,7 @@ def test_elastic_markers_grow_with_the_sheet():
 
 def test_a_supply_that_the_sheet_does_not_hold_is_refused():
     with pytest.raises(
-        InputError, match=r"supply_pressure_kPa: 60 is more than this " r"sheet holds.*at most"
+        InputError, match=r"supply_pressure_kPa: 60 exceeds the " r"stability limit.*at most"
     ) as error:
         simulate(
             with_field(DENSE, "chamber.supply_pressure_kPa", 60.0),

@@ -47,7 +47,7 @@ def test_a_sensor_without_them_has_no_step_and_no_page_more():
     assert fiducial_page(plain) is None
     assert manual.steps_of(plain) == manual.STEPS
     titles = [step.title for step in manual.steps_of(layout_of(DESIGN))]
-    assert titles.index("Circles that do not move") < titles.index("Glue it to the rim")
+    assert titles.index("Fixed reference circles") < titles.index("Glue it to the rim")
 
 
 def test_a_wall_that_would_be_too_thin_is_refused():

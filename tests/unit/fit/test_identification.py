@@ -43,5 +43,5 @@ def test_known_values_are_taken_in_the_file_s_unit():
     assert design.membrane.thickness == pytest.approx(0.31e-3) and by_section["chamber"][
         "extra_volume"
     ] == pytest.approx(2e-6)
-    with pytest.raises(InputError, match="no field"):
+    with pytest.raises(InputError, match="is not a field"):
         _with_fixed_values(DENSE, {"membrane.color": 1.0})

@@ -24,7 +24,7 @@ def test_a_number_with_a_small_sd_is_fitted_and_says_its_interval():
 def test_a_number_that_is_not_known_keeps_the_file_s_value_and_says_what_to_record():
     number = judge("membrane.friction", 0.5, 0.4, 0.9, "runs/press")
     assert (number.state, number.value) == ("not in these recordings", 0.9)
-    assert "drag a pressed indenter" in number.comment
+    assert "drag a loaded indenter" in number.comment
 
 
 def test_gas_volume_counts_as_known_against_all_of_the_gas():
@@ -41,10 +41,11 @@ def test_two_numbers_of_which_one_follows_the_other_cannot_be_told_apart():
     names = ["membrane.young_MPa", "membrane.thickness_mm", "membrane.friction"]
     apart = correlations(names, cov, {"membrane.thickness_mm": "not in these recordings"})
     assert apart == [
-        "modulus and thickness cannot be told apart from this (correlation -0.98): no recording "
-        "tells it from the modulus: measure the sheet, then --fix membrane.thickness_mm=…"
+        "modulus and thickness cannot be separated by these recordings (correlation -0.98): "
+        "recordings determine only its product with the modulus: measure the thickness, then "
+        "--fix membrane.thickness_mm=…"
     ]
-    assert "known better together" in correlations(names, cov, {})[0]
+    assert "determined better together" in correlations(names, cov, {})[0]
 
 
 @pytest.mark.parametrize(

@@ -70,6 +70,8 @@ def test_a_press_that_is_held_and_let_go_says_what_fades(tmp_path, capsys):
 def test_a_recording_that_says_nothing_of_it_is_refused(tmp_path):
     command = ["record", "--rig", "stage", "--sensor", "dense", "--seconds", "0.5"]
     assert main([*command, "--out", str(tmp_path / "short")]) == 0
-    with pytest.raises(InputError, match="free membrane for 10 s") as caught:
+    with pytest.raises(
+        InputError, match="no unloaded membrane with known pressure for 10 s"
+    ) as caught:
         fit_relaxation(tmp_path / "short", load_sensor("dense"), "left")
     assert "\n" not in str(caught.value)

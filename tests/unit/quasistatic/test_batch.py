@@ -38,11 +38,11 @@ def test_what_is_no_batch_is_refused_in_one_line_that_names_it():
         ("obstacles: every environment", lambda: film.solve_batch([])),
         ("threads: '2' is not a whole", lambda: film.solve_batch([ball], threads="2")),
         (
-            "batch: MembraneSolution is no MembraneSolutionBatch",
+            "batch: MembraneSolution is not a MembraneSolutionBatch",
             lambda: film.solve_batch([ball], one),
         ),
-        ("into: int is no MembraneSolutionBatch", lambda: film.solve_batch([ball], into=3)),
-        ("state: str is no MembraneSolution", lambda: film.solve(ball, "x")),
+        ("into: int is not a MembraneSolutionBatch", lambda: film.solve_batch([ball], into=3)),
+        ("state: str is not a MembraneSolution", lambda: film.solve(ball, "x")),
         (r"gauge_pressure: \[1000\] is not", lambda: QuasistaticMembrane("dense", (9, 7), [1000])),
     ):
         with pytest.raises(InputError, match=says) as caught:

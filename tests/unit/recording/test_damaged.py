@@ -106,7 +106,7 @@ def test_the_line_and_the_column_are_named(tmp_path, whole):
     found = load_recording(tmp_path)
     assert len(found) == 3
     assert found.problems[0] == (
-        f"line {number + 1} is broken: force_normal; it and what follows was left out"
+        f"line {number + 1} is corrupt: force_normal; it and all following lines were ignored"
     )
 
 

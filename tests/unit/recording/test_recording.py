@@ -162,9 +162,7 @@ def test_frames_may_be_left_out_and_the_log_stays_whole(tmp_path, frames, kept):
     if frames == 1:
         recording.require_images()
     else:
-        with pytest.raises(
-            InputError, match=f"{kept} of 10 cycles have their images.*--frames all"
-        ):
+        with pytest.raises(InputError, match=f"only {kept} of 10 cycles have images.*--frames all"):
             recording.require_images()
 
 
@@ -241,7 +239,7 @@ def aborted(recorder, caplog):
         recorder._thread.join(0.01)
     recorder.close(outcome="held")
     assert recorder.problem
-    return [message for message in caplog.messages if "given up" in message]
+    return [message for message in caplog.messages if "the recording was stopped" in message]
 
 
 def test_a_folder_that_is_removed(tmp_path, caplog):
@@ -313,7 +311,7 @@ def test_a_disk_that_stands_still_holds_up_nothing(tmp_path, caplog, monkeypatch
     recorder.close(outcome="held")
     assert (
         "cycles behind" in recorder.problem
-        and sum("given up" in message for message in caplog.messages) == 1
+        and sum("the recording was stopped" in message for message in caplog.messages) == 1
     )
     over.set()
     recorder._thread.join()
@@ -322,7 +320,7 @@ def test_a_disk_that_stands_still_holds_up_nothing(tmp_path, caplog, monkeypatch
 def test_a_recording_is_never_overwritten(tmp_path):
     write_fake_recording(tmp_path, count=5)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    with pytest.raises(InputError, match="holds a recording already"):
+    with pytest.raises(InputError, match="already contains a recording"):
         Recorder(tmp_path, {})
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 

@@ -38,7 +38,7 @@ def test_a_note_comes_back(tmp_path):
     ("text", "says"),
     [
         ("time_s,depth\n1,2\n", "column 'depth'"),
-        ("depth_mm\n2\n", "no column time_s"),
+        ("depth_mm\n2\n", "column time_s is missing"),
         ("time_s,depth_mm\n", "has no moves"),
         ("time_s,depth_mm\n2,1\n1,1\n", "not later"),
         ("time_s,depth_mm\n1,deep\n", "'deep' is not a number"),
@@ -53,6 +53,6 @@ def test_what_is_wrong_is_named(tmp_path, text, says):
 
 def test_a_person_is_told_what_to_do():
     assert describe(Move(1.0, 2e-3, 1e-3, 5e-3)) == (
-        "1 s: to 2 mm below first touch, 1 mm along x, at 5 mm/s"
+        "1 s: move to 2 mm below the first contact, 1 mm along x, at 5 mm/s"
     )
     assert describe(Move(9.0)) == "9 s: lift off"

@@ -90,14 +90,14 @@ def test_nothing_but_its_own_film_is_overwritten(tmp_path, recording, capsys):
         before = (tmp_path / name).read_bytes()
         capsys.readouterr()
         assert main([*words, str(tmp_path / name)]) == 2
-        assert f"{name}: --out: exists already" in capsys.readouterr().err
+        assert f"{name}: --out: the path exists already" in capsys.readouterr().err
         assert main(["grasp", "--video", str(tmp_path / name)]) == 2  # before anything runs
-        assert f"{name}: --video: exists already" in capsys.readouterr().err
+        assert f"{name}: --video: the path exists already" in capsys.readouterr().err
         assert (tmp_path / name).read_bytes() == before
 
 
 def test_bad_input_is_said(tmp_path, recording):
-    with pytest.raises(InputError, match="no film that can be written"):
+    with pytest.raises(InputError, match="is not a supported video format"):
         write_video(tmp_path / "film.avi", recording)
     with pytest.raises(InputError, match="ends after"):
         write_video(tmp_path / "film.mp4", recording, begin=100.0)

@@ -91,7 +91,12 @@ def test_distributions(spread, law):
 @pytest.mark.parametrize(
     ("section", "key", "value", "message"),
     [
-        ("object", "size_percent", [5, -5], r"object.size_percent: \[5, -5\] is not \[low, high\]"),
+        (
+            "object",
+            "size_percent",
+            [5, -5],
+            r"object.size_percent: \[5, -5\] is not an ascending range",
+        ),
         (
             "object",
             "size_percent",

@@ -85,7 +85,7 @@ def test_a_field_in_another_unit_is_pointed_out(table):
             lambda t: t["valve"][0].update(port="spy:///dev/null?file=/tmp/x"),
             "neither a device nor socket:// or rfc2217://",
         ),
-        (lambda t: t["gripper"]["servo"].clear(), "0 of them"),
+        (lambda t: t["gripper"]["servo"].clear(), "has 0 sections"),
         (lambda t: t.update(bos={}), "bos: unknown section, did you mean .bus."),
     ],
 )

@@ -73,7 +73,7 @@ def test_what_is_wrong_is_one_line_with_file_field_value_and_choices(tmp_path, t
 
 def test_a_json_without_a_scenario_and_another_suffix(tmp_path):
     (tmp_path / "other.json").write_text("[]")
-    with pytest.raises(InputError, match="holds no scenario"):
+    with pytest.raises(InputError, match="contains no scenario"):
         load_scenario(tmp_path / "other.json")
     with pytest.raises(InputError, match=r"FILE.toml, RUN/summary.json"):
         load_scenario(tmp_path / "other.txt")
@@ -113,7 +113,7 @@ def test_a_scenario_has_the_sensors_that_the_rigs_fingers_really_have(tmp_path):
     rig = mjtactile.build_rig(replace(one, sensors={"left": "dense", "right": "paper16"}))
     rig.close()
     assert [finger.design.name for finger in rig.fingers] == ["dense", "paper16"]
-    with pytest.raises(InputError, match=r"no finger 'thumb' on .*left, right"):
+    with pytest.raises(InputError, match=r"sim has no finger 'thumb' .*left, right"):
         resolve_scenario(replace(one, sensors={"thumb": "dense"}))
 
 

@@ -57,12 +57,12 @@ def test_a_sensor_file_is_found_beside_the_rig_file(table, tmp_path):
     ("change", "message"),
     [
         (lambda t: t.pop("finger"), r"finger: missing field"),
-        (lambda t: t.update(finger=[]), r"finger: 0 of them, expected 1 to 8"),
+        (lambda t: t.update(finger=[]), r"finger: has 0 sections, expected 1 to 8"),
         (
             lambda t: t["finger"][1].update(name="first"),
             r"finger\.name: 2 fingers are named 'first'",
         ),
-        (lambda t: t["finger"][1].update(name="a/b"), r"finger\[1\]\.name: 'a/b' has a slash"),
+        (lambda t: t["finger"][1].update(name="a/b"), r"finger\[1\]\.name: 'a/b' contains a slash"),
         (lambda t: t["finger"][1].pop("site"), r"finger\[1\]\.site: missing field"),
         (lambda t: t["sim"].update(model="no.xml"), r"sim\.model: no such file: .*no\.xml"),
         (lambda t: t["sim"].update(tabel=False), r"unknown field, did you mean 'table'"),

@@ -36,4 +36,4 @@ def test_what_falls_from_an_open_hand_was_dropped(monkeypatch, falls, outcome):
     assert score.fell == (falls > 0.008)  # a task's own word on it
     score.judge = None
     if outcome == "dropped":
-        assert score.reason() == "it was let go of in the air, and fell"
+        assert score.reason() == "it was released in the air and fell"

@@ -82,7 +82,11 @@ def test_air_begins_at_what_the_gauge_shows_and_is_sealed_when_it_is_left_alone(
 @pytest.mark.parametrize(
     ("pressures", "limits", "message"),
     [
-        ((600.0,), CommandLimits(), "Command: gauge_pressure: rig 'stub' has no valves"),
+        (
+            (600.0,),
+            CommandLimits(),
+            "Command: gauge_pressure: rig 'stub' has no controllable valves",
+        ),
         ((600.0, 600.0), AIR, "Command: gauge_pressure: 2 pressures for 1 fingers"),
         ((math.nan,), AIR, "nan is not a finite number"),
     ],

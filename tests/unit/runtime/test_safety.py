@@ -265,7 +265,7 @@ def test_jaws_that_stay_closed_are_not_called_safe():
     supervisor, _ = retreat(lambda goal: LAST.opening)
     assert supervisor.is_over
     assert supervisor.doubt == (
-        "the jaws are at 50.0 mm and not at 65.0 mm, the forces are 0.50 N, 0.50 N"
+        "the jaws are at 50.0 mm instead of 65.0 mm, the forces are 0.50 N, 0.50 N"
     )
 
 
@@ -338,7 +338,7 @@ def test_stuck_jaws_after_a_controller_that_raises_are_said_and_recorded():
     _, message = world.run("", controller=fails, error=ControllerError, observer=Notes())
     assert message == "boom"
     assert said == [f"not verified safe: {facts['not_verified_safe']}"]
-    assert facts["not_verified_safe"].startswith("the jaws are at 50.0 mm and not at 65.0 mm")
+    assert facts["not_verified_safe"].startswith("the jaws are at 50.0 mm instead of 65.0 mm")
 
 
 def test_a_retreat_ends_where_the_jaws_do():

@@ -47,10 +47,10 @@ def test_a_frame_that_carries_ten_newtons_is_named_with_them(watch):
     pushed(watch, 0.3, 0.0)
     flags = pushed(watch, 11.0, 1.0)
     assert set(flags) == {KIND}
-    assert "push with 11.0 N and left and right feel 1.0 N" in flags[KIND]
+    assert "push with 11.0 N, but left and right measure 1.0 N" in flags[KIND]
     assert "carry 10.0 N" in flags[KIND]
     assert "carry 10.0 N" in pushed(watch, 0.3, 0.0)[KIND]  # the most stays
 
 
 def test_jaws_that_push_where_no_finger_touches_do_not_pass_for_friction(watch):
-    assert "feel 0.0 N" in pushed(watch, 4.0, 0.0, 3.0)[KIND]
+    assert "measure 0.0 N" in pushed(watch, 4.0, 0.0, 3.0)[KIND]

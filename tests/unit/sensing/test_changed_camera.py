@@ -135,10 +135,10 @@ def test_overexposed_references_are_refused(sensor):
         FaultyImage(from_table(CameraFaults, {"exposure_percent": more}, "test"))
         for more in (20, 90)
     )
-    with pytest.raises(DeviceError, match="flat reference: the picture is overexposed"):
+    with pytest.raises(DeviceError, match="flat reference: the image is overexposed"):
         perception.measure_flat_reference([white(image) for image in images.flat])
     perception.measure_flat_reference([bright(image) for image in images.flat])
-    with pytest.raises(DeviceError, match="rest reference: the picture is overexposed"):
+    with pytest.raises(DeviceError, match="rest reference: the image is overexposed"):
         perception.measure_rest_reference(
             [white(image) for image in images.rest], membrane_images.GAUGE
         )

@@ -102,5 +102,5 @@ def test_bad_input(tmp_path, capsys):
     for options in (["--radius-mm", "1"], ["--marks", "dark", "--radius-mm", "1"]):
         assert main(["reconstruct", source, *options]) == 2
         assert "--radius-mm" in capsys.readouterr().err
-    with pytest.raises(InputError, match="go together"):
+    with pytest.raises(InputError, match="must be given together"):
         next(track_circles([draw(START)], radius=1e-3))

@@ -50,13 +50,13 @@ def test_markers_that_are_none_or_nowhere_are_no_reference(chain, flat, count):
 
 @pytest.mark.parametrize("pressure", [None, np.nan, np.inf, "1000"])
 def test_what_is_no_pressure_is_said(chain, flat, pressure):
-    with pytest.raises(InputError, match=r"gauge_pressure: .* is not a pressure, Pa"):
+    with pytest.raises(InputError, match=r"gauge_pressure: .* is not a pressure in Pa"):
         chain.measure_rest_reference(flat, membrane_images.sequence().rest, pressure)
 
 
 @pytest.mark.parametrize("pressure", [1e9, -1e9, 1e5])
 def test_a_pressure_that_nothing_holds_is_refused(chain, flat, pressure):
-    with pytest.raises(MjtactileError, match="finds no equilibrium"):
+    with pytest.raises(MjtactileError, match="no equilibrium of the membrane was found"):
         chain.measure_rest_reference(flat, membrane_images.sequence().rest, pressure)
 
 
@@ -74,7 +74,7 @@ def test_touch_without_markers_says_so(chain, flat):
         flat, membrane_images.sequence().rest, membrane_images.GAUGE
     )
     touch, _ = chain.feel(rest, NO_MARKERS, chain.fitter.fit(NO_MARKERS), 0.0)
-    assert touch.status == "only 0 of 16 markers seen"
+    assert touch.status == "only 0 of 16 markers detected"
     assert np.isnan(touch.force_normal)
 
 

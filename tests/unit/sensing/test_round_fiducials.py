@@ -49,7 +49,7 @@ def test_the_groove_is_a_ring_of_gas(path):
 
 @pytest.mark.parametrize(("radius_mm", "quiet_zone_mm"), [(16.2, 0.45), (17.2, 0.45)])
 def test_circles_beside_the_lip_are_refused(tmp_path, radius_mm, quiet_zone_mm):
-    with pytest.raises(InputError, match=r"not on the lip|out of the picture"):
+    with pytest.raises(InputError, match=r"not on the lip|outside the image"):
         load_sensor(write(tmp_path, radius_mm, quiet_zone_mm))
 
 

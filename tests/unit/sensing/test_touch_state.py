@@ -220,7 +220,7 @@ def test_what_fits_no_shape_after_a_large_force_is_an_overload_and_says_of_how_m
         touch, state = chain.feel(state, torn(strong), surface, 0.3 + k * FRAME)
         said.append(touch.status)
     assert [status.code for status in said[:3]] == ["fit failed", "overloaded", "overloaded"]
-    assert "1.5 N of pressing and 0.0 N of shear" in said[-1]
+    assert "a normal force of 1.5 N and a shear force of 0.0 N" in said[-1]
     assert state.shape is None  # half a second ago is forgotten
     touch, state = chain.feel(state, strong, surface, 1.0)
     assert touch.status == "ok" and state.lost_at is None

@@ -27,7 +27,7 @@ def scene(inside):
 def test_too_many_copies(tmp_path, inside, field):
     (tmp_path / "many.xml").write_text(scene(inside))
     with pytest.raises(
-        InputError, match=rf"many.xml: {field}: makes \d+ copies, of " rf"{MOST} at most"
+        InputError, match=rf"many.xml: {field}: makes \d+ copies; at most {MOST} are allowed"
     ):
         read_mjcf(tmp_path / "many.xml")
 

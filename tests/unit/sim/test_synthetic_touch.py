@@ -125,5 +125,5 @@ def test_who_needs_the_chain_is_told():
     with pytest.raises(InputError, match=r"paper16: .*bench error-model --sensor paper16"):
         load_errors(load_sensor("paper16"))
     other = dataclasses.replace(DENSE, membrane=dataclasses.replace(DENSE.membrane, thickness=4e-4))
-    with pytest.raises(InputError, match="of another design"):
+    with pytest.raises(InputError, match="for another design"):
         load_errors(other)

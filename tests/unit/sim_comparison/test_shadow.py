@@ -77,7 +77,7 @@ def explained(**amounts):
 def test_nothing_is_named_where_nothing_differs():
     shadow = explained()
     assert not shadow.differs and shadow.named is None and not shadow.tried
-    assert verdict(shadow).startswith("does as the simulator does")
+    assert verdict(shadow).startswith("agrees with the simulator")
 
 
 def test_a_leak_is_named_on_its_finger():
@@ -105,7 +105,7 @@ def test_what_no_cause_does_is_not_named():
     odd = replace(recorded, pressure=recorded.pressure + swing)
     shadow = explain(odd, formula, causes_of(False, COMMANDS))
     assert shadow.differs and shadow.named is None
-    assert "no one cause explains it" in verdict(shadow)
+    assert "no single cause explains it" in verdict(shadow)
 
 
 # -- the simulator

@@ -192,7 +192,7 @@ def test_geoms_are_those_of_the_touch_and_of_nobody_elses(gui, show):
     gui.want("membranes", "none")
     gui.want("net force", False)
     gui.want("outlines, centre of pressure", False)
-    gui.want("what the cameras see", True)
+    gui.want("camera images", True)
     build(plugin)
     build(plugin)
     assert [int(geom.type) for geom in plugin.viewer.extra_geoms[1:]] == 2 * 8 * [
@@ -229,7 +229,7 @@ def test_why_an_ellipse_is_not_trusted_is_said():
         np.zeros((4, 5, 5)),
         ["ok", "blurred", "cut", "blurred"],
     )
-    assert flagged_text(ellipses) == "3 of 4 not trusted: blurred (2), cut"
+    assert flagged_text(ellipses) == "3 of 4 rejected: blurred (2), cut"
     assert flagged_text(None) == ""
 
 
@@ -261,22 +261,22 @@ def test_the_desk_asks_the_session(gui, show):
     assert [k for k, _ in session.holes] == [1, 1] and session.holes[1][1] == 0.0 < session.holes[
         0
     ][1]
-    do("in place of the controller", True)
+    do("override the controller", True)
     assert show.wish.opening == show.moment().session.opening
     do("opening, mm", 40.0)
     do("lift, mm", 20.0)
     assert (show.wish.opening, show.wish.lift_height) == (0.04, 0.02) and math.isnan(
         show.wish.force
     )
-    do("squeeze as hard as", True)
+    do("regulate the force", True)
     do("felt, N", 1.5)
     assert show.wish.force == 1.5
-    do("in place of the controller", False)
+    do("override the controller", False)
     assert show.wish is None
     gui.want("pause")
     build(plugin)
     assert show.paused
-    gui.want("go on")
+    gui.want("resume")
     build(plugin)
     assert not show.paused
 
@@ -307,7 +307,7 @@ def test_what_cannot_be_taken_out_is_said(gui, show):
     gui.want("large deflection", False)
     plugin = ControlWindow(show)
     build(plugin)
-    assert "cannot be taken out" in show.said and plugin._next.effects == "auto"
+    assert "cannot be left out" in show.said and plugin._next.effects == "auto"
 
 
 def test_an_effect_is_forced_and_let_go_of_again():

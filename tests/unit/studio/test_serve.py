@@ -31,7 +31,7 @@ def test_a_window_without_a_display_is_one_line_that_says_what_to_do(monkeypatch
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(
-        MjtactileError, match=r"--native: there is no display here .*: " r"leave --native away"
+        MjtactileError, match=r"--native: no display is available .*: omit --native"
     ) as error:
         serve.launch_window(None, [])
     assert "\n" not in str(error.value)
@@ -45,8 +45,7 @@ def test_what_mujocos_window_lacks_is_named(monkeypatch):
 
     monkeypatch.setattr(serve.importlib, "import_module", lacking)
     with pytest.raises(
-        MjtactileError,
-        match=r"does not work here \(no library of that " r"name\): leave --native away",
+        MjtactileError, match=r"does not work here \(no library of that name\): omit --native"
     ):
         serve.launch_window(None, [])
 
