@@ -160,12 +160,13 @@ class MembraneEstimator:
         evidence = fit(fresh, s.face_correlations[1]).shape.log_evidence
         if evidence < found.shape.log_evidence + s.face_margin:
             return None
-        if state.camera is None:
-            changed = [replace(state, belief=None, knocked=KNOCKS_SURE)]
-            if state.belief is not None:
-                changed.append(replace(state, belief=None))
-            others = max(fit(other).shape.log_evidence for other in changed)
-            if others - s.face_change > evidence:
+        changed = []
+        if state.camera is None or found.state.gas is None:  # the camera moved, or gas was lost
+            changed.append(replace(state, belief=None, knocked=KNOCKS_SURE))
+        if state.belief is not None:
+            changed.append(replace(state, belief=None))
+        for other in changed:
+            if fit(other).shape.log_evidence - s.face_change > evidence:
                 return None
         face = fit(fresh, s.face_correlations[0])
         if not self.fits_markers(face.shape):

@@ -23,7 +23,7 @@ def test_what_is_refused(capsys, tmp_path):
     assert "half of the breaking force of 'egg', 2.5 N" in refused(
         capsys, "--object", "egg", "--force-N", "1.6"
     )
-    assert "no holder holds" in refused(capsys, "--object", "tofu", "--force-N", "0.1")
+    assert "a holder cannot hold" in refused(capsys, "--object", "tofu", "--force-N", "0.1")
     assert "--resume" in refused(capsys, "--resume", "--out", str(tmp_path / "none"))
     assert "valid: --setup gripper" in refused(capsys, "--setup", "stage", "--rig", "emulated")
     assert "a simulation turns the object itself" in refused(capsys, "--rotation-deg", "90")

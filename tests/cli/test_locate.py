@@ -161,7 +161,7 @@ def test_bad_glass_is_named(mjtactile, folder):
         ("no.png", lambda path: None, ["no.png", "no such file"]),
         ("bad.png", lambda path: path.write_bytes(b""), ["bad.png", "not an image"]),
         ("bad.mp4", lambda path: path.write_bytes(b"x"), ["bad.mp4", "video"]),
-        ("empty", lambda path: path.mkdir(), ["empty", "without images"]),
+        ("empty", lambda path: path.mkdir(), ["empty", "contains no images"]),
         (
             "small.png",
             lambda path: cv2.imwrite(str(path), np.zeros((48, 64), np.uint8)),

@@ -279,7 +279,7 @@ def test_what_cannot_be_replayed_is_refused(tmp_path):
         pass
     with pytest.raises(InputError, match="cannot be replayed"):
         build_replay_rig(str(tmp_path), DESIGN)
-    with pytest.raises(InputError, match="no recording here"):
+    with pytest.raises(InputError, match="contains no recording"):
         build_rig("replay:/nonexistent", DESIGN, object_name="egg", seed=0)
 
 

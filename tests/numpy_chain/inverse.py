@@ -42,7 +42,13 @@ class _Gain:
     modes: Array
 
     def serves(
-        self, c: Array, markers: Markers, rest: InverseRest, camera: CameraDriftFilter, lost: bool
+        self,
+        c: Array,
+        markers: Markers,
+        rest: InverseRest,
+        camera: CameraDriftFilter,
+        lost: bool,
+        correlation: float,
     ) -> bool:
         """Whether it can be used near `c`, for these markers."""
         return np.array_equal(self.ids, markers.ids) and bool(np.abs(c - self.c).max() < NEAR)
@@ -138,6 +144,7 @@ class DenseInverse(InverseMembrane):
         before: Shape | None,
         camera: CameraDriftFilter,
         lost: bool,
+        correlation: float,
     ) -> _Gain:
         state = self._dense.state(c, rest.stiffness_scale)
         _, stiffness = self._dense.linearise(state, rest.gas)

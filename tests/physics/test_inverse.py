@@ -227,7 +227,7 @@ def test_a_sheet_that_is_mounted_otherwise_feels_shear(young, tauter):
     gas = true.sheet.seal(true.sheet.state(c), SUPPLY)
     inside = np.maximum(1 - (true.nodes**2).sum(axis=1) / 5e-3**2, 0.0)
     traction = np.outer([0.1, 0.0, -0.4], inside / (inside @ true.node_area))
-    load = traction @ np.kron(*true._nodes[2:4]).T
+    load = traction @ np.kron(*true._grid[2:4]).T
     pressed = true.sheet.equilibrium(gas, load=load, start=c)
 
     def seen(coefficients):

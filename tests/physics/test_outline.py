@@ -89,7 +89,7 @@ def test_areas_are_those_of_the_closed_forms():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"shape": "polygon", "corners": ((0.01, 0), (0, 0.01), (0, 0.002))}, "middle"),
+        ({"shape": "polygon", "corners": ((0.01, 0), (0, 0.01), (0, 0.002))}, "around the center"),
         (
             {
                 "shape": "polygon",
@@ -113,7 +113,7 @@ def test_a_bad_polygon_of_a_file_is_named(tmp_path):
     text = resources.find("round30", "models/sensors", ".toml").read_text(encoding="utf-8")
     text = text.replace('shape = "circle"', shape).replace("diameter_mm = 30.0 ", "#")
     path.write_text(text)
-    with pytest.raises(InputError, match=r"frame\.corners_mm: are not those of a convex polygon"):
+    with pytest.raises(InputError, match=r"frame\.corners_mm: do not form a convex polygon"):
         load_sensor(path)
 
 

@@ -153,7 +153,7 @@ def test_actuators_with_a_gain_of_their_own_and_a_pair_of_them(tmp_path):
             ('name = "grip"', 'name = "left"'),
             (
                 "mm_per_mm = 2.0",
-                'mm_per_mm = 1.0\n\n[[gripper.actuator]]\nname = "right"\nlaw = '
+                'mm_per_mm = 1.0\n\n[[gripper.actuator]]\nname = "right"\ntransmission = '
                 '"slide"\nmm_per_mm = 1.0',
             ),
         ],

@@ -43,7 +43,7 @@ def closed(tmp_path_factory):
 
 def test_a_doubt_is_in_the_line_the_recording_and_the_export(closed):
     line, folder = closed
-    assert "an edge presses" in line["flags"]["sharp_edge"]
+    assert "a sharp edge is in contact" in line["flags"]["sharp_edge"]
     recording = load_recording(folder / "recording")
     assert dict(recording.flags) == line["flags"]
     assert Exported(folder / "recording").facts["notes"]["flags"] == line["flags"]

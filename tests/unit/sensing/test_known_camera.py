@@ -187,7 +187,7 @@ def test_doctor_says_how_many_are_seen_and_where_they_stand(hidden, level):
     changed = troubled({"image_shift_px": [4.0, -3.0], "scale_percent": 1.0})(images[0])
     shown = covered(*hidden)(changed) if hidden else changed
     [found] = fiducial_findings("camera left", DESIGN, shown)
-    assert found.level == level and f"{10 - len(hidden)} of 10 fiducials seen" in found.text
+    assert found.level == level and f"{10 - len(hidden)} of 10 fiducials detected" in found.text
     if level != "bad":
         right, down, larger = map(float, re.findall(r"[-+]\d+\.\d", found.text))
         assert (right, down) == pytest.approx((4.0, -3.0), abs=0.5)

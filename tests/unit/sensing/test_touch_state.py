@@ -44,7 +44,7 @@ def pressed(estimator, rest, force, place=(0.0, 0.0), radius=5e-3):
     """Coefficients and nodal tractions (3, J) Pa of the sheet under a parabolic patch with
     resultant (3,) N."""
     traction = parabola(estimator, force, place, radius)
-    load = traction @ np.kron(*estimator._nodes[2:4]).T
+    load = traction @ np.kron(*estimator._grid[2:4]).T
     return estimator.sheet.equilibrium(rest.gas, rest.stiffness_scale, load, start=rest.c), traction
 
 
