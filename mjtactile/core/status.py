@@ -21,6 +21,7 @@ class StatusCode(StrEnum):
     PRESSURE_CHANGING = (
         "pressure changing"  # the chamber's pressure changes too fast to be followed
     )
+    INCONSISTENT = "inconsistent"  # the pressure sensor contradicts the estimated shape
     FORCE_TOO_LOW = "force too low"  # the force is too small for an estimate
     INCOMPLETE_DATA = "incomplete data"  # the probe was not finished
     AMBIGUOUS = "ambiguous"  # the evidence fits two answers

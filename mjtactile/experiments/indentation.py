@@ -91,7 +91,8 @@ def press(
     `simulation`: `timestep` s and `effects` of the world.
     """
     world = _world(design, plan.indenter, at=plan.at, tilt=plan.tilt, mesh=mesh, **simulation)
-    view = View(world, design, seed=seed, shadows=Effect.SHADOWS in simulation.get("effects", ()))
+    shadows = Effect.SHADOWS in simulation.get("effects", ())
+    view = View(world, design, seed=seed, shadows=shadows, gauge=True)
     take_references(world, [view], design.chamber.supply_gauge, sealed=plan.sealed)
     steps = []
     touches = []

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.types import Image, Touch
+from mjtactile.core.types import Image, PressureReading, Touch
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 from mjtactile.sensing.touch.squeeze import contact_face
 from mjtactile.sim import ground_truth
@@ -18,15 +18,25 @@ from mjtactile.sim.rendering.renderer import Renderer
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 _REFERENCE_IMAGES = 10
+_GAUGE_SD = 5.0  # noise of the pressure sensor, Pa, as of a rig without a calibration
 
 
 class View:
-    """Camera and perception of the sensor in `world`; perception assumes `design`."""
+    """Camera, pressure sensor (`gauge`) and perception of the sensor in `world`; perception assumes
+    `design`."""
 
     def __init__(
-        self, world: PressWorld, design: SensorDesign, *, seed: int = 0, shadows: bool = False
+        self,
+        world: PressWorld,
+        design: SensorDesign,
+        *,
+        seed: int = 0,
+        shadows: bool = False,
+        gauge: bool = False,
     ):
         self.world = world
+        self.sealed = True
+        self._noise = np.random.default_rng([seed, 1]) if gauge else None
         self.renderer = Renderer(design, seed=seed, shadows=shadows)
         self.perception = StatefulPipeline.of(design)
 
@@ -40,7 +50,14 @@ class View:
 
     def touch(self) -> Touch:
         """Return the touch estimated from one image."""
-        return self.perception.perceive(self.image(), self.world.time)
+        return self.perception.perceive(self.image(), self.world.time, self._reading())
+
+    def _reading(self) -> PressureReading | None:
+        """Return a reading of the pressure sensor; None without one."""
+        if self._noise is None:
+            return None
+        pressure = self.world.sensors[0].gauge_pressure + _GAUGE_SD * self._noise.normal()
+        return PressureReading(pressure, _GAUGE_SD, self.world.time, not self.sealed)
 
 
 def take_references(
@@ -56,6 +73,7 @@ def take_references(
         view.perception.measure_flat_reference(view.images())
     world.inflate(gauge_pressure, seal=sealed)
     for view in views:
+        view.sealed = sealed
         view.perception.measure_rest_reference(view.images(), gauge_pressure, sealed=sealed)
 
 

@@ -33,6 +33,7 @@ class ContactDecision:
 
     def __init__(self, inverse: InverseMembrane, force: ForceScale | None, settings: Settings):
         self._inverse = inverse
+        self._area = inverse.design.frame.area
         self._force = force
         self._settings = settings
 
@@ -79,8 +80,21 @@ class ContactDecision:
         if estimate.other is not None:
             other = self._inverse.traction(estimate.other).wrench - traction.wrench
             traction = replace(traction, wrench_cov=traction.wrench_cov + np.outer(other, other))
+        cov = traction.wrench_cov.copy()
+        cov[2, 2] += self._unbalanced(estimate, traction) ** 2
+        traction = replace(traction, wrench_cov=cov)
         force = self._force
         return traction if force is None else force.apply(traction)
+
+    def _unbalanced(self, estimate: Estimate, traction: Traction) -> float:
+        """Return the force, N, by which the pressure sensor contradicts the estimated shape.
+
+        A flat contact carries the gauge pressure times its area. The area follows from force and
+        estimated pressure, and is at most that of the frame.
+        """
+        pressure = max(estimate.shape.gauge_pressure, 1.0)
+        area = min(abs(float(traction.wrench[2])) / pressure, self._area)
+        return abs(estimate.pressure_gap) * area
 
     def _patches(self, estimate: Estimate) -> tuple[Contact, ...]:
         """Return the contact patches, with forces corrected by the measured force scale."""
@@ -118,6 +132,16 @@ class ContactDecision:
             status = Status(StatusCode.PRESSURE_CHANGING, text)
             lost = slip.unknown(status.code, "the pressure is changing")
             return replace(touch, slip=lost, status=status), state
+        gap = self._unbalanced(estimate, traction)
+        if gap > s.inverse.gap_max * abs(found.force) and gap > s.zero.touch_min:
+            status = Status(
+                StatusCode.INCONSISTENT,
+                f"the pressure sensor reads {estimate.pressure_gap:+.0f} Pa relative to the "
+                f"estimated membrane shape, {gap:.2g} N of force",
+            )
+            return replace(
+                touch, slip=slip.unknown(status.code, "no balance"), status=status
+            ), state
         pulled = found.force < -max(s.zero.pull_max, s.zero.touch_sd * sd)
         if quiet and (pulled or shape.drift > s.zero.drift_max):
             status = Status(

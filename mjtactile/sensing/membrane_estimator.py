@@ -82,10 +82,12 @@ class MembraneEstimator:
         known = without(markers, state.set_aside)
         found = self._with_gas(state, reference, known, time, reading)
         is_seen = state.camera is not None
-        if self._is_doubtful(state, found.shape):
+        if self._is_doubtful(state, found, reading):
             face = self._face(state, reference, found, time, reading)
             if face is not None:
                 return face
+        state = replace(state, face=False)
+        found = replace(found, state=replace(found.state, face=False))
         if state.belief is not None and self._has_changed(found.shape):
             state = replace(state, belief=None)
             found = self._with_gas(state, reference, known, time, reading)
@@ -125,14 +127,37 @@ class MembraneEstimator:
         sharp = float(shape.excess[0].mean()) > most and not drifted
         return not sharp and shape.misfit < s.inverse.misfit_max
 
-    def _is_doubtful(self, state: PipelineState, shape: Shape) -> bool:
-        """Return True if a loaded membrane fits only by drift or by discounted markers."""
+    def _is_doubtful(
+        self, state: PipelineState, found: Estimate, reading: PressureReading | None
+    ) -> bool:
+        """Return True if a load is explained only by drift, discounted markers or new gas."""
         s = self._settings.inverse
+        shape = found.shape
+        if state.face or self._gained_gas(state, found, reading):
+            return True
         if float(np.linalg.norm(self._inverse.force(shape))) < s.face_load:
             return False
         changed = state.belief is not None and self._has_changed(shape)
         excess = float(shape.excess[0].mean())
         return changed or shape.drift > s.face_drift or excess > s.face_excess
+
+    def _gained_gas(
+        self, state: PipelineState, found: Estimate, reading: PressureReading | None
+    ) -> bool:
+        """Return True if the sealed chamber would contain more gas than before the image.
+
+        A sealed chamber gains no gas. A pressure that rises more than the estimated volume falls
+        is a contact that the shape does not show.
+        """
+        gas = state.gas
+        if reading is None or gas is None or gas.is_open or reading.is_open:
+            return False
+        chamber = self._design.chamber
+        volume = self._inverse.volume(found.shape.c)
+        pressure = chamber.ambient + reading.gauge_pressure
+        amount = pressure * volume**chamber.polytropic_exponent
+        before = gas.amount * math.exp(gas.value + gas.zero)
+        return amount > before * (1 + self._settings.inverse.gained_max)
 
     def _face(
         self,
@@ -157,22 +182,35 @@ class MembraneEstimator:
                 start, reference, found.markers, time, reading, correlation=correlation
             )
 
-        evidence = fit(fresh, s.face_correlations[1]).shape.log_evidence
-        if evidence < found.shape.log_evidence + s.face_margin:
+        wide = s.face_correlations[1]
+        least = found.shape.log_evidence + s.face_margin
+        camera = self._camera(state, time)
+        rough = self._inverse.evidence(found.shape, found.markers, found.rest, camera, wide)
+        if rough < least - s.face_rough:
             return None
-        changed = []
-        if state.camera is None or found.state.gas is None:  # the camera moved, or gas was lost
-            changed.append(replace(state, belief=None, knocked=KNOCKS_SURE))
-        if state.belief is not None:
-            changed.append(replace(state, belief=None))
-        for other in changed:
-            if fit(other).shape.log_evidence - s.face_change > evidence:
+        evidence = fit(fresh, wide).shape.log_evidence
+        if evidence < least:
+            return None
+        # while a face presses, its load is not taken for a camera that changes
+        for other in () if state.face else self._changed(state, found):
+            rival = fit(other)
+            likelier = rival.shape.log_evidence - s.face_change > evidence
+            if likelier and not self._gained_gas(state, rival, reading):
                 return None
         face = fit(fresh, s.face_correlations[0])
         if not self.fits_markers(face.shape):
             return None
-        kept = replace(face.state, shape=state.shape, belief=state.belief, knocked=0)
+        kept = replace(face.state, shape=state.shape, belief=state.belief, knocked=0, face=True)
         return replace(face, state=kept)
+
+    def _changed(self, state: PipelineState, found: Estimate) -> list[PipelineState]:
+        """Return the rivals of a wide face: a knocked camera or lost gas, and another drift."""
+        rivals = []
+        if state.camera is None or found.state.gas is None:
+            rivals.append(replace(state, belief=None, knocked=KNOCKS_SURE))
+        if state.belief is not None:
+            rivals.append(replace(state, belief=None))
+        return rivals
 
     def _static_retry(
         self,

@@ -50,6 +50,7 @@ class PipelineState:
     - `set_aside`: markers excluded because their apparent positions cannot be explained.
     - `knocked`: number of successive images in which the camera seemed knocked, or, with fiducials,
       gas seemed lost; from `KNOCKS_SURE` on this is accepted.
+    - `face`: True if a face wider than the frame pressed in the last image.
     - `unexplained`: number of images since the markers could not be explained; `lost_at` (3,):
       force in the last explained image, N.
     - `fiducials`: those of the last image; `camera`: camera drift from them; `belief`: without
@@ -71,6 +72,7 @@ class PipelineState:
     gas: GasState | None = None
     set_aside: tuple[int, ...] = ()
     knocked: int = 0
+    face: bool = False
     unexplained: int = 0
     lost_at: Array | None = None
     fiducials: FiducialDetections | None = None
@@ -100,6 +102,7 @@ class PipelineState:
             tracks=None,
             apart=None,
             set_aside=(),
+            face=False,
             unexplained=0,
             lost_at=None,
             press=None,

@@ -208,10 +208,10 @@ class InverseSettings:
         2.0, "mean square drift relative to its expected value that starts the test", FACE
     )
     face_excess: float = number(
-        1.0, "mean `excess` of all markers that starts the test", FACE, low=0.0
+        5.0, "mean `excess` of all markers that starts the test", FACE, low=0.0
     )
     face_correlations: tuple[float, float] = number(
-        (4e-3, 15e-3),
+        (4e-3, 8e-3),
         "correlation length of the tractions under a wide face, m: in the estimate, and in the "
         "test",
         FACE,
@@ -219,11 +219,23 @@ class InverseSettings:
     face_margin: float = number(
         5.0, "minimum difference of log evidence in favor of a wide face", FACE, low=0.0
     )
+    face_rough: float = number(
+        200.0,
+        "error of the log evidence from one linearization, which saves the fit",
+        "plates: up to 160; balls, edges and cylinders of bench touch: 500 and more",
+        low=0.0,
+    )
     face_change: float = number(
         10.0,
         "negative logarithm of the prior probability that the camera changes in an image under "
         "load",
         "one change in 20 000 images",
+        low=0.0,
+    )
+    gained_max: float = number(
+        0.01,
+        "relative increase of the gas in a sealed chamber that contradicts a shape",
+        "3 K of warming in an image",
         low=0.0,
     )
     gap_max: float = number(
